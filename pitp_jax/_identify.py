@@ -1,0 +1,338 @@
+"""Identification (the paper's tfest step): a continuous-time ODE of order n, no zeros, fitted by output error.
+
+    F = map(u),    sum_{i=0}^{n} a_i x^(i) = F,    y = polarity x + offset + noise
+
+    minimise  sum over observed samples of (y - y_model)^2     (Levenberg-Marquardt, whole records, float64)
+
+Starts come from the equation error, from the spectrum's peak and from the next lower order plus a fast pole: order 3
+by plain output error diverges from a bad start. Poles are stable by construction (`_poles`).
+"""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+from ._errors import BadInput, ComputationFailed
+from ._model.input_map import INPUT_MAPS
+from ._model.model import Hold, Model, Output, Provenance, linear_model
+from ._output_error import OutputError, covariance, numerical_jacobian, residual, residual_function
+from ._poles import logs_from_roots, polynomial
+from ._record.preprocess import force_band, preprocess
+from ._record.record import Record
+from ._rest import initial_rest, noise_std
+
+ORDERS = tuple(range(1, 7))
+# auto takes the smallest order >= 2 (a moving mass is second order, even where the nonlinearity hides it: on the
+# Peano-HASEL orders 1 and 2 are within 2 %) whose mean absolute error is within 10 % of the best.
+AUTO_TOLERANCE = 1.1
+
+
+@dataclass(frozen=True)
+class OrderFit:
+    """One identified order.
+
+    Attributes:
+        order: n.
+        hold: how the voltage was taken between samples.
+        coefficients, stderr: a_0 ... a_n in V^2 s^i / m (V s^i / m for a linear input) and their standard errors,
+            robust to correlated residuals (block sandwich).
+        mae, rms: mean absolute and root mean square error of the free run over observed samples, m (paper, III-D).
+        bic: T log(rms^2) + p log T, with T observed samples and p parameters; lower is better.
+        natural_hz, damping: of every real pole and pole pair, ascending in frequency.
+        offset, polarity: the sensor's zero (m) and direction (+1 or -1).
+        converged: the least squares met its tolerance.
+        identifiable: converged, and the logarithm of every pole coefficient is known to better than +-1.
+    """
+
+    order: int
+    hold: Hold
+    coefficients: np.ndarray
+    stderr: np.ndarray
+    mae: float
+    rms: float
+    bic: float
+    natural_hz: np.ndarray
+    damping: np.ndarray
+    offset: float
+    polarity: float
+    converged: bool
+    identifiable: bool
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The model of the chosen order, every order compared, and which records were found to start at rest."""
+
+    model: Model
+    chosen: OrderFit
+    orders: tuple[OrderFit, ...]
+    rest: dict[str, bool]
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters of one order in normalised units; `cost` is the mean squared normalised error."""
+
+    params: np.ndarray
+    order: int
+    hold: Hold
+    cost: float
+    converged: bool
+
+
+def identify(
+    records: Sequence[Record],
+    *,
+    order: int | str = "auto",
+    input_map: str = "square",
+    hold: Hold | None = None,
+    progress: Callable[[str], None] = lambda line: None,
+) -> Identification:
+    """Fit a linear ODE to records by output error.
+
+    Args:
+        records: recordings of one actuator (a sweep, or any set that excites it).
+        order: 1 to 6, or "auto": the smallest order whose mean absolute error is within 10 % of the best.
+        input_map: "square" (F = u^2) or "linear" (F = u).
+        hold: "foh", "zoh", or None to keep the one that leaves less error (zoh only if it wins by 2 %).
+        progress: called with one line per finished order.
+
+    Raises:
+        BadInput: unknown order or input map, no variation in voltage or displacement.
+        ComputationFailed: the asked order cannot be identified from these records.
+    """
+    if input_map not in INPUT_MAPS:
+        raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
+    if order != "auto" and order not in ORDERS:
+        raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
+    with jax.enable_x64(True):
+        problem = build_problem(records, input_map)
+        fits = _fit_orders(records, problem, ORDERS if order == "auto" else range(1, int(order) + 1), progress)
+        described = [_describe(f, problem) for f in fits]
+        chosen = _choose(described, order)
+        fit = fits[described.index(chosen)]
+        if hold != "foh":
+            other = _least_squares(fit.params, fit.order, "zoh", problem)
+            if other is not None and (hold == "zoh" or other.cost < 0.98**2 * fit.cost):
+                chosen = _describe(other, problem)
+    if order != "auto" and not chosen.identifiable:
+        raise ComputationFailed(_advice(chosen, described))
+    orders = tuple(chosen if d.order == chosen.order else d for d in described)
+    orders = orders if order == "auto" else (chosen,)
+    model = _to_model(chosen, records, input_map, orders)
+    return Identification(model, chosen, orders, dict(zip([r.name for r in records], problem.rest, strict=True)))
+
+
+def build_problem(records: Sequence[Record], input_map: str) -> OutputError:
+    """Normalise and pad the records; find rest, offset and the unit of frequency."""
+    dt, size = records[0].dt, max(r.samples for r in records)
+    rest, offset = initial_rest(records)
+    output, drive, weight = (np.zeros((len(records), size)) for _ in range(3))
+    for k, r in enumerate(records):
+        drive[k, : r.samples], drive[k, r.samples :] = r.voltage, r.voltage[-1]
+        weight[k, : r.samples] = r.observed
+        output[k, : r.samples] = np.where(r.observed, r.displacement - offset, 0.0)
+    voltage_scale, output_scale = float(np.abs(drive).max()), float(np.sqrt((output**2).sum() / weight.sum()))
+    if np.ptp(drive) == 0:
+        raise BadInput("the voltage never changes in these records: record an excitation such as a sweep")
+    if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
+        raise BadInput("the displacement never changes in these records: check the sensor and its column")
+    band = force_band([np.asarray(r.voltage ** (2 if input_map == "square" else 1)) for r in records], dt)
+    return OutputError(
+        jnp.asarray(drive / voltage_scale), jnp.asarray(output / output_scale), jnp.asarray(weight),
+        rest=tuple(bool(v) for v in rest), square=input_map == "square", dt=dt,
+        omega=float(2 * np.pi * min(band, 0.1 / dt)), voltage_scale=voltage_scale, output_scale=output_scale, offset=offset,
+    )  # fmt: skip
+
+
+def _fit_orders(records, problem: OutputError, orders: Iterable[int], progress) -> list[_Fit]:
+    """Every order from the best of its starts, refined to convergence."""
+    fits: list[_Fit] = []
+    for order in orders:
+        starts = [_equation_error_roots(records, order, problem), _peak_roots(problem, order)]
+        if fits and fits[-1].order == order - 1:
+            roots = np.roots(np.asarray(polynomial(jnp.asarray(fits[-1].params[: order - 1])))[::-1])
+            starts += [np.append(roots, -factor * max(np.abs(roots).max(), 1.0)) for factor in (3.0, 12.0)]
+        params = [_linear_start(r, order, problem) for r in starts]
+        params = sorted((p for p in params if p is not None), key=lambda p: _cost(p, order, "foh", problem))[:2]
+        found = []
+        for start in params:  # the next start only where the last one failed or lost to the lower order
+            found += [f for f in [_least_squares(start, order, "foh", problem)] if f is not None]
+            if found and found[-1].converged and (not fits or found[-1].cost <= 1.001 * fits[-1].cost):
+                break
+        if not found:
+            continue
+        best = min(found, key=lambda f: f.cost)
+        fits.append(best)
+        progress(f"order {order}: rms {100 * np.sqrt(best.cost):.2f} % of the output's")
+    if not fits:
+        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
+    return fits
+
+
+def _cost(params, order: int, hold: Hold, problem: OutputError) -> float:
+    """Mean squared normalised output error."""
+    left = residual(jnp.asarray(params), problem, order=order, hold=hold)
+    return float(jnp.sum(left**2) / problem.weight.sum())
+
+
+def _least_squares(params, order: int, hold: Hold, problem: OutputError) -> _Fit | None:
+    """Levenberg-Marquardt on the output error; None where it is not finite."""
+    solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-6)
+    fn = residual_function(order, hold)
+    found = optx.least_squares(fn, solver, jnp.asarray(params), problem, max_steps=30, throw=False)
+    cost = _cost(found.value, order, hold, problem)
+    if not np.isfinite(cost):
+        return None
+    return _Fit(np.asarray(found.value), order, hold, cost, found.result == optx.RESULTS.successful)
+
+
+def _equation_error_roots(records, order: int, problem: OutputError):
+    """Roots of the polynomial that fits F = sum a_i x^(i) + c on filtered derivatives, in units of omega."""
+    cut = min(problem.omega / np.pi, 0.4 / problem.dt)
+    rows, rhs = [], []
+    for r in records:
+        s = preprocess(r, order, cut, r.voltage ** (2 if problem.square else 1), displacement=r.displacement - problem.offset)
+        keep = np.flatnonzero(s.valid)
+        keep = keep[:: max(1, len(keep) * len(records) // 200_000)]
+        rows.append(s.states[keep] / problem.omega ** np.arange(order + 1))
+        rhs.append(s.force[keep])
+    rows = np.concatenate(rows)
+    if len(rows) < 4 * (order + 2):
+        return None
+    scale = np.abs(rows).max(0) + 1e-300
+    fit = np.linalg.lstsq(np.c_[rows / scale, np.ones(len(rows))], np.concatenate(rhs), rcond=None)[0][:-1] / scale
+    return np.roots(fit[::-1]) if np.isfinite(fit).all() and abs(fit[-1]) > 0 else None
+
+
+def _peak_roots(problem: OutputError, order: int):
+    """A resonance, damping 10 %, where output over force is largest in the spectrum; further poles faster."""
+    force = np.asarray(problem.drive) ** (2 if problem.square else 1)
+    f = np.abs(np.fft.rfft(force - force.mean(1, keepdims=True))).sum(0)
+    y = np.abs(np.fft.rfft(np.asarray(problem.output))).sum(0)
+    width = max(len(f) // 400, 1)
+    f, y = (np.convolve(v, np.ones(width) / width, "same") for v in (f, y))
+    grid = 2 * np.pi * np.arange(len(f)) / (force.shape[1] * problem.dt) / problem.omega
+    band = (grid > 0.02) & (f > 0.03 * f.max())
+    peak = float(grid[np.argmax(np.where(band, y / np.maximum(f, 1e-300), 0))]) if band.any() else 0.5
+    pair = peak * np.array([-0.1 + 0.995j, -0.1 - 0.995j])
+    return np.array([-peak]) if order == 1 else np.append(pair, -peak * 4.0 * np.arange(1, order - 1))
+
+
+def _linear_start(roots, order: int, problem: OutputError):
+    """Given the poles, the gain (and free offset) by linear least squares; initial states zero."""
+    if roots is None or len(roots) != order:
+        return None
+    params = np.zeros(problem.parameters(order))
+    params[:order], params[order] = logs_from_roots(roots), 1.0
+    y = np.asarray(problem.weight * problem.output).reshape(-1)
+    unit = np.asarray(residual(jnp.asarray(params), problem, order=order, hold="foh")) + y
+    if not np.isfinite(unit).all():
+        return None
+    columns = [unit] + ([] if any(problem.rest) else [np.asarray(problem.weight).reshape(-1)])
+    params[order : order + len(columns)] = np.linalg.lstsq(np.stack(columns, -1), y, rcond=None)[0]
+    return params
+
+
+def _describe(fit: _Fit, problem: OutputError) -> OrderFit:
+    """Physical coefficients, their errors, and the figures orders are compared by."""
+    n = fit.order
+    left = np.asarray(residual(jnp.asarray(fit.params), problem, order=n, hold=fit.hold)) * problem.output_scale
+    samples = float(problem.weight.sum())
+    spread = covariance(fit.params, problem, order=n, hold=fit.hold)
+    unit = problem.voltage_scale ** (2 if problem.square else 1) / problem.output_scale
+
+    def physical(p):
+        poly = np.asarray(polynomial(jnp.asarray(p[:n])))
+        return abs(unit / p[n]) * poly / poly[0] / problem.omega ** np.arange(n + 1)
+
+    jacobian = numerical_jacobian(physical, fit.params)
+    roots = np.roots(np.asarray(polynomial(jnp.asarray(fit.params[:n])))[::-1]) * problem.omega
+    upper = sorted(roots[roots.imag >= 0], key=abs)
+    free_offset = 0.0 if any(problem.rest) else float(fit.params[n + 1]) * problem.output_scale
+    known = np.sqrt(np.clip(np.diag(spread)[: n + 1], 0, None))
+    known[n] /= abs(fit.params[n])
+    rms = float(np.sqrt((left**2).sum() / samples))
+    return OrderFit(
+        order=n,
+        hold=fit.hold,
+        coefficients=physical(fit.params),
+        stderr=np.sqrt(np.clip(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian), 0, None)),
+        mae=float(np.abs(left).sum() / samples),
+        rms=rms,
+        bic=float(samples * np.log(rms**2) + len(fit.params) * np.log(samples)),
+        natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
+        damping=np.array([-r.real / abs(r) for r in upper]),
+        offset=problem.offset + free_offset,
+        polarity=float(np.sign(fit.params[n]) or 1.0),
+        converged=bool(fit.converged),
+        identifiable=bool(fit.converged and np.isfinite(known).all() and (known < 1.0).all()),
+    )
+
+
+def _choose(described: list[OrderFit], order) -> OrderFit:
+    if order != "auto":
+        found = [d for d in described if d.order == int(order)]
+        if not found:
+            raise ComputationFailed(f"order {order} could not be simulated on these records; try --order auto")
+        return found[0]
+    usable = [d for d in described if d.identifiable]
+    if not usable:
+        raise ComputationFailed(
+            "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
+            "or check that the voltage and displacement columns belong together"
+        )
+    inertial = [d for d in usable if d.order >= 2]
+    best = min(d.mae for d in inertial or usable)
+    return next(d for d in inertial or usable if d.mae <= AUTO_TOLERANCE * best)
+
+
+def _advice(chosen: OrderFit, described: list[OrderFit]) -> str:
+    good = [str(d.order) for d in described if d.identifiable]
+    why = "its poles are not determined by the data" if chosen.converged else "the least squares did not converge"
+    hint = f"orders that are: {', '.join(good)}" if good else "no lower order is either"
+    return f"order {chosen.order} cannot be identified from these records ({why}); {hint}; record a sweep or use --order auto"
+
+
+def _to_model(chosen: OrderFit, records, input_map: str, orders) -> Model:
+    """Scaled model: state scales are the rms of the identified model's own derivatives over the records."""
+    n = chosen.order
+    a = chosen.coefficients
+    force_scale = max(float(np.abs(INPUT_MAPS[input_map]().force(r.voltage)).max()) for r in records)
+    x_rms = float(np.sqrt(np.mean(np.concatenate([r.displacement[r.observed] - chosen.offset for r in records]) ** 2)))
+    omega = (a[0] / a[n]) ** (1 / n)
+    dt = records[0].dt
+    fastest = max(float(np.abs(np.roots(a[::-1])).max()), 1e-12)
+    provenance = Provenance(
+        dt=dt,
+        displacement_unit=records[0].displacement_unit,
+        voltage_unit=records[0].voltage_unit,
+        voltage_range=(min(float(r.voltage.min()) for r in records), max(float(r.voltage.max()) for r in records)),
+        slew=max(float(np.abs(np.diff(r.voltage)).max()) / dt for r in records),
+        notes=json.dumps({"identification": summary(chosen, orders, records)}),
+    )
+    return linear_model(
+        a,
+        input_map=INPUT_MAPS[input_map](),
+        state_scale=x_rms * omega ** np.arange(n + 1),
+        force_scale=force_scale,
+        output=Output(chosen.offset, chosen.polarity),
+        hold=chosen.hold,
+        substeps=int(np.clip(np.ceil(fastest * dt / 0.4), 1, 16)),
+        provenance=provenance,
+    )
+
+
+def summary(chosen: OrderFit, orders: Sequence[OrderFit], records: Sequence[Record]) -> dict:
+    """The identification as plain numbers, for model files and `pitp info`."""
+    noise = float(np.median([noise_std(r.displacement) for r in records]))
+    rows = [
+        {k: (v.tolist() if isinstance(v, np.ndarray) else v) for k, v in vars(f).items()}
+        for f in orders
+    ]
+    return {"order": chosen.order, "hold": chosen.hold, "noise_std": noise, "records": [r.name for r in records], "orders": rows}

@@ -1,0 +1,127 @@
+"""How far a prediction is from a measurement; every figure names its normaliser.
+
+    rmse         = sqrt(mean (x_p - x_e)^2)
+    e_rms  / %   = 100 rmse / (max x_e - min x_e)                                             (paper, eq. 15)
+    nrmse  / %   = 100 rmse / std x_e
+    e_rmhe / %   = 100 max over x_e of (max x_r(x_e) - min x_r(x_e)) / (max x_r - min x_r)    (paper, eq. 16)
+
+Samples whose measurement is missing (nan) never count. A prediction that is not finite where the measurement
+counts has diverged: its error is infinite, not left out.
+"""
+
+import numpy as np
+
+
+def _counted(measured, mask) -> np.ndarray:
+    measured = np.asarray(measured, dtype=np.float64)
+    counted = np.isfinite(measured)
+    return counted if mask is None else counted & np.asarray(mask, dtype=bool)
+
+
+def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Root-mean-square error, in the unit of the data.
+
+    Args:
+        predicted: x_p, shape (T,).
+        measured: x_e, shape (T,); nan where missing.
+        mask: True where a sample counts, shape (T,); None for all.
+
+    Returns:
+        the error; inf where a counted prediction is not finite, nan where no sample counts.
+    """
+    counted = _counted(measured, mask)
+    error = np.asarray(predicted, dtype=np.float64)[counted]
+    if error.size == 0:
+        return float("nan")
+    if not np.all(np.isfinite(error)):
+        return float("inf")
+    error = error - np.asarray(measured, dtype=np.float64)[counted]
+    scale = float(np.abs(error).max())  # squares of a nearly diverged prediction must not overflow
+    return scale * float(np.sqrt(np.mean((error / scale) ** 2))) if scale > 0 else 0.0
+
+
+def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Relative RMS error in percent of the measured range, eq. 15.
+
+    Normaliser: max x_e - min x_e over the counted samples. nan where that is zero. Arguments as for `rmse`.
+    """
+    values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
+    return _percent(rmse(predicted, measured, mask), float(np.ptp(values)) if values.size else 0.0)
+
+
+def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """RMS error in percent of the measured standard deviation.
+
+    Normaliser: population standard deviation (ddof = 0) of x_e over the counted samples, so predicting the
+        mean scores 100. nan
+    where that is zero. Arguments as for `rmse`.
+    """
+    values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
+    return _percent(
+        rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0
+    )
+
+
+def rmhe_percent(
+    reference: np.ndarray,
+    measured: np.ndarray,
+    samples_per_cycle: int | None = None,
+    mask: np.ndarray | None = None,
+    levels: int = 512,
+) -> float:
+    """Relative maximum hysteresis error in percent, eq. 16: the widest place of the loop within one cycle.
+
+    The loop is the closed polygon of the points (x_e, x_r); at a level of x_e its width is the spread of x_r
+    there, as eq. 16 has it. Normaliser: max x_r - min x_r over the cycle. For sines of lag phi it is 100 |sin
+    phi|. Noise counts as width.
+
+    Args:
+        reference: x_r, shape (T,).
+        measured: x_e, shape (T,); nan where missing.
+        samples_per_cycle: the last whole cycle is taken; None where the arrays are one cycle already.
+        mask: True where a sample counts, shape (T,).
+        levels: number of levels of x_e between its extremes at which the width is taken.
+
+    Returns:
+        the percentage; nan where fewer than three samples count, the reference stands still or the
+        measurement does.
+    """
+    cycle = slice(None if samples_per_cycle is None else -int(samples_per_cycle), None)
+    counted = _counted(measured, mask)[cycle]
+    across = np.asarray(measured, dtype=np.float64)[cycle][counted]
+    up = np.asarray(reference, dtype=np.float64)[cycle][counted]
+    if len(up) < 3 or np.ptp(up) == 0 or np.ptp(across) == 0:
+        return float("nan")
+    left, right = across, np.roll(across, -1)
+    bottom, top = up, np.roll(up, -1)
+    low, high = np.minimum(left, right), np.maximum(left, right)
+    slope = (top - bottom) / np.where(right == left, 1.0, right - left)
+    widest = 0.0
+    for level in np.linspace(across.min(), across.max(), levels + 2)[1:-1]:
+        crossed = (low <= level) & (level <= high) & (left != right)
+        at = bottom[crossed] + slope[crossed] * (level - left[crossed])
+        widest = max(widest, float(np.ptp(at)) if at.size else 0.0)
+    return _percent(widest, float(np.ptp(up)))
+
+
+def _percent(error: float, normaliser: float) -> float:
+    return 100.0 * error / normaliser if normaliser > 0 else float("nan")
+
+
+def steady(time: np.ndarray, fraction: float = 0.5, start: float | None = None) -> np.ndarray:
+    """Mask of the steady part of a record: its last share, or all from a given time after its start.
+
+    Args:
+        time: sample times in s, shape (T,).
+        fraction: share of the duration to keep, at the end, in (0, 1].
+        start: seconds after the first sample from which to keep; replaces `fraction`.
+
+    Returns:
+        True where a sample belongs to the steady part, shape (T,).
+    """
+    time = np.asarray(time, dtype=np.float64)
+    if start is None:
+        if not 0 < fraction <= 1:
+            raise ValueError(f"fraction {fraction} is not in (0, 1]")
+        start = (1.0 - fraction) * (time[-1] - time[0])
+    return time - time[0] >= start

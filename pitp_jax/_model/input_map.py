@@ -1,0 +1,63 @@
+"""Input maps: drive voltage u to equivalent force F, and back.
+
+    square:  F = u^2                 u = sqrt(max(F, 0))        (paper, eqs. 6 and 13)
+    linear:  F = u                   u = F                      (electronic benchmarks, piezo)
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+
+class AbstractInputMap(eqx.Module):
+    """A memoryless, invertible map from voltage to force; works on any array shape."""
+
+    @abstractmethod
+    def force(self, voltage: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Equivalent force (V^2 or V) of a voltage (V)."""
+
+    @abstractmethod
+    def voltage(self, force: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The non-negative (square) or signed (linear) voltage that makes this force."""
+
+    @abstractmethod
+    def infeasible(self, force: Float[Array, "..."]) -> Bool[Array, "..."]:
+        """True where no voltage makes this force."""
+
+
+class SquareInput(AbstractInputMap):
+    """Maxwell stress: F = u^2 (eq. 6); a negative force is infeasible (PAPER_READINGS: eq. 13)."""
+
+    def force(self, voltage):
+        """F = u^2 in V^2."""
+        return voltage * voltage
+
+    def voltage(self, force):
+        """U = sqrt(max(F, 0)) in V, with a zero derivative (not nan) at F <= 0."""
+        positive = force > 0
+        return jnp.where(positive, jnp.sqrt(jnp.where(positive, force, 1.0)), 0.0)
+
+    def infeasible(self, force):
+        """F < 0: the square cannot pull back."""
+        return force < 0
+
+
+class LinearInput(AbstractInputMap):
+    """F = u, for plants whose input is not squared."""
+
+    def force(self, voltage):
+        """F = u in V."""
+        return voltage
+
+    def voltage(self, force):
+        """U = F in V."""
+        return force
+
+    def infeasible(self, force):
+        """Never."""
+        return jnp.zeros(jnp.shape(force), bool)
+
+
+INPUT_MAPS = {"square": SquareInput, "linear": LinearInput}

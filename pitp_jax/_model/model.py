@@ -1,0 +1,148 @@
+"""The model: an ODE of order n whose coefficients are read off the current state (paper, eqs. 2-7).
+
+    F = sigma_off + sum_{i=0}^{n} sigma_i x^(i),      F = map(u),      sigma = tokens(S, m),  S = [x, ..., x^(n-1)]
+
+In scaled coordinates X_i = x^(i) / scale_i and force / force_scale everything is of order one; a token is the
+nominal coefficient times a positive factor, so a zero encoder is exactly the identified linear model.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .encoder import AbstractEncoder, ConstantEncoder
+from .input_map import AbstractInputMap
+from .memory import AbstractMemory, NoMemory
+
+Hold = Literal["foh", "zoh"]
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a model was made from; hashable, so that it can stay static under jit.
+
+    Attributes:
+        dt: sampling interval of the training records, s.
+        displacement_unit, voltage_unit: units the user's files had.
+        voltage_range: lowest and highest drive voltage seen, V.
+        slew: highest voltage slew seen, V/s.
+        region: per feature (S then memory, scaled) lowest and highest value trained on.
+        notes: JSON text, the identification and training summary `pitp info` prints.
+    """
+
+    dt: float
+    displacement_unit: str = "m"
+    voltage_unit: str = "V"
+    voltage_range: tuple[float, float] = (0.0, float("inf"))
+    slew: float = float("inf")
+    region: tuple[tuple[float, float], ...] = ()
+    notes: str = "{}"
+
+    def with_(self, **changes) -> "Provenance":
+        """A copy with some fields replaced."""
+        return replace(self, **changes)
+
+
+class Output(eqx.Module):
+    """The sensor's zero and direction: x = polarity (y - offset), y in the rig's coordinates (m or V)."""
+
+    offset: float = eqx.field(static=True, default=0.0)
+    polarity: float = eqx.field(static=True, default=1.0)
+
+    def to_model(self, y):
+        """Measured output to displacement from rest."""
+        return self.polarity * (y - self.offset)
+
+    def to_rig(self, x):
+        """Displacement from rest to what the sensor would read."""
+        return self.polarity * x + self.offset
+
+
+class Scales(eqx.Module):
+    """Units of the scaled coordinates: x^(i) in m/s^i (n + 1 of them) and force in V^2 (or V)."""
+
+    state: tuple[float, ...] = eqx.field(static=True)
+    force: float = eqx.field(static=True)
+
+    @property
+    def rates(self) -> np.ndarray:
+        """dX_i/dt = rates_i X_{i+1}, in 1/s, shape (n,)."""
+        state = np.asarray(self.state)
+        return state[1:] / state[:-1]
+
+
+def positive_factor(logit: Float[Array, "..."]) -> Float[Array, "..."]:
+    """G(l) = 1 + l for l > -1/2, -1/(4 l) below: positive, C1, g(0) = 1 and exactly linear where tokens usually are."""
+    low = logit < -0.5
+    return jnp.where(low, -0.25 / jnp.where(low, logit, -1.0), 1.0 + logit)
+
+
+class Model(eqx.Module):
+    """Input map, encoder, memory and effects around one nominal coefficient vector.
+
+    Attributes:
+        coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
+        encoder, memory, input_map, output, scales, effects: the parts; `effects` act on the force side.
+        hold: how the voltage runs between samples: "foh" (linear) or "zoh" (constant).
+        substeps: RK4 steps per sample.
+        provenance: what it was made from.
+    """
+
+    coefficients: Float[Array, " tokens"]
+    input_map: AbstractInputMap
+    encoder: AbstractEncoder
+    memory: AbstractMemory
+    output: Output
+    scales: Scales = eqx.field(static=True)
+    hold: Hold = eqx.field(static=True, default="foh")
+    substeps: int = eqx.field(static=True, default=1)
+    provenance: Provenance = eqx.field(static=True, default=Provenance(1.0))
+    effects: tuple = ()
+
+    @property
+    def order(self) -> int:
+        """ODE order n."""
+        return len(self.scales.state) - 1
+
+    @property
+    def physical_coefficients(self) -> np.ndarray:
+        """Nominal a_0 ... a_n in V^2 s^i / m (or V s^i / m), shape (n + 1,)."""
+        return np.asarray(self.coefficients, np.float64) * self.scales.force / np.asarray(self.scales.state)
+
+    def tokens(
+        self, features: Float[Array, " features"], *, key=None
+    ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
+        """Scaled tokens sigma_0 ... sigma_n and the offset token at one instant (S then memory, scaled)."""
+        logits = self.encoder(features, key=key)
+        return self.coefficients * positive_factor(logits[:-1]), logits[-1]
+
+
+def linear_model(
+    coefficients: np.ndarray,
+    *,
+    input_map: AbstractInputMap,
+    state_scale: np.ndarray,
+    force_scale: float,
+    output: Output,
+    hold: Hold,
+    substeps: int,
+    provenance: Provenance,
+) -> Model:
+    """A model with constant tokens from physical coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects."""
+    coefficients = np.asarray(coefficients, np.float64)
+    scaled = coefficients * np.asarray(state_scale) / force_scale
+    return Model(
+        coefficients=jnp.asarray(scaled, jnp.float32),
+        input_map=input_map,
+        encoder=ConstantEncoder(len(coefficients) + 1),
+        memory=NoMemory(),
+        output=output,
+        scales=Scales(tuple(float(s) for s in state_scale), float(force_scale)),
+        hold=hold,
+        substeps=substeps,
+        provenance=provenance,
+    )

@@ -1,0 +1,180 @@
+"""The mechanics of a virtual actuator: hyperelastic membrane, relaxation spectrum, mass and Maxwell stress.
+
+With the distance z = z_eq + x from the undeformed shape, and the squared stretch q(z) beyond the prestretch,
+
+    cone:  q = 1 + (z / w)^2,      roll:  q = (1 + z / w)^2,      q' = dq/dz,      L = q(z) / q(z_eq),
+
+    m x'' = m g + C/2 u^2 q' - d x'
+            - q' [ K/2 J/(J - I) (p^2 - 1/(p^4 q^2)) + sum_i K_i/(4 q) (L/b_i - b_i/L) + D q'/(4 q^2) x' ],
+    I     = p^2 q + p^2 + 1/(p^4 q) - 3,
+    b_i'  = (L - b_i^2 / L) / (2 tau_i),      b_i(0) = 1.
+
+The bracket holds the Gent spring (neo-Hookean as J -> inf; incompressible, prestretch p both ways, the hoop
+kept there), the Maxwell branches with squared viscous stretch b_i (energy K_i (L/b_i + b_i/L - 2)/4), and the
+Kelvin-Voigt damping of the membrane; d is the friction of guide and air. The ideal dielectric has the
+capacitance C q. z_eq balances gravity at u = 0. Nothing here is a polynomial in x, and no model in this
+package has the b_i for states: a truth of another form.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import brentq
+
+GRAVITY = 9.81  # m/s^2
+
+
+def _root(function, low: float, high: float) -> float:
+    """The one root of a function of z (m) between two ends of opposite sign."""
+    return float(cast(float, brentq(function, low, high, xtol=1e-15)))
+
+
+@dataclass(frozen=True)
+class ConeGeometry:
+    """A membrane of radial width `width` (m) pulled out of its plane by z: q = 1 + (z/w)^2.
+
+    Attributes:
+        width: distance w from the central disk to the frame in m.
+    """
+
+    width: float
+
+    def stretch(self, z):
+        """Squared active stretch q and its slope dq/dz (1/m) at the distance z (m) from the flat shape."""
+        return 1.0 + (z / self.width) ** 2, 2.0 * z / self.width**2
+
+
+@dataclass(frozen=True)
+class RollGeometry:
+    """A roll of active length `width` (m) elongated by z: q = (1 + z/w)^2.
+
+    Attributes:
+        width: active length w in m.
+    """
+
+    width: float
+
+    def stretch(self, z):
+        """Squared active stretch q and its slope dq/dz (1/m) at the elongation z (m)."""
+        return (1.0 + z / self.width) ** 2, 2.0 * (1.0 + z / self.width) / self.width
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A virtual actuator: the constants of the equations of motion above, and of its sensor.
+
+    Attributes:
+        name: the name `plant` knows it by.
+        rate_hz: sampling rate of the paper's experiment in Hz.
+        mass: moved mass m in kg.
+        max_voltage: rating in V; the equations are well-behaved up to it.
+        noise_std: standard deviation of the sensor noise in m.
+        sensor_range: the sensor reads -sensor_range ... +sensor_range (m) in 16 bit.
+        scale: a typical displacement in m; the integration works in multiples of it.
+        geometry: how the stretch follows from the displacement.
+        prestretch: p, in both directions of the plane.
+        spring: K = shear modulus times volume of elastomer, in J.
+        limit: Gent's limit J of I.
+        branches: (K_i in J, tau_i in s) of each Maxwell branch.
+        membrane_damping: D in J s.
+        friction: d in N s/m.
+        capacitance: C in F, at q = 1.
+    """
+
+    name: str
+    rate_hz: float
+    mass: float
+    max_voltage: float
+    noise_std: float
+    sensor_range: float
+    scale: float
+    geometry: ConeGeometry | RollGeometry
+    prestretch: float
+    spring: float
+    limit: float
+    branches: tuple[tuple[float, float], ...]
+    membrane_damping: float
+    friction: float
+    capacitance: float
+
+    @cached_property
+    def rest_position(self) -> float:
+        """z_eq in m: the relaxed equilibrium under gravity at u = 0."""
+        return _root(lambda z: self.relaxed_force(z, 0.0), 0.0, self.last_position)
+
+    @cached_property
+    def last_position(self) -> float:
+        """The position in m at which the Gent spring locks (less 1 %), or four widths."""
+        z = np.linspace(0.0, 4.0 * self.geometry.width, 4001)
+        return float(z[np.searchsorted(self._invariant(self.geometry.stretch(z)[0]), 0.99 * self.limit) - 1])
+
+    def _invariant(self, q):
+        """I = I_1 - 3 of the membrane at the squared stretch q."""
+        p2 = self.prestretch**2
+        return p2 * q + p2 + 1.0 / (p2**2 * q) - 3.0
+
+    def relaxed_force(self, z, u):
+        """Force in N towards larger z (m), at rest and relaxed, under u (V); any kind of array."""
+        p2 = self.prestretch**2
+        q, slope = self.geometry.stretch(z)
+        gent = self.limit / (self.limit - self._invariant(q))
+        spring = 0.5 * self.spring * gent * (p2 - 1.0 / (p2 * q) ** 2) * slope
+        return self.mass * GRAVITY - spring + 0.5 * self.capacitance * u**2 * slope
+
+    def stretch_ratio(self, x):
+        """L: the squared stretch at the displacement x (m) over that at rest."""
+        return self.geometry.stretch(self.rest_position + x)[0] / self.geometry.stretch(self.rest_position)[0]
+
+    def static(self, u):
+        """Relaxed displacement at a constant voltage, after all creep.
+
+        Args:
+            u: voltage in V, any shape.
+
+        Returns:
+            Displacement in m, the shape of `u`.
+        """
+        u = np.asarray(u, dtype=np.float64)
+        rest, last = self.rest_position, self.last_position
+        roots = [_root(lambda z, v=v: self.relaxed_force(z, v), 0.5 * rest, last) - rest for v in u.ravel()]
+        return np.asarray(roots).reshape(u.shape)[()]
+
+    def derivative(self, state, u):
+        """Rate of the state (x / scale, x' / (scale/s), b_i - 1), shape (2 + branches,), under u (V)."""
+        x, v = state[0] * self.scale, state[1] * self.scale
+        strength, tau = jnp.asarray(self.branches, dtype=state.dtype).T
+        q, slope = self.geometry.stretch(self.rest_position + x)
+        ratio = self.stretch_ratio(x)
+        b = 1.0 + state[2:]
+        branch = jnp.sum(strength * (ratio / b - b / ratio)) * slope / (4.0 * q)
+        damping = (self.membrane_damping * (0.5 * slope / q) ** 2 + self.friction) * v
+        force = self.relaxed_force(self.rest_position + x, u) - branch - damping
+        mechanics = jnp.stack([state[1], force / (self.mass * self.scale)])
+        return jnp.concatenate([mechanics, (ratio - b**2 / ratio) / (2.0 * tau)])
+
+    def linearised(self, u: float = 0.0) -> np.ndarray:
+        """Jacobian of `derivative` in the relaxed equilibrium under u (V), shape (2 + branches,) twice."""
+        x = float(self.static(u))
+        grown = self.stretch_ratio(x)
+        with jax.enable_x64(True):
+            state = jnp.asarray([x / self.scale, 0.0] + [grown - 1.0] * len(self.branches))
+            return np.asarray(jax.jacfwd(self.derivative)(state, u))
+
+    @cached_property
+    def _mode(self) -> complex:
+        """The oscillating eigenvalue (1/s) of the linearisation at u = 0."""
+        return max(np.linalg.eigvals(self.linearised()), key=np.imag)
+
+    @property
+    def resonance_hz(self) -> float:
+        """Natural frequency of the one mechanical mode at u = 0 in Hz, for small motions."""
+        return float(abs(self._mode) / (2.0 * np.pi))
+
+    @property
+    def damping_ratio(self) -> float:
+        """Damping ratio of that mode: viscous damping and relaxation together."""
+        return float(-self._mode.real / abs(self._mode))

@@ -1,0 +1,64 @@
+"""A record: one excitation of one actuator, sampled uniformly.
+
+    t_i = t_0 + i dt,   u_i = voltage (V),   y_i = displacement (base unit: m, or V for an electronic output)
+
+A missing output sample is nan in `displacement`; everything downstream masks it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .checks import check_samples
+
+
+@dataclass(frozen=True)
+class Record:
+    """One excitation of one actuator, in base units.
+
+    Attributes:
+        name: the file name less its known suffix, or any label unique in the set.
+        time: sample times in s, shape (T,), uniform to 1 % of a sample; the session clock.
+        voltage: drive voltage in V, shape (T,); no missing samples.
+        displacement: output in `m` (or `V` for electronic benchmarks), shape (T,); nan where missing.
+        voltage_unit: unit the voltage had in its file; used when results are written back.
+        displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
+        source: where it came from, for messages.
+
+    Raises:
+        BadInput: shapes differ, fewer than 64 samples, non-uniform time, missing input, no finite output.
+    """
+
+    name: str
+    time: np.ndarray
+    voltage: np.ndarray
+    displacement: np.ndarray
+    voltage_unit: str = "V"
+    displacement_unit: str = "m"
+    source: str = ""
+
+    def __post_init__(self):
+        """Refuse what no later step could use (the readers give the file, column and sample as well)."""
+        for field in ("time", "voltage", "displacement"):
+            object.__setattr__(self, field, np.asarray(getattr(self, field), dtype=np.float64))
+        check_samples(self.time, self.voltage, self.displacement, self.source or f"record {self.name!r}")
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval in s."""
+        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples T."""
+        return len(self.time)
+
+    @property
+    def observed(self) -> np.ndarray:
+        """True where the output was measured, shape (T,)."""
+        return np.isfinite(self.displacement)
+
+    @property
+    def missing(self) -> int:
+        """Number of missing output samples."""
+        return int(self.samples - self.observed.sum())
