@@ -46,7 +46,8 @@ class OrderFit:
         natural_hz, damping: of every real pole and pole pair, ascending in frequency.
         offset, polarity: the sensor's zero (m) and direction (+1 or -1).
         converged: the least squares met its tolerance.
-        identifiable: converged, and the logarithm of every pole coefficient is known to better than +-1.
+        identifiable: every pole lies below the Nyquist frequency, and the logarithm of every pole coefficient is
+            known to better than +-3 (a strong nonlinearity inflates the errors of a perfectly good linear fit).
     """
 
     order: int
@@ -271,7 +272,7 @@ def _describe(fit: _Fit, problem: OutputError) -> OrderFit:
         offset=problem.offset + free_offset,
         polarity=float(np.sign(fit.params[n]) or 1.0),
         converged=bool(fit.converged),
-        identifiable=bool(fit.converged and np.isfinite(known).all() and (known < 1.0).all()),
+        identifiable=bool((known < 3.0).all() and np.abs(roots).max() * problem.dt < np.pi),
     )
 
 
@@ -294,7 +295,7 @@ def _choose(described: list[OrderFit], order) -> OrderFit:
 
 def _advice(chosen: OrderFit, described: list[OrderFit]) -> str:
     good = [str(d.order) for d in described if d.identifiable]
-    why = "its poles are not determined by the data" if chosen.converged else "the least squares did not converge"
+    why = "its poles are not determined by the data" if chosen.converged else "the least squares ran away"
     hint = f"orders that are: {', '.join(good)}" if good else "no lower order is either"
     return f"order {chosen.order} cannot be identified from these records ({why}); {hint}; record a sweep or use --order auto"
 

@@ -11,6 +11,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 
@@ -34,27 +35,65 @@ class ConstantEncoder(AbstractEncoder):
         return jnp.zeros((self.outputs,), features.dtype)
 
 
-class CompactEncoder(AbstractEncoder):
-    """A shared tanh trunk, one matmul per layer (preset `default`).
+class _Trunk(eqx.Module):
+    """A tanh network beside a quadratic in the first `states` features; zero until trained.
 
-    Args at init: number of features, outputs, width, depth (hidden layers). The last layer starts at zero.
+    A tanh saturates outside the data; a hardening spring does not. Its secant stiffness is quadratic in x, so the
+    logits add a linear readout of S and its products: on Silverbox's arrow, 30 % beyond the training range, the error
+    fell from 2.3 to 0.9 mV.
     """
 
     hidden: list[eqx.nn.Linear]
     readout: eqx.nn.Linear
+    quadratic: eqx.nn.Linear
+    states: int = eqx.field(static=True)
 
-    def __init__(self, features: int, outputs: int, *, width: int, depth: int, key: PRNGKeyArray):
-        keys = jax.random.split(key, depth + 1)
+    def __init__(self, features, outputs, states, width, depth, key):
+        keys = jax.random.split(key, depth + 2)
         sizes = [features] + [width] * depth
-        self.hidden = [eqx.nn.Linear(a, b, key=k) for a, b, k in zip(sizes[:-1], sizes[1:], keys[:-1], strict=True)]
-        self.readout = _zero(eqx.nn.Linear(width, outputs, key=keys[-1]))
+        self.hidden = [eqx.nn.Linear(a, b, key=k) for a, b, k in zip(sizes[:-1], sizes[1:], keys[:-2], strict=True)]
+        self.readout = _zero(eqx.nn.Linear(width, outputs, key=keys[-2]))
+        products = states + states * (states + 1) // 2
+        self.quadratic = _zero(eqx.nn.Linear(products, outputs, use_bias=False, key=keys[-1]))
+        self.states = states
 
-    def __call__(self, features, *, key=None):
-        """Logits of one instant."""
+    def __call__(self, features):
         h = features
         for layer in self.hidden:
             h = jnp.tanh(layer(h))
-        return self.readout(h)
+        state = features[: self.states]
+        rows, columns = np.triu_indices(self.states)
+        return self.readout(h) + self.quadratic(jnp.concatenate([state, state[rows] * state[columns]]))
+
+
+class CompactEncoder(AbstractEncoder):
+    """Two small trunks, one matmul per layer (preset `default`): restoring and dissipative tokens apart.
+
+        sigma_0, sigma_n, sigma_off = restoring(x, m),        sigma_1 ... sigma_{n-1} = dissipation(S, m)
+
+    Any force f(x, v, m) is f(x, 0, m) + v sigma_1, and with sigma_1 > 0 nothing but memory can pump energy in. One
+    trunk that lets the offset see the velocity fits as well and extrapolates worse (Peano-HASEL, 7 Hz from steps and
+    3 Hz: 33 % against 134 % nrmse).
+
+    Args at init: order n, number of memories, width and depth (hidden layers) of each trunk.
+    """
+
+    restoring: _Trunk
+    dissipation: _Trunk | None
+    order: int = eqx.field(static=True)
+
+    def __init__(self, order: int, memories: int, *, width: int, depth: int, key: PRNGKeyArray):
+        first, second = jax.random.split(key)
+        self.order = order
+        self.restoring = _Trunk(1 + memories, 3, 1, width, depth, first)
+        self.dissipation = _Trunk(order + memories, order - 1, order, width, depth, second) if order > 1 else None
+
+    def __call__(self, features, *, key=None):
+        """Logits of one instant."""
+        still = jnp.concatenate([features[:1], features[self.order :]])
+        first, last, offset = self.restoring(still)
+        middle = jnp.zeros((0,), features.dtype) if self.dissipation is None else self.dissipation(features)
+        return jnp.concatenate([first[None], middle, last[None], offset[None]])
 
 
 class _Branches(eqx.Module):
@@ -105,4 +144,4 @@ class PaperEncoder(AbstractEncoder):
 
 
 def _zero(layer: eqx.nn.Linear) -> eqx.nn.Linear:
-    return eqx.tree_at(lambda m: (m.weight, m.bias), layer, replace_fn=jnp.zeros_like)
+    return jax.tree.map(jnp.zeros_like, layer)

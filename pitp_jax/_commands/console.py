@@ -1,0 +1,62 @@
+"""What a command says: lines and a progress bar on standard error, tables on standard output."""
+
+import shutil
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+_EVERY_S = 10.0  # between lines of progress where standard error is not a terminal
+_REDRAW_S = 0.1
+
+
+def say(line: str) -> None:
+    """One line on standard error, over whatever progress bar stands there."""
+    clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+    print(f"{clear}pitp: {line}", file=sys.stderr, flush=True)
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A figure for a table; a dash where there is none."""
+    return "-" if value is None or value != value else f"{value:.{digits}g}"
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Columns on standard output, the first to the left, the others to the right."""
+    lines = [list(header), *map(list, rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        cells = [line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True))]
+        print("  ".join(cells).rstrip())
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them; nothing where they are not known."""
+    if not 0 <= seconds < 1e6:
+        return "?"
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+class ProgressBar:
+    """Progress of training: redrawn in place on a terminal, a line now and then elsewhere."""
+
+    def __init__(self):
+        self._tty, self._last, self._stage = sys.stderr.isatty(), -1e9, None
+
+    def update(self, progress: Any) -> None:
+        """Show one `_train.Progress`."""
+        now, ends = time.monotonic(), progress.step >= progress.steps
+        fresh = progress.stage != self._stage
+        if not (fresh or ends or now - self._last >= (_REDRAW_S if self._tty else _EVERY_S)):
+            return
+        self._last, self._stage = now, progress.stage
+        box = "" if progress.box is None else f"  box {progress.box:.3g}"
+        text = f"{progress.stage}: {progress.step}/{progress.steps}{box}  loss {progress.loss:.3g}"
+        text += f"  best {progress.best:.3g}  about {duration(progress.seconds_left)} left"
+        if not self._tty:
+            say(text)
+            return
+        done = round(20 * min(progress.step / max(progress.steps, 1), 1.0))
+        bar = f"[{'#' * done}{'.' * (20 - done)}] {text}"
+        bar = bar[: shutil.get_terminal_size().columns - 1]
+        print(f"\r\x1b[K{bar}", end="\n" if ends else "", file=sys.stderr, flush=True)

@@ -1,0 +1,79 @@
+"""`pitp fit`: records to a trained model."""
+
+import jax
+
+from .. import _identify, _train
+from .._errors import BadInput
+from .._file import load, save
+from .._model.input_map import INPUT_MAPS
+from .._model.model import Model
+from .._record.reading import read
+from .console import ProgressBar, number, say
+from .outputs import check_files
+from .reports import describe, listed, print_history
+from .suits import check_suits
+
+
+def fit(records, out, nominal, order, preset, input_map, seed, input_column, output_column) -> None:
+    """Train, write the model file, and print how it went.
+
+    Args:
+        records: files and folders; all of them train.
+        out: model file to write.
+        nominal: model file to start from, or None to identify one.
+        order: 1 to 6, "auto" or None; must not contradict `nominal`.
+        input_map: "square", "linear" or None; must not contradict `nominal`.
+        preset: "default" or "paper".
+        seed: of the random start.
+        input_column: name of the voltage column, or None.
+        output_column: name of the output column, or None.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+        KeyboardInterrupt: interrupted; the best complete model is written where a stage was complete.
+    """
+    check_files(out, inputs=[*records, *([nominal] if nominal else [])])
+    start = _given(nominal, order, input_map) if nominal else None
+    read_in = read(*records, input_column=input_column, output_column=output_column)
+    check_files(out, inputs=[r.source for r in read_in])
+    if start is None:
+        start = _identified(read_in, order or "auto", input_map or "square")
+    check_suits(start, nominal or "the identified model", read_in)
+    done = _train.train(
+        start, read_in, preset=preset, key=jax.random.key(seed), progress=ProgressBar().update
+    )
+    save(out, done.model)
+    if done.interrupted:
+        raise KeyboardInterrupt(f"the best complete model is in {out}")
+    told = describe(done.model)
+    seconds = number(done.notes.get("seconds"), 3)
+    print(f"trained a model of order {told['order']} on {listed([r.name for r in read_in])} in {seconds} s")
+    print_history(done.history)
+    print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
+
+
+def _given(path: str, order, input_map) -> Model:
+    """The nominal model of that file, unless the options contradict it."""
+    model = load(path)
+    if order not in (None, "auto", model.order):
+        raise BadInput(
+            f"--order {order} contradicts {path}, whose order is {model.order}; leave one of them out"
+        )
+    if input_map is not None and type(model.input_map) is not INPUT_MAPS[input_map]:
+        own = next(name for name, kind in INPUT_MAPS.items() if type(model.input_map) is kind)
+        raise BadInput(
+            f"--input-map {input_map} contradicts {path}, whose input map is {own}; leave one of them out"
+        )
+    return model
+
+
+def _identified(records, order, input_map) -> Model:
+    """A nominal from the sweeps among the records, else from all."""
+    sweeps = [record for record in records if _identify.is_sweep(record)]
+    if sweeps:
+        say(f"identifying on the sweeps among {len(records)} records: {listed([r.name for r in sweeps])}")
+    else:
+        say(f"no record is a sweep: identifying on all, {listed([r.name for r in records])}")
+    found = _identify.identify(sweeps or records, order=order, input_map=input_map, progress=say)
+    say(f"identified order {found.model.order}")
+    return found.model

@@ -1,0 +1,60 @@
+"""`pitp identify`: records to a linear model of the right order."""
+
+from .._file import save
+from .._identify import Identification
+from .._identify import identify as run_identify
+from .._record.reading import read
+from .._record.units import from_base
+from .console import number, print_table, say
+from .outputs import check_files, staged_files, write_json
+from .reports import describe, listed, print_model
+
+
+def identify(records, out, order, input_map, json_file, input_column, output_column) -> None:
+    """Identify, write the model file, and print the comparison of orders.
+
+    Args:
+        records: files and folders.
+        out: model file to write.
+        order: 1 to 6 or "auto".
+        input_map: "square" or "linear".
+        json_file: where to write the result for machines, or None.
+        input_column: name of the voltage column, or None.
+        output_column: name of the output column, or None.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+    """
+    check_files(out, json_file, inputs=records)
+    read_in = read(*records, input_column=input_column, output_column=output_column)
+    check_files(out, json_file, inputs=[r.source for r in read_in])
+    found = run_identify(read_in, order=order, input_map=input_map, progress=say)
+    told = describe(found.model)
+    with staged_files(out, json_file) as (out_stage, json_stage):
+        save(out_stage, found.model)
+        if json_file:
+            write_json(
+                json_stage, {**told, "orders": [vars(fit) for fit in found.orders], "rest": found.rest}
+            )
+    unit = read_in[0].displacement_unit
+    print_orders(found, unit)
+    print_model(told)
+    moving = [name for name, rest in found.rest.items() if not rest]
+    if moving:
+        print(f"start moving: {listed(moving)}; their initial states were estimated")
+
+
+def print_orders(found: Identification, unit: str) -> None:
+    """The compared orders, the chosen one marked."""
+    rows = [
+        (
+            f"{fit.order}{' *' if fit.order == found.chosen.order else ''}",
+            number(from_base(fit.mae, unit, "displacement")),
+            number(from_base(fit.rms, unit, "displacement")),
+            f"{fit.bic:.0f}",
+            ", ".join(number(f, 3) for f in fit.natural_hz),
+            "yes" if fit.identifiable else "no",
+        )
+        for fit in found.orders
+    ]
+    print_table(("order", f"mae ({unit})", f"rms ({unit})", "bic", "natural (Hz)", "identifiable"), rows)

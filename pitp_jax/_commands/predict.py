@@ -1,0 +1,133 @@
+"""`pitp predict`: a model's free run beside every record, and how far the two are apart."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+
+from .. import _decode
+from .._errors import ComputationFailed
+from .._file import load
+from .._metrics import e_rms_percent, nrmse_percent, rmse
+from .._record.reading import read
+from .._record.record import Record
+from .._record.units import from_base
+from .._record.writing import write_csv
+from .console import number, print_table
+from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .suits import check_suits
+
+
+def predict(model, records, out, json_file, input_column, output_column) -> None:
+    """Predict, write what was asked for, and print the scores.
+
+    Args:
+        model: model file.
+        records: files and folders.
+        out: folder for one CSV per record, or None.
+        json_file: where to write the scores for machines, or None.
+        input_column: name of the voltage column, or None.
+        output_column: name of the output column, or None.
+
+    Raises:
+        BadInput: with nothing written.
+        ComputationFailed: every record diverged; the results, which say so, are written.
+    """
+    check_files(json_file, inputs=[model, *records])
+    loaded = load(model)
+    read_in = read(*records, input_column=input_column, output_column=output_column)
+    sources = [model, *(r.source for r in read_in)]
+    check_files(json_file, inputs=sources)
+    files = [f"{record.name.lstrip('/')}.csv" for record in read_in]
+    if out is not None:
+        check_folder(out, files, inputs=[*sources, *([json_file] if json_file else [])])
+    check_suits(loaded, model, read_in)
+    predictions = _decode.predict(loaded, read_in)
+    scores = {r.name: score(r, p) for r, p in zip(read_in, predictions, strict=True)}
+    result = {"records": scores, "median_e_rms_percent": median_e_rms(list(scores.values()))}
+    with staged_files(json_file) as (json_stage,):
+        if json_file:
+            write_json(json_stage, result)
+        if out is not None:
+            with staged_folder(out) as stage:
+                for record, prediction, file in zip(read_in, predictions, files, strict=True):
+                    _write_record(stage / file, record, prediction)
+    _print_scores(result, predictions)
+    if all(row["diverged"] for row in scores.values()):
+        raise ComputationFailed(
+            f"{model} diverged on every record; check units and columns, or train on more such records"
+        )
+
+
+def score(record: Record, prediction: _decode.Prediction) -> dict:
+    """One record's row of the result; a diverged one has no figures.
+
+    `samples` counts the whole record, `missing` those without a measurement; the figures leave out those and
+    the ones the initial state was estimated from. `rmse` is in the record's own unit.
+    """
+    metrics: dict[str, float | None] = dict.fromkeys(("e_rms_percent", "nrmse_percent", "rmse"))
+    if not prediction.diverged:
+        measured = (prediction.displacement, record.displacement, prediction.scored)
+        metrics["e_rms_percent"] = _finite(e_rms_percent(*measured))
+        metrics["nrmse_percent"] = _finite(nrmse_percent(*measured))
+        metrics["rmse"] = _finite(from_base(rmse(*measured), record.displacement_unit, "displacement"))
+    return {
+        **metrics,
+        "rmse_unit": record.displacement_unit,
+        "samples": record.samples,
+        "missing": record.missing,
+        "diverged": bool(prediction.diverged),
+        "outside_training_share": float(prediction.outside_training_share),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def median_e_rms(rows: Sequence[dict]) -> float | None:
+    """Over records, a diverged one as infinite; None where it is infinite or no record has a figure."""
+    values = [math.inf if row["diverged"] else row["e_rms_percent"] for row in rows]
+    values = [value for value in values if value is not None]
+    return _finite(statistics.median(values)) if values else None
+
+
+def _write_record(path: Path, record: Record, prediction: _decode.Prediction) -> None:
+    volts, unit = record.voltage_unit, record.displacement_unit
+    columns = {
+        "time_s": record.time,
+        f"voltage_{volts}": from_base(record.voltage, volts, "voltage"),
+        f"displacement_{unit}": from_base(record.displacement, unit, "displacement"),
+        f"predicted_{unit}": from_base(prediction.displacement, unit, "displacement"),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_csv(path, columns)
+
+
+def _print_scores(result: dict, predictions: Sequence[_decode.Prediction]) -> None:
+    header = ("record", "e_rms (%)", "nrmse (%)", "rmse", "unit", "samples", "missing", "outside (%)", "")
+    rows = [
+        (
+            name,
+            number(row["e_rms_percent"], 3),
+            number(row["nrmse_percent"], 3),
+            number(row["rmse"], 3),
+            row["rmse_unit"],
+            str(row["samples"]),
+            str(row["missing"]),
+            number(100 * row["outside_training_share"], 3),
+            "diverged" if row["diverged"] else "",
+        )
+        for name, row in result["records"].items()
+    ]
+    print_table(header, rows)
+    median = result["median_e_rms_percent"]
+    infinite = any(row["diverged"] for row in result["records"].values())
+    print(f"median e_rms: {'infinite' if median is None and infinite else number(median, 3)} %")
+    for p in predictions:
+        if p.estimated_start:
+            used = int((~p.scored).sum())
+            print(
+                f"{p.name}: starts moving; initial state estimated from the first {used} samples, "
+                "which do not count"
+            )

@@ -1,0 +1,124 @@
+"""What `identify`, `fit` and `info` tell about a model: tables as data, apart from their printing."""
+
+import json
+import math
+
+import numpy as np
+
+from .._model.input_map import LinearInput
+from .._model.model import Model
+from .._record.units import base_unit
+from .console import number, print_table
+
+
+def notes(model: Model) -> dict:
+    """The summaries stored with a model; empty where there are none."""
+    try:
+        found = json.loads(model.provenance.notes)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def coefficient_units(model: Model) -> list[str]:
+    """Units of a_0 ... a_n: force (V^2, or V for a linear input) times s^i over the output's."""
+    force = "V" if isinstance(model.input_map, LinearInput) else "V^2"
+    output = base_unit(model.provenance.displacement_unit)
+    return [f"{force}{('', ' s', f' s^{i}')[min(i, 2)]}/{output}" for i in range(model.order + 1)]
+
+
+def standard_errors(model: Model) -> list[float | None]:
+    """Of a_0 ... a_n, as `identify` left them in the notes; None where it did not."""
+    found = notes(model).get("identification", {})
+    for row in found.get("orders", []):
+        if row.get("order") == model.order and len(row.get("stderr", ())) == model.order + 1:
+            return [float(v) for v in row["stderr"]]
+    return [None] * (model.order + 1)
+
+
+def modes(model: Model) -> list[dict]:
+    """Every real pole and pole pair of the nominal: natural frequency in Hz and damping, ascending."""
+    a = model.physical_coefficients
+    roots = [complex(r) for r in np.roots(a[::-1]) if r.imag >= 0 and abs(r) > 0]
+    return [
+        {"natural_hz": abs(r) / (2 * math.pi), "damping": -r.real / abs(r), "oscillates": r.imag > 0}
+        for r in sorted(roots, key=abs)
+    ]
+
+
+def describe(model: Model) -> dict:
+    """A model in plain values, for `pitp info` and its JSON."""
+    source, told = model.provenance, notes(model)
+    training = told.get("training")
+    return {
+        "kind": "identified" if type(model.encoder).__name__ == "ConstantEncoder" else "trained",
+        "order": model.order,
+        "input_map": "linear" if isinstance(model.input_map, LinearInput) else "square",
+        "encoder": type(model.encoder).__name__.removesuffix("Encoder").lower(),
+        "memory_states": model.memory.size,
+        "effects": [type(effect).__name__ for effect in model.effects],
+        "hold": model.hold,
+        "substeps": model.substeps,
+        "coefficients": model.physical_coefficients.tolist(),
+        "coefficients_stderr": standard_errors(model),
+        "coefficients_unit": coefficient_units(model),
+        "modes": modes(model),
+        "offset": model.output.offset,
+        "polarity": model.output.polarity,
+        "output_unit": base_unit(source.displacement_unit),
+        "dt": source.dt,
+        "voltage_range": list(source.voltage_range),
+        "max_slew": source.slew,
+        "identified_on": told.get("identification", {}).get("records", []),
+        "training": training,
+    }
+
+
+def print_model(told: dict) -> None:
+    """The description of a model on standard output."""
+    effects = f", effects {', '.join(told['effects'])}" if told["effects"] else ""
+    print(f"{told['kind']} model of order {told['order']}, input map {told['input_map']}{effects}")
+    rows = zip(told["coefficients"], told["coefficients_stderr"], told["coefficients_unit"], strict=True)
+    table = [(f"a{i}", number(a, 6), number(e, 2), unit) for i, (a, e, unit) in enumerate(rows)]
+    print_table(("coefficient", "value", "std. error", "unit"), table)
+    for mode in told["modes"]:
+        kind = "mode" if mode["oscillates"] else "real pole"
+        print(f"{kind} at {number(mode['natural_hz'])} Hz, damping {number(mode['damping'], 3)}")
+    low, high = told["voltage_range"]
+    print(f"hold {told['hold']}, {told['substeps']} RK4 step(s) per sample of {number(told['dt'])} s")
+    print(f"output: offset {number(told['offset'])} {told['output_unit']}, polarity {told['polarity']:+g}")
+    print(f"voltage seen: {number(low)} to {number(high)} V, up to {number(told['max_slew'])} V/s")
+    if told["identified_on"]:
+        print(f"identified on {listed(told['identified_on'])}")
+    if told["training"]:
+        _print_training(told)
+
+
+def _print_training(told: dict) -> None:
+    training = told["training"]
+    cut = ", interrupted" if training.get("interrupted") else ""
+    print(
+        f"trained on {listed(training.get('records', []))} ({training.get('samples', '?')} samples) in "
+        f"{number(training.get('seconds'), 3)} s{cut}; encoder {told['encoder']}, "
+        f"{told['memory_states']} memory states"
+    )
+    print_history(training.get("history", []))
+
+
+def print_history(history) -> None:
+    """Losses per stage of training, one line per entry, whatever the entry holds."""
+    for entry in history:
+        parts = [f"{k} {_short(v)}" for k, v in entry.items() if k != "stage"]
+        print(f"  stage {entry.get('stage', '?')}: {', '.join(parts)}")
+
+
+def _short(value) -> str:
+    if isinstance(value, (list, tuple)):
+        return " to ".join(map(_short, value))
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def listed(names, most: int = 4) -> str:
+    """`3 records (a, b, c)`, the first few by name."""
+    shown = ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+    return f"{len(names)} record{'' if len(names) == 1 else 's'} ({shown})"

@@ -1,0 +1,39 @@
+"""Whether a model and some data can be about the same actuator."""
+
+from collections.abc import Sequence
+
+from .._errors import BadInput
+from .._model.model import Model
+from .._record.reading import RATE_TOLERANCE
+from .._record.record import Record
+from .._record.units import base_unit
+from .console import say
+
+
+def check_kind(model: Model, path: str, unit: str, source: str) -> None:
+    """Refuse an output in volts for a model in metres, and the other way round.
+
+    Raises:
+        BadInput: naming both.
+    """
+    own = base_unit(model.provenance.displacement_unit)
+    if base_unit(unit) != own:
+        raise BadInput(
+            f"{source}: output in {unit}, but {path} predicts {own}; choose the column with --output-column"
+        )
+
+
+def check_suits(model: Model, path: str, records: Sequence[Record]) -> None:
+    """Refuse records of another kind of output; warn about another sampling rate.
+
+    Raises:
+        BadInput: naming record and model.
+    """
+    for record in records:
+        check_kind(model, path, record.displacement_unit, record.source)
+    ratio = records[0].dt / model.provenance.dt
+    if abs(ratio - 1.0) > RATE_TOLERANCE:
+        say(
+            f"warning: records are sampled every {records[0].dt:.6g} s, {path} was made at "
+            f"{model.provenance.dt:.6g} s; expect larger errors where the sampling is coarser"
+        )

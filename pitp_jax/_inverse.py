@@ -1,0 +1,199 @@
+"""Inverse: the voltage for a wanted motion (paper, eq. 13).
+
+    F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),       u = sqrt(max(F, 0))          (a map over instants)
+
+Memories follow x alone, so they are known along a target. The closed form inverts the continuous equation; the decoder
+holds its tokens over a step, so a few shooting iterations on the rollout move the reference until the rollout meets the
+target. For consecutive states of the decoder itself see `discrete_inverse` (`_discrete_inverse`).
+"""
+
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._decode import outside_share, rest_state, rollout
+from ._errors import BadInput
+from ._metrics import e_rms_percent
+from ._model.model import Model
+from ._path import Path, derivatives, extend, limit_slew, rough_share
+from ._record.reading import Target
+from ._residual import equation_force
+
+_SHOTS = 6
+
+
+def equation_inverse(
+    model: Model, equation: Float[Array, "time tokens"], memory: Float[Array, "time memory"]
+) -> Float[Array, " time"]:
+    """Eq. 13 before the root: the scaled force each instant needs, from scaled [x, ..., x^(n)] and memories."""
+    features = jnp.concatenate([equation[:, :-1], memory], -1)
+    return jax.vmap(lambda f, x: equation_force(model, f, x)[0])(features, equation)
+
+
+@eqx.filter_jit
+def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float):
+    """Scaled force, voltage before limits (V) and features along a path that starts at rest; vmap for a batch."""
+    start = model.memory.initial(jnp.zeros((), equation.dtype))
+    memory = model.memory.trajectory(equation[:, 0], dt, start)
+    force = equation_inverse(model, equation, memory)
+    voltage = model.input_map.voltage(force * model.scales.force)
+    return force, voltage, jnp.concatenate([equation[:, :-1], memory], -1)
+
+
+@eqx.filter_jit
+def _run(model: Model, voltage: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+    """Scaled displacement from rest."""
+    return rollout(model, voltage, dt, rest_state(model))[:, 0]
+
+
+@dataclass(frozen=True)
+class Feedforward:
+    """A voltage to play, and how far it can be trusted.
+
+    Attributes:
+        time: s, shape (M,): the target's clock, with the ramps before and after it.
+        voltage: V, within the limits.
+        infeasible: True where the model asks for a force no voltage makes (F < 0).
+        saturated: True where a voltage or slew limit cut the voltage.
+        target: True on the target's own samples.
+        outside_training_share: share of target samples outside the trained region.
+        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
+            the inversion, not a prediction of tracking.
+        equation_e_rms_percent: the same for eq. 13 alone, before shooting.
+        warnings: one line each.
+    """
+
+    time: np.ndarray
+    voltage: np.ndarray
+    infeasible: np.ndarray
+    saturated: np.ndarray
+    target: np.ndarray
+    outside_training_share: float
+    self_check_e_rms_percent: float
+    equation_e_rms_percent: float
+    warnings: tuple[str, ...]
+
+
+def feedforward(
+    model: Model, target: Target, *, max_voltage: float | None = None, max_slew: float | None = None, shots: int = _SHOTS
+) -> Feedforward:
+    """The voltage that makes the model follow a target displacement.
+
+    Args:
+        model: identified or trained.
+        target: wanted displacement in rig coordinates, base unit.
+        max_voltage: V; default the largest voltage of the training records. A higher one warns.
+        max_slew: V/s; default the largest slew of the training records.
+        shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone.
+
+    Raises:
+        BadInput: a limit that is not positive, or a target of fewer samples than the model's order needs.
+    """
+    limits, warnings = _limits(model, max_voltage, max_slew)
+    model = _at_rate(model, target.dt)
+    wanted = model.output.to_model(target.displacement)
+    path = extend(wanted, target.dt, model, limits)
+    warnings += _advice(model, target, wanted, path)
+    best, force, features = _shoot(model, path, limits, target.dt, shots)
+    first, last = path.target.start, path.target.stop
+    voltage, saturated = best.voltage, best.saturated
+    tail = np.zeros(len(voltage) - len(force), bool)
+    share = outside_share(model, features[first:last])
+    if share > 0.01:
+        warnings += (f"{100 * share:.0f} % of the target lies outside the region the model was trained in: expect more error there",)
+    inside = np.zeros(len(voltage), bool)
+    inside[first:last] = True
+    return Feedforward(
+        time=target.time[0] + (np.arange(len(voltage)) - first) * target.dt,
+        voltage=voltage,
+        infeasible=np.concatenate([np.asarray(model.input_map.infeasible(force)), tail]),
+        saturated=saturated,
+        target=inside,
+        outside_training_share=share,
+        self_check_e_rms_percent=best.error,
+        equation_e_rms_percent=best.equation_error,
+        warnings=warnings,
+    )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Voltage range (V) and slew (V/s) a feedforward must keep."""
+
+    low: float
+    high: float
+    slew: float
+
+
+def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...]]:
+    low, high = model.provenance.voltage_range
+    trained_high, trained_slew = high, model.provenance.slew
+    for name, value in (("max-voltage", max_voltage), ("max-slew", max_slew)):
+        if value is not None and not value > 0:
+            raise BadInput(f"--{name} must be positive, got {value}")
+    warnings: tuple[str, ...] = ()
+    if max_voltage is not None:
+        high, low = max_voltage, max(low, -max_voltage)
+        if max_voltage > 1.0001 * trained_high:
+            warnings = (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
+    low = 0.0 if bool(model.input_map.infeasible(jnp.asarray(-1.0))) else min(low, 0.0)
+    return Limits(low, high, trained_slew if max_slew is None else max_slew), warnings
+
+
+def _at_rate(model: Model, dt: float) -> Model:
+    """The same model with enough substeps for a coarser sampling interval."""
+    factor = max(1, round(dt / model.provenance.dt))
+    return replace(model, substeps=model.substeps * factor) if factor > 1 else model
+
+
+def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:
+    warnings = ()
+    if target.dt > 1.01 * model.provenance.dt:
+        warnings += (
+            f"the target is sampled every {target.dt:g} s, coarser than the model's {model.provenance.dt:g} s: "
+            "resample it finer to keep its shape between samples",
+        )
+    rough = rough_share(wanted, target.dt, model)
+    if rough > 0:
+        warnings += (
+            f"{100 * rough:.2g} % of the target is not smooth enough (its derivative of order {model.order - 1} jumps): "
+            "round the corners or filter it",
+        )
+    if not path.led_in and path.start_moves:
+        warnings += ("the target starts away from rest and no ramp within the slew limit was found: the start is cut",)
+    return warnings
+
+
+@dataclass(frozen=True)
+class _Shot:
+    voltage: np.ndarray
+    saturated: np.ndarray
+    error: float
+    equation_error: float
+
+
+def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int):
+    """Eq. 13, then move the reference by what the rollout missed, as long as that helps."""
+    scale = model.scales.state[0]
+    dtype = model.coefficients.dtype
+    wanted = path.displacement
+    reference, best, plan = wanted.copy(), None, None
+    for _ in range(shots + 1):
+        equation = derivatives(reference, dt, model.order) / np.asarray(model.scales.state)
+        force, voltage, features = invert_path(model, jnp.asarray(equation, dtype), dt)
+        u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
+        x = np.asarray(_run(model, jnp.asarray(u, dtype), dt), np.float64) * scale
+        error = e_rms_percent(x[path.target], wanted[path.target])
+        if best is not None and not error < best.error:
+            break
+        first = error if best is None else best.equation_error
+        best, plan = _Shot(u, saturated, float(error), float(first)), (np.asarray(force), np.asarray(features))
+        missed = np.where(saturated | ~np.isfinite(x), 0.0, wanted - x)
+        reference = reference + missed
+    tail, cut = path.ramp_down(best.voltage[-1], limits, dt)
+    best = replace(best, voltage=np.append(best.voltage, tail), saturated=np.append(best.saturated, cut))
+    return best, *plan

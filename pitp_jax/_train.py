@@ -1,0 +1,257 @@
+"""Training: from a nominal model and records to a model with an encoder (paper, Algorithm 1, then rollouts).
+
+    stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
+    stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
+    then:     windows of the rollout against the measured displacement (multiple shooting)
+
+The equation error is fast and blind to what accumulates; rollouts see just that. See PAPER_READINGS, Algorithm 1.
+"""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from ._dataset import Dataset, build_dataset
+from ._errors import BadInput, ComputationFailed
+from ._model.encoder import CompactEncoder, PaperEncoder
+from ._model.memory import ElapsedTime, FadingMemory, NoMemory
+from ._model.model import Model
+from ._record.record import Record
+from ._refine import refine
+from ._residual import loss
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a preset fixes; the paper's symbols (Algorithm 1, III-D) in brackets.
+
+    Attributes:
+        encoder: "compact" or "paper".
+        width, depth: hidden size and hidden layers of the compact encoder.
+        memory: "fading", "elapsed" or "none".
+        memories: how many fading memories, log-spaced from 2 samples of the resonance to half the longest record.
+        scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
+        difference: "stencil" (8th order) or "central" (eq. 8).
+        epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
+        stages: most stages.
+        tolerance [epsilon]: a stage must lower the physics residual by this share to earn another.
+        huber: width of SmoothL1 in units of the largest force.
+        batch: minibatch size.
+        refine_steps, refine_rate, window_s, windows: rollout refinement; window length in periods of the resonance.
+    """
+
+    encoder: str = "compact"
+    width: int = 32
+    depth: int = 2
+    memory: str = "fading"
+    memories: int = 5
+    scaling: str = "rms"
+    difference: str = "stencil"
+    epochs: int = 12
+    decay_epochs: float = 0.971
+    rate: float = 3e-3
+    decay_rate: float = 0.6
+    widen: float = 1.5
+    narrow: float = 0.6
+    penalty: tuple[float, float] = (0.1, 0.1)
+    stages: int = 6
+    tolerance: float = 0.01
+    huber: float = 0.05
+    batch: int = 2048
+    refine_steps: int = 600
+    refine_rate: float = 1e-3
+    window_periods: float = 4.0
+    windows: int = 128
+
+
+PRESETS = {
+    "default": Settings(),
+    "paper": Settings(
+        encoder="paper", memory="elapsed", scaling="paper", difference="central", epochs=10, rate=1e-3,
+        decay_rate=0.8, widen=1.2, narrow=0.8, penalty=(2.0, 2.0), huber=1.0, refine_steps=0, stages=8,
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One line of progress: what is running, how far, and how well."""
+
+    stage: str
+    step: int
+    steps: int
+    box: float | None
+    loss: float
+    best: float
+    seconds_left: float
+
+
+@dataclass(frozen=True)
+class Training:
+    """The trained model, the history of its losses, and whether it was cut short."""
+
+    model: Model
+    history: tuple[dict, ...]
+    interrupted: bool
+    notes: dict = field(default_factory=dict)
+
+
+def train(
+    nominal: Model,
+    records: Sequence[Record],
+    *,
+    preset: str = "default",
+    settings: Settings | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
+    key,
+) -> Training:
+    """Train an encoder on records, starting exactly at the nominal model.
+
+    Args:
+        nominal: an identified model; order, input map, hold and output are kept.
+        records: the training records, one sampling rate.
+        preset: "default" or "paper"; `settings` overrides it.
+        progress: called after every epoch and every few refinement steps.
+        key: JAX key; the same key, records and machine give the same model.
+
+    Raises:
+        BadInput: unknown preset, or no usable sample left after filtering.
+        ComputationFailed: the loss is not finite.
+        KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
+    """
+    if settings is None:
+        if preset not in PRESETS:
+            raise BadInput(f"unknown preset {preset!r}: use one of {', '.join(PRESETS)}")
+        settings = PRESETS[preset]
+    key_init, key_stages, key_refine = jax.random.split(key, 3)
+    data = build_dataset(nominal, records, scaling=settings.scaling, difference=settings.difference,
+                         memory=partial(_memory, settings, nominal, records))  # fmt: skip
+    model = _with_encoder(data.model, settings, key_init)
+    history: list[dict] = []
+    interrupted, done = False, None
+    began = time.monotonic()
+    try:
+        for done, entry in _stages(model, data, settings, key_stages, progress):
+            history.append(entry)
+        if settings.refine_steps:
+            for done, entry in refine(done, data, records, settings, key_refine, partial(_report, progress)):
+                history.append(entry)
+    except KeyboardInterrupt:
+        if done is None:
+            raise
+        interrupted = True
+    notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
+             "records": [r.name for r in records], "samples": int(data.equation.force.shape[0]),
+             "interrupted": interrupted}  # fmt: skip
+    return Training(_annotated(done, data, notes), tuple(history), interrupted, notes)
+
+
+def _report(progress, stage, step, steps, value, best, seconds_left):
+    progress(Progress(stage, step, steps, None, value, best, seconds_left))
+
+
+def _memory(settings: Settings, nominal: Model, records):
+    """The memory a preset asks for, its time constants from the resonance and the longest record."""
+    longest = max(r.samples for r in records) * records[0].dt
+    if settings.memory == "none":
+        return NoMemory()
+    if settings.memory == "elapsed":
+        return ElapsedTime(horizon=float(longest))
+    a = nominal.physical_coefficients
+    omega = (a[0] / a[-1]) ** (1 / nominal.order)
+    tau = np.geomspace(min(2.0 / omega, longest / 20), longest / 2, settings.memories)
+    return FadingMemory(jnp.asarray(np.log(tau), jnp.float32))
+
+
+def _with_encoder(model: Model, settings: Settings, key) -> Model:
+    n, features = model.order, model.order + model.memory.size
+    if settings.encoder == "paper":
+        encoder = PaperEncoder(features, n + 1, key=key)
+    else:
+        encoder = CompactEncoder(n, model.memory.size, width=settings.width, depth=settings.depth, key=key)
+    return eqx.tree_at(lambda m: m.encoder, model, encoder)
+
+
+def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
+    """Algorithm 1: yield (best model, history entry) after every stage."""
+    optimiser = optax.inject_hyperparams(optax.adam)(learning_rate=settings.rate)
+    run = _epoch_function(optimiser, settings)
+    total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
+    best_model, best, count, began = model, np.inf, 0, time.monotonic()
+    for j in range(settings.stages):
+        box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
+        params, static = eqx.partition(best_model, _trainable(best_model))
+        state = optimiser.init(params)
+        epochs = max(1, int(settings.epochs * settings.decay_epochs**j))
+        at_stage = best
+        for epoch in range(epochs):
+            key, sub = jax.random.split(key)
+            fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder == "compact" else 1.0
+            state.hyperparams["learning_rate"] = jnp.asarray(settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade))
+            params, state, (physics, constraint) = run(params, static, state, data.equation, jnp.asarray(box), sub)
+            physics, constraint, count = float(physics), float(constraint), count + 1
+            if not np.isfinite(physics + constraint):
+                raise ComputationFailed(_nan_advice(f"stage {j + 1}, epoch {epoch + 1}"))
+            if physics < best:
+                best, best_model = physics, eqx.combine(params, static)
+            left = (time.monotonic() - began) / count * (total - count)
+            progress(Progress(f"stage {j + 1}", epoch + 1, epochs, box[1], physics + constraint, best, left))
+        yield best_model, {"stage": j + 1, "box": list(box), "physics": best, "constraint": constraint, "epochs": epochs}
+        if best > (1 - settings.tolerance) * at_stage:
+            return
+
+
+def _nan_advice(place: str) -> str:
+    return (
+        f"the loss became nan in {place}: the records may hold a sensor spike or a wrong unit; "
+        "check them with `pitp predict` on the nominal model, or lower the learning rate"
+    )
+
+
+def _trainable(model: Model):
+    """Encoder weights only: nominal coefficients and memories stay."""
+    frozen = jax.tree.map(lambda _: False, model)
+    return eqx.tree_at(lambda m: m.encoder, frozen, jax.tree.map(eqx.is_inexact_array, model.encoder))
+
+
+def _epoch_function(optimiser, settings: Settings):
+    """One epoch over shuffled minibatches as one compiled scan; the last incomplete batch is left to the next shuffle."""
+    dropout = settings.encoder == "paper"
+
+    @eqx.filter_jit
+    def run(params, static, state, data, box, key):
+        count = max(data.force.shape[0] // settings.batch, 1)
+        size = min(settings.batch, data.force.shape[0])
+        shuffle, drop = jax.random.split(key)
+        order = jax.random.permutation(shuffle, data.force.shape[0])[: count * size].reshape(count, size)
+
+        def objective(p, batch, k):
+            return loss(eqx.combine(p, static), batch, box, width=settings.huber, penalty=settings.penalty, key=k)
+
+        def update(carry, item):
+            p, s = carry
+            index, k = item
+            grads, parts = eqx.filter_grad(objective, has_aux=True)(p, data.take(index), k if dropout else None)
+            updates, s = optimiser.update(grads, s, p)
+            return (eqx.apply_updates(p, updates), s), jnp.stack(parts)
+
+        keys = jax.random.split(drop, count)
+        (params, state), parts = jax.lax.scan(update, (params, state), (order, keys))
+        return params, state, tuple(parts.mean(0))
+
+    return run
+
+
+def _annotated(model: Model, data: Dataset, notes: dict) -> Model:
+    """The model with its trained region and the training summary in its provenance."""
+    old = json.loads(model.provenance.notes)
+    provenance = replace(model.provenance, region=data.region, notes=json.dumps({**old, "training": notes}))
+    return eqx.tree_at(lambda m: m.coefficients, replace(model, provenance=provenance), model.coefficients)

@@ -1,0 +1,195 @@
+"""The command line: arguments to commands, and what goes wrong to one line and an exit code.
+
+    0 done      2 bad input or usage      3 the computation failed      130 interrupted
+
+Results go to standard output, progress, warnings and errors to standard error. JAX is imported by the
+commands that compute, so that `pitp --help` and a mistyped option answer at once.
+"""
+
+import argparse
+import math
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import import_module
+
+from ._commands.console import say
+from ._errors import BadInput, ComputationFailed
+
+_RECORDS = "record files (.csv, .csv.gz, .mat, .npz, .h5) and folders of them"
+_PLANTS = ("cone100", "cone122", "cone150", "roll")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Usage errors are bad input like any other: one line, exit code 2."""
+
+    def error(self, message):
+        raise BadInput(f"{' '.join(message.split())}; see {self.prog} --help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one `pitp` command.
+
+    Args:
+        argv: arguments after the program's name; None takes those of the process.
+
+    Returns:
+        exit code: 0 done, 2 bad input or usage, 3 the computation failed, 130 interrupted.
+    """
+    try:
+        arguments = vars(_parser().parse_args(argv))
+        module, function = arguments.pop("runs"), arguments.pop("command")
+        code = getattr(import_module(f"._commands.{module}", __package__), function)(**arguments)
+        sys.stdout.flush()
+        return code or 0
+    except SystemExit as stop:  # argparse, after --help and --version
+        return int(stop.code or 0)
+    except BrokenPipeError:  # the reader of our output has had enough
+        sys.stdout = open(os.devnull, "w")  # not the pipe: the interpreter flushes it at exit
+        return 0
+    except KeyboardInterrupt as stop:
+        say(f"interrupted{f'; {stop}' if str(stop) else ''}")
+        return 130
+    except Exception as error:
+        if os.environ.get("PITP_TRACEBACK"):
+            traceback.print_exc()
+        code, line = _explain(error)
+        say(f"error: {line}")
+        return code
+
+
+def _explain(error: Exception) -> tuple[int, str]:
+    """Exit code and one line for anything that ended a command."""
+    text = " ".join(str(error).split())
+    if isinstance(error, BadInput):
+        return 2, text
+    if isinstance(error, ComputationFailed):
+        return 3, text
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return 2, f"{where}{error.strerror or text}; check the path, its rights and the space left"
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in text:
+        return 3, "out of memory; give fewer or shorter records"
+    kind = type(error).__name__
+    return 3, f"unexpected {kind}: {text[:200]}; PITP_TRACEBACK=1 shows where, please report it"
+
+
+def _order(text: str) -> int | str:
+    if text == "auto":
+        return text
+    if text.isdecimal() and 1 <= int(text) <= 6:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not 1 to 6 or auto")
+
+
+def _seed(text: str) -> int:
+    if text.isdecimal() and int(text) < 2**32:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to {2**32 - 1}")
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isfinite(value) and value > 0:
+        return value
+    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="pitp", description="Model and invert dielectric elastomer actuators.", allow_abbrev=False
+    )
+    parser.add_argument(
+        "--version", action=_ShowVersion, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        made = commands.add_parser(name, help=text, description=text.capitalize() + ".", allow_abbrev=False)
+        made.set_defaults(runs=name)
+        return made
+
+    demo = command("demo", "the paper's protocol on a virtual actuator: tables, figures, model")
+    demo.add_argument(
+        "--plant", choices=_PLANTS, default="cone100", help="virtual actuator (default cone100)"
+    )
+    demo.add_argument("--out", default="demo", metavar="DIR", help="folder to write to (default ./demo)")
+    demo.add_argument("--quick", action="store_true", help="fewer and shorter records: a minute or two")
+    _identify_arguments(command("identify", "fit a linear model of the right order to records"))
+    _fit_arguments(command("fit", "train a model on records, from an identified one"))
+    _predict_arguments(command("predict", "run a model under the voltage of records and score it"))
+    _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
+    info = command("info", "what a model file holds")
+    info.add_argument("model", metavar="MODEL", help="identified or trained model")
+    info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
+    return parser
+
+
+class _ShowVersion(argparse.Action):
+    """Prints the version, looked up only then."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        from importlib.metadata import version
+
+        print(f"pitp {version('pitp_jax')}")
+        parser.exit()
+
+
+def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:
+    if not target:
+        parser.add_argument(
+            "--input-column", metavar="NAME", help="voltage column (default voltage_{V,kV,mV})"
+        )
+    parser.add_argument(
+        "--output-column", metavar="NAME", help="output column (default displacement_{m,mm,um,V,mV})"
+    )
+
+
+def _identify_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--out", required=True, metavar="NOMINAL", help="model file to write")
+    parser.add_argument(
+        "--order", type=_order, default="auto", metavar="N|auto", help="1 to 6, or auto (default)"
+    )
+    parser.add_argument(
+        "--input-map", choices=("square", "linear"), default="square", help="F = u^2 (default) or u"
+    )
+    parser.add_argument(
+        "--json", dest="json_file", metavar="FILE", help="also write the comparison of orders for machines"
+    )
+    _columns(parser)
+
+
+def _fit_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--out", required=True, metavar="MODEL", help="model file to write")
+    parser.add_argument(
+        "--nominal", metavar="NOMINAL", help="start from this model instead of identifying one"
+    )
+    parser.add_argument("--order", type=_order, metavar="N|auto", help="1 to 6, or auto (default)")
+    parser.add_argument("--preset", choices=("default", "paper"), default="default", help="how to train")
+    parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random start (default 0)")
+    _columns(parser)
+
+
+def _predict_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="identified or trained model")
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--out", metavar="DIR", help="write one CSV per record here")
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the scores for machines")
+    _columns(parser)
+
+
+def _invert_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="identified or trained model")
+    parser.add_argument("target", metavar="TARGET", help="file with time_s and displacement_{m,mm,um,V,mV}")
+    parser.add_argument("--out", required=True, metavar="VOLTAGE.csv", help="voltage to write")
+    parser.add_argument("--max-voltage", type=_positive, metavar="V", help="default: the highest trained on")
+    parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest trained on")
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the counts for machines")
+    _columns(parser, target=True)

@@ -1,0 +1,274 @@
+"""Model files: exact round trips, and nothing but an untouched file of this format is accepted."""
+
+import hashlib
+import json
+import pickle
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pitp_jax import _file, _file_parts
+from pitp_jax._errors import BadInput
+from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
+from pitp_jax._model.input_map import LinearInput, SquareInput
+from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory
+from pitp_jax._model.model import Model, Output, Provenance, Scales
+
+KEY = jax.random.key(3)
+NOTES = json.dumps({"identification": {"order": 2, "stderr": [0.1, float("inf")]}, "name": "Zürich"})
+PROVENANCE = Provenance(
+    1e-3, "mm", "kV", (0.0, 6e3), region=((-1.0, 1.0), (-0.5, float("inf"))), notes=NOTES
+)  # the slew stays infinite
+
+
+def model(order=2, encoder=None, memory=None, dtype=jnp.float32, **changes):
+    return Model(
+        coefficients=jnp.asarray(np.arange(1.0, order + 2) / 3, dtype),
+        input_map=changes.pop("input_map", SquareInput()),
+        encoder=encoder or ConstantEncoder(order + 2),
+        memory=memory or NoMemory(),
+        output=Output(1.25e-5, -1.0),
+        scales=Scales(tuple(0.1**i for i in range(order + 1)), 3.6e7),
+        **{"hold": "zoh", "substeps": 3, "provenance": PROVENANCE, **changes},
+    )
+
+
+def noisy(part):
+    """Every weight different, so that a swap of two leaves shows."""
+    leaves, tree = jax.tree.flatten(part)
+    filled = [
+        leaf + jax.random.normal(jax.random.fold_in(KEY, i), leaf.shape) if eqx.is_array(leaf) else leaf
+        for i, leaf in enumerate(leaves)
+    ]
+    return jax.tree.unflatten(tree, filled)
+
+
+CASES = {
+    "nominal": lambda: model(),
+    "order 1": lambda: model(1),
+    "order 6": lambda: model(6),
+    "linear input": lambda: model(input_map=LinearInput(), hold="foh"),
+    "compact": lambda: model(
+        encoder=noisy(CompactEncoder(2, 3, width=8, depth=2, key=KEY)), memory=FadingMemory(jnp.arange(3.0))
+    ),
+    "compact order 1": lambda: model(1, encoder=noisy(CompactEncoder(1, 0, width=4, depth=1, key=KEY))),
+    "paper": lambda: model(
+        encoder=noisy(PaperEncoder(3, 3, width=4, depth=1, dropout=0.25, key=KEY)), memory=ElapsedTime(10.0)
+    ),
+    "no notes": lambda: model(provenance=Provenance(1.0)),
+    "odd notes": lambda: model(provenance=PROVENANCE.with_(notes='{"a":1}  ')),
+    "notes of text": lambda: model(provenance=PROVENANCE.with_(notes="not json\n")),
+    "notes that look like an infinity": lambda: model(
+        provenance=PROVENANCE.with_(notes='{"x": {"float": "inf"}}')
+    ),
+}
+
+
+def assert_same(left, right):
+    assert jax.tree.structure(left) == jax.tree.structure(right)  # static fields, provenance included
+    for a, b in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        assert np.asarray(a).dtype == np.asarray(b).dtype
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_round_trip_is_exact(tmp_path, case):
+    path, saved = tmp_path / "model", CASES[case]()
+    _file.save(path, saved)
+    loaded = _file.load(path)
+    assert_same(saved, loaded)
+    assert loaded.provenance == saved.provenance
+    _file.save(tmp_path / "again", loaded)
+    assert (tmp_path / "again").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("dtype", ["float16", "float32", "float64"])
+def test_dtype_is_kept_whatever_the_session_uses(tmp_path, dtype):
+    with jax.enable_x64(True):
+        saved = model(dtype=dtype)
+    _file.save(tmp_path / "m", saved)
+    loaded = _file.load(tmp_path / "m")
+    assert loaded.coefficients.dtype == dtype
+    assert_same(saved, loaded)
+
+
+def test_header_is_readable_json_without_infinities(tmp_path):
+    _file.save(tmp_path / "m", model())
+    magic, digest, rest = (tmp_path / "m").read_bytes().split(b"\n", 2)
+    assert magic == b"pitp_jax model 1"
+    assert digest.startswith(b"sha256 ")
+
+    def refuse(name):
+        raise AssertionError(name)
+
+    header = json.JSONDecoder(parse_constant=refuse).raw_decode(rest.decode("latin-1"))[0]
+    assert header["notes"]["identification"]["order"] == 2
+    assert header["leaves"] == [[".coefficients", "float32", [3]]]
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stored") / "m"
+    _file.save(path, CASES["compact"]())
+    return path, path.read_bytes()
+
+
+def refused(path, data):
+    broken = path.with_name("broken")
+    broken.write_bytes(data)
+    with pytest.raises(BadInput) as caught:
+        _file.load(broken)
+    assert "\n" not in str(caught.value)
+    assert str(broken) in str(caught.value)
+    return str(caught.value)
+
+
+@given(data=st.data())
+@settings(max_examples=150, deadline=None)
+def test_any_flipped_bit_is_refused(stored, data):
+    path, content = stored
+    bit = data.draw(st.integers(0, 8 * len(content) - 1))
+    broken = bytearray(content)
+    broken[bit // 8] ^= 1 << bit % 8
+    refused(path, bytes(broken))
+
+
+def test_every_bit_of_the_first_lines_matters(stored):
+    path, content = stored
+    for bit in range(8 * 130):
+        broken = bytearray(content)
+        broken[bit // 8] ^= 1 << bit % 8
+        refused(path, bytes(broken))
+
+
+@given(share=st.floats(0, 1, exclude_max=True))
+@settings(max_examples=60, deadline=None)
+def test_truncated_is_refused(stored, share):
+    path, content = stored
+    refused(path, content[: int(share * len(content))])
+
+
+def test_longer_is_refused(stored):
+    path, content = stored
+    refused(path, content + b"\n")
+
+
+class Bomb:
+    def __reduce__(self):
+        return (pytest.fail, ("code from a file was run",))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\n",
+        b"time_s,voltage_V,displacement_m\n0,0,0\n",
+        b"\x93NUMPY\x01\x00",
+        b"\x00" * 10_000,
+        b"x" * 100_000,
+        pickle.dumps(Bomb()),
+        b"pitp_jax model \n",
+        b"pitp_jax model one\n",
+        b"pitp_jax model 1",
+        b"pitp_jax model 1\n",
+        b"pitp_jax model 1\n" + pickle.dumps(Bomb()),
+    ],
+)
+def test_foreign_files_are_refused(stored, content):
+    refused(stored[0], content)
+
+
+def test_newer_version_says_so(stored):
+    path, content = stored
+    assert "version 2" in refused(path, content.replace(b"model 1\n", b"model 2\n", 1))
+    assert "version 12" in refused(path, content.replace(b"model 1\n", b"model 12\n", 1))
+
+
+def resealed(content, change):
+    """A file with a changed header or body and the right digest, as a forger would make it."""
+    magic, _, rest = content.split(b"\n", 2)
+    rest = change(rest)
+    return magic + b"\nsha256 " + hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b'"name": "compact"', b'"name": "os.system"'),
+        (b'"name": "compact"', b'"name": "paper"'),
+        (b'"width": 8', b'"width": 4'),
+        (b'"width": 8', b'"width": 99999999999'),
+        (b'"width": 8', b'"width": -8'),
+        (b'"width": 8', b'"width": "8"'),
+        (b'"width": 8', b'"width": 8, "extra": 1'),
+        (b'"hold": "zoh"', b'"hold": "xxx"'),
+        (b'"substeps": 3', b'"substeps": 0'),
+        (b'"order": 2,\n', b'"order": 3,\n'),
+        (b'"force": 36000000.0', b'"force": NaN'),
+        (b'"effects": []', b'"effects": [{"name": "creep"}]'),
+        (b"'<f4'", b"'|O4'"),
+        (b"'fortran_order': False", b"'fortran_order': True "),
+        (b"{\n", b"[" * 5000 + b"{\n"),
+        (b'"leaves"', b'"leafs"'),
+        (b'"scales"', b'"scale"'),
+    ],
+)
+def test_sealed_nonsense_is_refused(stored, old, new):
+    path, content = stored
+    assert old in content
+    refused(path, resealed(content, lambda rest: rest.replace(old, new, 1)))
+
+
+def test_sealed_object_array_is_not_unpickled(stored):
+    path, content = stored
+    refused(path, resealed(content, lambda rest: rest[: rest.index(b"\x93NUMPY")] + pickle.dumps(Bomb())))
+
+
+def test_sealed_extra_bytes_are_refused(stored):
+    refused(stored[0], resealed(stored[1], lambda rest: rest + b"\0"))
+
+
+def test_missing_folder_and_unwritable(tmp_path):
+    with pytest.raises(BadInput, match="no such model file"):
+        _file.load(tmp_path / "absent")
+    with pytest.raises(BadInput, match="is a folder"):
+        _file.load(tmp_path)
+    with pytest.raises(BadInput, match="cannot read"):
+        _file.load("a\0b")
+    with pytest.raises(BadInput, match="cannot write"):
+        _file.save(tmp_path / "absent" / "m", model())
+
+
+class Foreign(AbstractEncoder):
+    def __call__(self, features, *, key=None):
+        return jnp.zeros(4)
+
+
+class Effect(eqx.Module):
+    size: int = eqx.field(static=True)
+
+
+def test_unknown_parts_are_not_saved(tmp_path):
+    with pytest.raises(BadInput, match="Foreign has no place"):
+        _file.save(tmp_path / "m", model(encoder=Foreign()))
+    with pytest.raises(BadInput, match="Effect has no place"):
+        _file.save(tmp_path / "m", model(effects=(Effect(1),)))
+    with pytest.raises(BadInput, match="int32"):
+        _file.save(tmp_path / "m", model(dtype=jnp.int32))
+    with pytest.raises(BadInput, match="not those its parts"):
+        _file.save(tmp_path / "m", eqx.tree_at(lambda m: m.coefficients, model(), jnp.zeros(5)))
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_effect_needs_one_line(tmp_path, monkeypatch):
+    line = _file_parts.Part(Effect, lambda effect: {"size": effect.size}, Effect)
+    monkeypatch.setitem(_file_parts.EFFECTS, "effect", line)
+    saved = model(effects=(Effect(2), Effect(5)))
+    _file.save(tmp_path / "m", saved)
+    assert_same(saved, _file.load(tmp_path / "m"))
