@@ -1,6 +1,6 @@
 """From records and a nominal model to what training reads: scaled states, memories and forces on the device, once.
 
-    X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (PAPER_READINGS: eqs. 3, 6, 8, 9)
+X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (PAPER_READINGS: eqs. 3, 6, 8, 9)
 """
 
 from collections.abc import Callable, Sequence
@@ -42,7 +42,12 @@ class Dataset:
 
 
 def build_dataset(
-    nominal: Model, records: Sequence[Record], *, scaling: str, difference: str, memory: Callable[[], eqx.Module]
+    nominal: Model,
+    records: Sequence[Record],
+    *,
+    scaling: str,
+    difference: str,
+    memory: Callable[[], eqx.Module],
 ) -> Dataset:
     """Filter, differentiate, scale and remember."""
     dt = records[0].dt
@@ -50,7 +55,14 @@ def build_dataset(
     f_max = force_band(forces, dt)
     cut = cutoff(f_max, dt)
     states = [
-        preprocess(r, nominal.order, cut, f, displacement=nominal.output.to_model(r.displacement), difference=difference)
+        preprocess(
+            r,
+            nominal.order,
+            cut,
+            f,
+            displacement=nominal.output.to_model(r.displacement),
+            difference=difference,
+        )
         for r, f in zip(records, forces, strict=True)
     ]
     if not any(s.valid.any() for s in states):
@@ -72,7 +84,15 @@ def build_dataset(
     rarity = spread_weights(everything[:, : nominal.order])
     data = EquationData(*flat, weight=jnp.asarray(rarity, jnp.float32))
     bounds = np.cumsum([s.valid.sum() for s in states])[:-1]
-    return Dataset(model, data, tuple(features), tuple(s.valid for s in states), tuple(np.split(rarity, bounds)), region, cut)
+    return Dataset(
+        model,
+        data,
+        tuple(features),
+        tuple(s.valid for s in states),
+        tuple(np.split(rarity, bounds)),
+        region,
+        cut,
+    )
 
 
 def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np.ndarray:

@@ -39,9 +39,7 @@ def stage_forces(model: Model, now, later, fraction: float, width: float):
     return first, middle, last
 
 
-def frozen_step(
-    model: Model, state: Float[Array, " state"], forces: tuple, h: float
-) -> Float[Array, " state"]:
+def frozen_step(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
     """One RK4 step of length h (s) with the tokens of its first instant; `state` is S then memory, scaled."""
     n = model.order
     tokens, offset = model.tokens(state)
@@ -153,8 +151,7 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     dtype = model.coefficients.dtype
     states = rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, jnp.stack(starts))
     return tuple(
-        _prediction(model, r, np.asarray(s[: r.samples]), e)
-        for r, s, e in zip(records, states, estimated, strict=True)
+        _prediction(model, r, np.asarray(s[: r.samples]), e) for r, s, e in zip(records, states, estimated, strict=True)
     )
 
 
@@ -167,9 +164,7 @@ def _start(model: Model, record: Record):
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
     args = (record.voltage[first], np.where(observed, x, 0.0))
-    return estimate_start(
-        model, *(jnp.asarray(a, dtype) for a in args), jnp.asarray(observed), record.dt
-    ), True
+    return estimate_start(model, *(jnp.asarray(a, dtype) for a in args), jnp.asarray(observed), record.dt), True
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:

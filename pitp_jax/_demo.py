@@ -61,9 +61,7 @@ class Scale:
 
 SCALES = {
     "cone": Scale(2000.0, 5.0, 1.0, (0.01, 20.0, 30.0, 1e3, 3e3, 3e3), (1, 2, 4, 6, 7, 8, 10), 4.0),
-    "roll": Scale(
-        500.0, 0.5, 0.1, (0.01, 180.0, 5.0, 5e3, 700.0, 700.0), (10, 20, 30, 50, 70, 90, 100, 130), 0.5
-    ),
+    "roll": Scale(500.0, 0.5, 0.1, (0.01, 180.0, 5.0, 5e3, 700.0, 700.0), (10, 20, 30, 50, 70, 90, 100, 130), 0.5),
 }
 
 
@@ -198,9 +196,7 @@ def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> 
     clock = np.arange(len(found.time)) * dt
     achieved = simulate(actuator, clock, found.voltage, hold=model.hold)
     asked = np.asarray(found.target)
-    return Track(
-        frequency, time, wanted, achieved[asked], found.voltage[asked], found.self_check_e_rms_percent
-    )
+    return Track(frequency, time, wanted, achieved[asked], found.voltage[asked], found.self_check_e_rms_percent)
 
 
 def error(demo: Demo, name: str, *, linear: bool = False) -> float:
@@ -229,9 +225,7 @@ def tables(demo: Demo) -> tuple[Table, ...]:
         held_out.append((r.name, *ours))
     held_out.append(("median", *(float(np.median([row[k] for row in held_out])) for k in (1, 2, 3))))
     for t in demo.tracks:
-        tracking.append(
-            (f"{t.frequency:g}", TRACKING_PAPER[demo.name][int(t.frequency)], t.e_rms, t.self_check)
-        )
+        tracking.append((f"{t.frequency:g}", TRACKING_PAPER[demo.name][int(t.frequency)], t.e_rms, t.self_check))
     columns = ("this model (%)", "linear model (%)", "sensor noise (%)")
     return (
         Table(

@@ -32,7 +32,11 @@ def _affine(model: Model, state, dt):
 
 @eqx.filter_jit
 def discrete_inverse(
-    model: Model, states: Float[Array, "time state"], dt: float, first: Float[Array, ""] | None = None, sweeps: int = 12
+    model: Model,
+    states: Float[Array, "time state"],
+    dt: float,
+    first: Float[Array, ""] | None = None,
+    sweeps: int = 12,
 ) -> Float[Array, " time-1"]:
     """Voltage of every step from consecutive decoder states (scaled, S then memory), substeps = 1.
 
@@ -86,7 +90,11 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
     def sweep(u, _):
         now, later = u[:-1], u[1:]
         middle = (now + later) / 2
-        diagonal, beside, right = jnp.full(count + 1, 1e-9, dtype), jnp.zeros(count, dtype), jnp.zeros(count + 1, dtype)
+        diagonal, beside, right = (
+            jnp.full(count + 1, 1e-9, dtype),
+            jnp.zeros(count, dtype),
+            jnp.zeros(count + 1, dtype),
+        )
         for value, gain, weight in rows:
             left = value - (gain[:, 0] * force(now) + gain[:, 1] * force(middle) + gain[:, 2] * force(later))
             by_now = gain[:, 0] * slope(now) + gain[:, 1] * slope(middle) / 2

@@ -49,9 +49,7 @@ def save(path: str | os.PathLike, model: Model) -> None:
     if [_place(leaf) for leaf in _leaves(_skeleton(header))] != [_place(leaf) for leaf in _leaves(model)]:
         raise BadInput("cannot save the model: its arrays are not those its parts are built with")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
-    lines = ",\n".join(
-        f"{json.dumps(k)}: {json.dumps(encode(v), allow_nan=False)}" for k, v in header.items()
-    )
+    lines = ",\n".join(f"{json.dumps(k)}: {json.dumps(encode(v), allow_nan=False)}" for k, v in header.items())
     body = io.BytesIO()
     body.write(b"{\n" + lines.encode("utf-8") + b"\n}\n")
     for _, array in arrays:
@@ -97,9 +95,7 @@ def _checked_bytes(path) -> bytes:
     except (OSError, ValueError) as error:
         if isinstance(error, BadInput):
             raise
-        raise BadInput(
-            f"{path}: cannot read the model file: {getattr(error, 'strerror', None) or error}"
-        ) from None
+        raise BadInput(f"{path}: cannot read the model file: {getattr(error, 'strerror', None) or error}") from None
     if digest != b"sha256 " + hashlib.sha256(rest).hexdigest().encode() + b"\n":
         raise BadInput(
             f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
@@ -154,9 +150,7 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
     if stream.read(1):
         raise ValueError("more bytes than leaves")
     treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))
-    return eqx.combine(
-        jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True)
-    )
+    return eqx.combine(jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True))
 
 
 def _is_shape(leaf) -> bool:

@@ -116,9 +116,7 @@ def _named(registry: dict[str, Part], part) -> dict:
         if type(part) is kind.cls:
             return {"name": name, **kind.describe(part)}
     known = ", ".join(registry) or "none yet"
-    raise BadInput(
-        f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})"
-    )
+    raise BadInput(f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})")
 
 
 def _part(registry: dict[str, Part], described: dict):

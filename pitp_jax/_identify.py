@@ -10,7 +10,7 @@ by plain output error diverges from a bad start. Poles are stable by constructio
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,7 @@ from ._output_error import OutputError, covariance, numerical_jacobian, residual
 from ._poles import logs_from_roots, polynomial
 from ._record.preprocess import force_band, preprocess
 from ._record.record import Record
+from ._record.sweeps import is_sweep as is_sweep
 from ._rest import initial_rest, noise_std
 
 ORDERS = tuple(range(1, 7))
@@ -198,7 +199,13 @@ def _equation_error_roots(records, order: int, problem: OutputError):
     cut = min(problem.omega / np.pi, 0.4 / problem.dt)
     rows, rhs = [], []
     for r in records:
-        s = preprocess(r, order, cut, r.voltage ** (2 if problem.square else 1), displacement=r.displacement - problem.offset)
+        s = preprocess(
+            r,
+            order,
+            cut,
+            r.voltage ** (2 if problem.square else 1),
+            displacement=r.displacement - problem.offset,
+        )
         keep = np.flatnonzero(s.valid)
         keep = keep[:: max(1, len(keep) * len(records) // 200_000)]
         rows.append(s.states[keep] / problem.omega ** np.arange(order + 1))
@@ -313,7 +320,10 @@ def _to_model(chosen: OrderFit, records, input_map: str, orders) -> Model:
         dt=dt,
         displacement_unit=records[0].displacement_unit,
         voltage_unit=records[0].voltage_unit,
-        voltage_range=(min(float(r.voltage.min()) for r in records), max(float(r.voltage.max()) for r in records)),
+        voltage_range=(
+            min(float(r.voltage.min()) for r in records),
+            max(float(r.voltage.max()) for r in records),
+        ),
         slew=max(float(np.abs(np.diff(r.voltage)).max()) / dt for r in records),
         notes=json.dumps({"identification": summary(chosen, orders, records)}),
     )
@@ -332,8 +342,11 @@ def _to_model(chosen: OrderFit, records, input_map: str, orders) -> Model:
 def summary(chosen: OrderFit, orders: Sequence[OrderFit], records: Sequence[Record]) -> dict:
     """The identification as plain numbers, for model files and `pitp info`."""
     noise = float(np.median([noise_std(r.displacement) for r in records]))
-    rows = [
-        {k: (v.tolist() if isinstance(v, np.ndarray) else v) for k, v in vars(f).items()}
-        for f in orders
-    ]
-    return {"order": chosen.order, "hold": chosen.hold, "noise_std": noise, "records": [r.name for r in records], "orders": rows}
+    rows = [{k: (v.tolist() if isinstance(v, np.ndarray) else v) for k, v in vars(f).items()} for f in orders]
+    return {
+        "order": chosen.order,
+        "hold": chosen.hold,
+        "noise_std": noise,
+        "records": [r.name for r in records],
+        "orders": rows,
+    }

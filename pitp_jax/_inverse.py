@@ -79,7 +79,12 @@ class Feedforward:
 
 
 def feedforward(
-    model: Model, target: Target, *, max_voltage: float | None = None, max_slew: float | None = None, shots: int = _SHOTS
+    model: Model,
+    target: Target,
+    *,
+    max_voltage: float | None = None,
+    max_slew: float | None = None,
+    shots: int = _SHOTS,
 ) -> Feedforward:
     """The voltage that makes the model follow a target displacement.
 
@@ -104,7 +109,9 @@ def feedforward(
     tail = np.zeros(len(voltage) - len(force), bool)
     share = outside_share(model, features[first:last])
     if share > 0.01:
-        warnings += (f"{100 * share:.0f} % of the target lies outside the region the model was trained in: expect more error there",)
+        warnings += (
+            f"{100 * share:.0f} % of the target lies outside the region the model was trained in: expect more error there",
+        )
     inside = np.zeros(len(voltage), bool)
     inside[first:last] = True
     return Feedforward(
@@ -191,7 +198,10 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int):
         if best is not None and not error < best.error:
             break
         first = error if best is None else best.equation_error
-        best, plan = _Shot(u, saturated, float(error), float(first)), (np.asarray(force), np.asarray(features))
+        best, plan = (
+            _Shot(u, saturated, float(error), float(first)),
+            (np.asarray(force), np.asarray(features)),
+        )
         missed = np.where(saturated | ~np.isfinite(x), 0.0, wanted - x)
         reference = reference + missed
     tail, cut = path.ramp_down(best.voltage[-1], limits, dt)

@@ -57,9 +57,7 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     where that is zero. Arguments as for `rmse`.
     """
     values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
-    return _percent(
-        rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0
-    )
+    return _percent(rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0)
 
 
 def rmhe_percent(

@@ -1,14 +1,16 @@
 """Trajectories for the inverse: derivatives of a target, ramps from and back to zero, and the limits of an amplifier.
 
-    x^(i): quintic (order + 3) spline through the samples, differentiated
-    ramp:  the polynomial of lowest degree from rest to the target's first state (minimum jerk for order 2)
-    down:  u_end (1 + cos(pi t / T)) / 2,  T = pi u_end / (2 slew) at least
+x^(i): quintic (order + 3) spline through the samples, differentiated
+lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state
+down:  u_end (1 + cos(pi t / T)) / 2,  T = pi u_end / (2 slew) at least
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BPoly, make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.optimize import lsq_linear
+from scipy.signal import cont2discrete, dlsim
 
 from ._errors import BadInput
 from ._model.model import Model
@@ -53,10 +55,10 @@ def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
 
 
 def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
-    """Put a ramp from rest in front of a target that does not start there.
+    """Put a lead-in from rest in front of a target that does not start there.
 
-    The ramp lasts 4 periods of the nominal resonance, doubled until the static voltage along it keeps half the slew
-    limit (the rest is left for the dynamics).
+    The lead-in lasts 5 periods of the nominal resonance, doubled (twice at most) while its voltage breaks the slew
+    limit.
     """
     order = model.order
     states = derivatives(wanted, dt, order)
@@ -66,12 +68,49 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     moves = abs(states[0, 0]) > 1e-3 * span or abs(states[0, 1]) > 1e-2 * max(np.abs(states[:, 1]).max(), 1e-30)
     if not moves:
         return Path(wanted, slice(0, len(wanted)), False, False, period)
-    static = np.sqrt(max(a[0] * abs(states[0, 0]), 0.0)) if limits.low == 0 else a[0] * abs(states[0, 0])
-    count = int(np.ceil(max(4 * period, 4 * static / limits.slew) / dt))
-    end = count * dt
-    ramp = BPoly.from_derivatives([0.0, end], [np.zeros(order + 1), states[0, : order + 1]])
-    lead = ramp(np.arange(count) * dt)
+    high = float(model.input_map.force(np.float64(limits.high)))
+    low = 0.0 if limits.low == 0 else float(model.input_map.force(np.float64(limits.low)))
+    for stretch in (1, 2, 4):
+        count = max(int(np.ceil(5 * stretch * period / dt)), 64)
+        lead, force = swing_in(a, states[0], count, dt, low, high)
+        slew = np.abs(np.diff(np.asarray(model.input_map.voltage(force)))).max() / dt
+        if slew <= limits.slew:
+            break
     return Path(np.concatenate([lead, wanted]), slice(count, count + len(wanted)), True, True, period)
+
+
+def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
+    """A way from rest to [x, ..., x^(n)] = `end` that a force within [low, high] can drive, by the nominal ODE.
+
+        F = sum_k c_k B_k(t),   minimise |D^2 c|^2 + |c / F_max|^2  subject to  X(T) = end,  low <= c <= high
+
+    A polynomial ramp would ask the square of a voltage to pull back: from rest to the lower end of a resonant swing
+    the actuator has to be rocked. Cubic B-splines, 8 to a period of the resonance, at least 40.
+
+    Returns:
+        displacement (count,) in m and force (count,); the next sample is the target's first.
+    """
+    n = len(a) - 1
+    pieces = int(np.clip(count // 4, 8, 40))
+    knots = np.concatenate([np.zeros(3), np.linspace(0, count * dt, pieces + 1), np.full(3, count * dt)])
+    t = np.arange(count + 1) * dt
+    basis = BSpline.design_matrix(np.minimum(t, count * dt * (1 - 1e-12)), knots, 3).toarray()[
+        :, 2:
+    ]  # F(0) = F'(0) = 0
+    companion = np.vstack([np.eye(n)[1:], -a[:-1][None] / a[-1]])
+    system = cont2discrete((companion, np.eye(n)[:, -1:] / a[-1], np.eye(n), np.zeros((n, 1))), dt, method="foh")
+    responses = [dlsim((*system[:4], dt), column)[1] for column in basis.T]
+    last = np.stack([r[-1] for r in responses], -1)  # S(T) per coefficient
+    last = np.vstack([last, (basis[-1] - a[:-1] @ last) / a[-1]])
+    size = np.abs(last).max(1)
+    size = np.where(size > 0, size, 1.0)
+    smooth = np.diff(np.eye(basis.shape[1]), 2, axis=0)
+    unit = max(abs(high), abs(low))
+    rows = np.vstack([1e4 * last / size[:, None], smooth, 1e-2 * np.eye(basis.shape[1])])
+    rhs = np.concatenate([1e4 * end / size / unit, np.zeros(len(smooth) + basis.shape[1])])
+    c = lsq_linear(rows, rhs, bounds=(0.98 * low / unit, 0.98 * high / unit)).x * unit
+    x = np.tensordot(c, np.stack([r[:, 0] for r in responses]), 1)
+    return x[:-1], (basis @ c)[:-1]
 
 
 def limit_slew(voltage: np.ndarray, limits, dt: float) -> tuple[np.ndarray, np.ndarray]:

@@ -161,9 +161,7 @@ def stepper(plant: Plant, *, hold: str = "foh"):
 def _interval(time, voltage) -> float:
     """Sampling interval in s; refuses what cannot be one record."""
     if time.ndim != 1 or len(time) < 2 or voltage.shape[-1:] != time.shape:
-        raise ValueError(
-            f"time must be (T,) and voltage (..., T), T > 1; got {time.shape} and {voltage.shape}"
-        )
+        raise ValueError(f"time must be (T,) and voltage (..., T), T > 1; got {time.shape} and {voltage.shape}")
     dt = float((time[-1] - time[0]) / (len(time) - 1))
     if dt <= 0.0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
         raise ValueError("time must increase uniformly, to 1 % of a sample")

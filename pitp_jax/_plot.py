@@ -29,9 +29,7 @@ from ._plot_lines import (
 _TIME = "time (s)"
 
 
-def sweep_response(
-    time, measured, predicted, ax: Axes | None = None, *, sweep_hz=None, unit: str = "m"
-) -> Axes:
+def sweep_response(time, measured, predicted, ax: Axes | None = None, *, sweep_hz=None, unit: str = "m") -> Axes:
     """Measured sweep with the envelope of the identified model (the paper's Fig. 6).
 
     Args:
@@ -85,9 +83,7 @@ def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.n
     return axes
 
 
-def hysteresis_loops(
-    voltage, measured, predicted, ax: Axes | None = None, *, label: str = "", unit: str = "m"
-) -> Axes:
+def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, label: str = "", unit: str = "m") -> Axes:
     """Output over voltage (the paper's Fig. 10); called again on the same axes it adds the next frequency.
 
     Args:

@@ -48,12 +48,17 @@ def refine(model, data, records, settings, key, report):
         if (k + 1) % block == 0:
             now = float(score(params))
             if not np.isfinite(now):
-                raise ComputationFailed("the rollout diverged during refinement; use fewer refinement steps or a lower rate")
+                raise ComputationFailed(
+                    "the rollout diverged during refinement; use fewer refinement steps or a lower rate"
+                )
             if now < best:
                 best, best_params = now, params
             left = (time.monotonic() - began) / (k + 1) * (settings.refine_steps - k - 1)
             report("rollouts", k + 1, settings.refine_steps, float(value), best, left)
-            yield eqx.combine(best_params, static), {"stage": "rollouts", "step": k + 1, "before": first, "rollout": best}
+            yield (
+                eqx.combine(best_params, static),
+                {"stage": "rollouts", "step": k + 1, "before": first, "rollout": best},
+            )
 
 
 class _Windows:
@@ -81,7 +86,10 @@ class _Windows:
     def sample(self, rng, count):
         """Windows from every record equally: (start states, voltages, targets, weights)."""
         picks = rng.choice(self.records, count)
-        places = [(k, self.starts[k][min(np.searchsorted(self.chance[k], rng.random()), len(self.starts[k]) - 1)]) for k in picks]
+        places = [
+            (k, self.starts[k][min(np.searchsorted(self.chance[k], rng.random()), len(self.starts[k]) - 1)])
+            for k in picks
+        ]
         cut = lambda arrays: jnp.asarray(np.stack([arrays[k][s : s + self.length] for k, s in places]))  # noqa: E731
         start = jnp.asarray(np.stack([self.features[k][s] for k, s in places]))
         return start, cut(self.voltage), cut(self.target), cut(self.weight)

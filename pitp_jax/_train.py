@@ -195,7 +195,9 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
         for epoch in range(epochs):
             key, sub = jax.random.split(key)
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder == "compact" else 1.0
-            state.hyperparams["learning_rate"] = jnp.asarray(settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade))
+            state.hyperparams["learning_rate"] = jnp.asarray(
+                settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
+            )
             params, state, (physics, constraint) = run(params, static, state, data.equation, jnp.asarray(box), sub)
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
@@ -204,7 +206,10 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
                 best, best_model = physics, eqx.combine(params, static)
             left = (time.monotonic() - began) / count * (total - count)
             progress(Progress(f"stage {j + 1}", epoch + 1, epochs, box[1], physics + constraint, best, left))
-        yield best_model, {"stage": j + 1, "box": list(box), "physics": best, "constraint": constraint, "epochs": epochs}
+        yield (
+            best_model,
+            {"stage": j + 1, "box": list(box), "physics": best, "constraint": constraint, "epochs": epochs},
+        )
         if best > (1 - settings.tolerance) * at_stage:
             return
 

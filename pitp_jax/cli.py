@@ -100,9 +100,7 @@ def _positive(text: str) -> float:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="pitp", description="Model and invert dielectric elastomer actuators.", allow_abbrev=False
-    )
+    parser = _Parser(prog="pitp", description="Model and invert dielectric elastomer actuators.", allow_abbrev=False)
     parser.add_argument(
         "--version", action=_ShowVersion, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
     )
@@ -114,9 +112,7 @@ def _parser() -> argparse.ArgumentParser:
         return made
 
     demo = command("demo", "the paper's protocol on a virtual actuator: tables, figures, model")
-    demo.add_argument(
-        "--plant", choices=_PLANTS, default="cone100", help="virtual actuator (default cone100)"
-    )
+    demo.add_argument("--plant", choices=_PLANTS, default="cone100", help="virtual actuator (default cone100)")
     demo.add_argument("--out", default="demo", metavar="DIR", help="folder to write to (default ./demo)")
     demo.add_argument("--quick", action="store_true", help="fewer and shorter records: a minute or two")
     _identify_arguments(command("identify", "fit a linear model of the right order to records"))
@@ -141,23 +137,15 @@ class _ShowVersion(argparse.Action):
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:
     if not target:
-        parser.add_argument(
-            "--input-column", metavar="NAME", help="voltage column (default voltage_{V,kV,mV})"
-        )
-    parser.add_argument(
-        "--output-column", metavar="NAME", help="output column (default displacement_{m,mm,um,V,mV})"
-    )
+        parser.add_argument("--input-column", metavar="NAME", help="voltage column (default voltage_{V,kV,mV})")
+    parser.add_argument("--output-column", metavar="NAME", help="output column (default displacement_{m,mm,um,V,mV})")
 
 
 def _identify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--out", required=True, metavar="NOMINAL", help="model file to write")
-    parser.add_argument(
-        "--order", type=_order, default="auto", metavar="N|auto", help="1 to 6, or auto (default)"
-    )
-    parser.add_argument(
-        "--input-map", choices=("square", "linear"), default="square", help="F = u^2 (default) or u"
-    )
+    parser.add_argument("--order", type=_order, default="auto", metavar="N|auto", help="1 to 6, or auto (default)")
+    parser.add_argument("--input-map", choices=("square", "linear"), default="square", help="F = u^2 (default) or u")
     parser.add_argument(
         "--json", dest="json_file", metavar="FILE", help="also write the comparison of orders for machines"
     )
@@ -167,9 +155,7 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
 def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--out", required=True, metavar="MODEL", help="model file to write")
-    parser.add_argument(
-        "--nominal", metavar="NOMINAL", help="start from this model instead of identifying one"
-    )
+    parser.add_argument("--nominal", metavar="NOMINAL", help="start from this model instead of identifying one")
     parser.add_argument("--order", type=_order, metavar="N|auto", help="1 to 6, or auto (default)")
     parser.add_argument("--preset", choices=("default", "paper"), default="default", help="how to train")
     parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")

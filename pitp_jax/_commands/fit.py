@@ -39,9 +39,7 @@ def fit(records, out, nominal, order, preset, input_map, seed, input_column, out
     if start is None:
         start = _identified(read_in, order or "auto", input_map or "square")
     check_suits(start, nominal or "the identified model", read_in)
-    done = _train.train(
-        start, read_in, preset=preset, key=jax.random.key(seed), progress=ProgressBar().update
-    )
+    done = _train.train(start, read_in, preset=preset, key=jax.random.key(seed), progress=ProgressBar().update)
     save(out, done.model)
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
@@ -56,14 +54,10 @@ def _given(path: str, order, input_map) -> Model:
     """The nominal model of that file, unless the options contradict it."""
     model = load(path)
     if order not in (None, "auto", model.order):
-        raise BadInput(
-            f"--order {order} contradicts {path}, whose order is {model.order}; leave one of them out"
-        )
+        raise BadInput(f"--order {order} contradicts {path}, whose order is {model.order}; leave one of them out")
     if input_map is not None and type(model.input_map) is not INPUT_MAPS[input_map]:
         own = next(name for name, kind in INPUT_MAPS.items() if type(model.input_map) is kind)
-        raise BadInput(
-            f"--input-map {input_map} contradicts {path}, whose input map is {own}; leave one of them out"
-        )
+        raise BadInput(f"--input-map {input_map} contradicts {path}, whose input map is {own}; leave one of them out")
     return model
 
 

@@ -33,9 +33,7 @@ def identify(records, out, order, input_map, json_file, input_column, output_col
     with staged_files(out, json_file) as (out_stage, json_stage):
         save(out_stage, found.model)
         if json_file:
-            write_json(
-                json_stage, {**told, "orders": [vars(fit) for fit in found.orders], "rest": found.rest}
-            )
+            write_json(json_stage, {**told, "orders": [vars(fit) for fit in found.orders], "rest": found.rest})
     unit = read_in[0].displacement_unit
     print_orders(found, unit)
     print_model(told)

@@ -127,7 +127,4 @@ def _print_scores(result: dict, predictions: Sequence[_decode.Prediction]) -> No
     for p in predictions:
         if p.estimated_start:
             used = int((~p.scored).sum())
-            print(
-                f"{p.name}: starts moving; initial state estimated from the first {used} samples, "
-                "which do not count"
-            )
+            print(f"{p.name}: starts moving; initial state estimated from the first {used} samples, which do not count")

@@ -18,9 +18,7 @@ def check_kind(model: Model, path: str, unit: str, source: str) -> None:
     """
     own = base_unit(model.provenance.displacement_unit)
     if base_unit(unit) != own:
-        raise BadInput(
-            f"{source}: output in {unit}, but {path} predicts {own}; choose the column with --output-column"
-        )
+        raise BadInput(f"{source}: output in {unit}, but {path} predicts {own}; choose the column with --output-column")
 
 
 def check_suits(model: Model, path: str, records: Sequence[Record]) -> None:

@@ -1,7 +1,7 @@
 """Input maps: drive voltage u to equivalent force F, and back.
 
-    square:  F = u^2                 u = sqrt(max(F, 0))        (paper, eqs. 6 and 13)
-    linear:  F = u                   u = F                      (electronic benchmarks, piezo)
+square:  F = u^2                 u = sqrt(max(F, 0))        (paper, eqs. 6 and 13)
+linear:  F = u                   u = F                      (electronic benchmarks, piezo)
 """
 
 from abc import abstractmethod

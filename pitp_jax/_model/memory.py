@@ -34,8 +34,9 @@ class AbstractMemory(eqx.Module):
         """Time derivative of the memory in 1/s."""
 
     @abstractmethod
-    def trajectory(self, x: Float[Array, " time"], dt: float, start: Float[Array, " memory"]
-                   ) -> Float[Array, "time memory"]:
+    def trajectory(
+        self, x: Float[Array, " time"], dt: float, start: Float[Array, " memory"]
+    ) -> Float[Array, "time memory"]:
         """The memory along a known x, linear between samples, in one parallel pass."""
 
 

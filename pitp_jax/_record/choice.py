@@ -44,13 +44,9 @@ def choose_column(table: Table, quantity: str, choice: str | None = None) -> tup
 def _absent(table: Table, quantity: str, choice: str | None, option: str | None) -> str:
     here = _listed(table.names) if any(table.names) else "none"
     if choice is not None:
-        return (
-            f"{table.source}: column {choice!r} is missing (columns here: {here}); give {option} one of these"
-        )
+        return f"{table.source}: column {choice!r} is missing (columns here: {here}); give {option} one of these"
     known = "_{" + ",".join(name.rpartition("_")[2] for name in column_names(quantity)) + "}"
-    loose = [
-        name for name in table.names if name.lower().startswith(quantity) or name.lower() in ("t", "u", "v")
-    ]
+    loose = [name for name in table.names if name.lower().startswith(quantity) or name.lower() in ("t", "u", "v")]
     remedy = f"name it {quantity}{known} with the unit it is in"
     if any(";" in name for name in table.names):
         remedy = "separate columns by commas, with a point in decimals"

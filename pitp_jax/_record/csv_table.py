@@ -42,9 +42,7 @@ def csv_gz_table(path: Path) -> Table:
     """
     data = file_bytes(path)
     if not data.startswith(_GZIP_MAGIC):
-        raise BadInput(
-            f"{path}: is not gzip as its suffix says; rename it to end in .csv if it is plain text"
-        )
+        raise BadInput(f"{path}: is not gzip as its suffix says; rename it to end in .csv if it is plain text")
     try:
         text = gzip.decompress(data)
     except EOFError:
@@ -59,9 +57,7 @@ def _text_table(source: str, data: bytes) -> Table:
     data = data.removeprefix(b"\xef\xbb\xbf")
     head = data[:4096]
     if len(head.translate(None, _CONTROL)) != len(head):
-        raise BadInput(
-            f"{source}: line 1: not UTF-8 text as its suffix says (binary or UTF-16); save it as UTF-8 CSV"
-        )
+        raise BadInput(f"{source}: line 1: not UTF-8 text as its suffix says (binary or UTF-16); save it as UTF-8 CSV")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     start = len(data) - len(data.lstrip(b"\n \t"))
@@ -70,9 +66,7 @@ def _text_table(source: str, data: bytes) -> Table:
     try:
         cells = next(csv.reader([header.decode("utf-8", errors="replace")], skipinitialspace=True), [])
     except csv.Error as error:
-        raise BadInput(
-            f"{source}: line {above}: header not readable ({error}); save it as plain CSV"
-        ) from None
+        raise BadInput(f"{source}: line {above}: header not readable ({error}); save it as plain CSV") from None
     names = tuple(name.strip() for name in cells)
 
     def line_of(sample: int) -> int:
@@ -108,9 +102,7 @@ def _parse_fast(body: bytes, columns: int, indices: list[int]) -> np.ndarray | N
             text = text.replace(bare, filled)
         text = text[1:]
     try:
-        return np.loadtxt(
-            io.StringIO(text.decode("latin-1")), delimiter=",", usecols=indices, comments=None, ndmin=2
-        )
+        return np.loadtxt(io.StringIO(text.decode("latin-1")), delimiter=",", usecols=indices, comments=None, ndmin=2)
     except ValueError:
         return None
 

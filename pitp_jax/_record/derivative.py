@@ -56,8 +56,7 @@ def stencil(values: np.ndarray, dt: float) -> np.ndarray:
     for reach in (1, 2, 3):
         for at in (reach, count - 1 - reach):
             slope[at] = sum(
-                weight * (values[at + k] - values[at - k])
-                for k, weight in enumerate(_STENCILS[reach - 1], start=1)
+                weight * (values[at + k] - values[at - k]) for k, weight in enumerate(_STENCILS[reach - 1], start=1)
             )
     slope[0] = -1.5 * values[0] + 2.0 * values[1] - 0.5 * values[2]
     slope[-1] = 1.5 * values[-1] - 2.0 * values[-2] + 0.5 * values[-3]

@@ -109,9 +109,7 @@ _PROTOCOLS = {
 PARTS = ("sweep", "train", "test")
 
 
-def protocol(
-    actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: float = 0.0
-) -> tuple[Excitation, ...]:
+def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: float = 0.0) -> tuple[Excitation, ...]:
     """The excitations of the paper's protocol.
 
     Args:
@@ -129,9 +127,7 @@ def protocol(
         ValueError: unknown actuator or part.
     """
     if actuator not in _PROTOCOLS or part not in PARTS:
-        raise ValueError(
-            f"no protocol {actuator!r} {part!r}; take one of {tuple(_PROTOCOLS)} and one of {PARTS}"
-        )
+        raise ValueError(f"no protocol {actuator!r} {part!r}; take one of {tuple(_PROTOCOLS)} and one of {PARTS}")
     numbers = _PROTOCOLS[actuator]
     edges = {"rise": rise, "rest_s": rest_s}
     if part == "sweep":

@@ -94,9 +94,7 @@ def mat_table(path: Path) -> Table:
     if not file_bytes(path, 20).startswith(b"MATLAB"):
         if h5py.is_hdf5(path):
             return _stored_table(path, _h5_names, _h5_values, "a MATLAB file")
-        raise BadInput(
-            f"{path}: is not a MATLAB file as its suffix says; save it from MATLAB with -v7 or -v7.3"
-        )
+        raise BadInput(f"{path}: is not a MATLAB file as its suffix says; save it from MATLAB with -v7 or -v7.3")
     if h5py.is_hdf5(path):
         return _stored_table(path, _h5_names, _h5_values, "a MATLAB v7.3 file")
     return _stored_table(path, _mat5_names, _mat5_values, "a MATLAB file")
@@ -122,9 +120,7 @@ def _stored_table(path: Path, list_names, load_values, kind: str) -> Table:
             return function(path, *arguments)
         except Exception as error:  # the libraries raise nearly anything on damaged files
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise BadInput(
-                f"{path}: not readable as {kind} ({reason[:120]}); save or copy it again"
-            ) from error
+            raise BadInput(f"{path}: not readable as {kind} ({reason[:120]}); save or copy it again") from error
 
     def load(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         stored = guarded(load_values, wanted)

@@ -148,9 +148,7 @@ def preprocess(
     x = np.where(known, states[:, 0], displacement)
     usable = known if known.any() else np.isfinite(displacement)
     states[:, 0] = np.interp(record.time, record.time[usable], x[usable])
-    return StateRecord(
-        record.name, record.time, _filtered(sos, force, edge), states, valid, float(cutoff_hz), dt
-    )
+    return StateRecord(record.name, record.time, _filtered(sos, force, edge), states, valid, float(cutoff_hz), dt)
 
 
 def _filtered(sos: np.ndarray, values: np.ndarray, edge: int) -> np.ndarray:
@@ -174,9 +172,7 @@ def _check(record, order, cutoff_hz, force, displacement, difference):
     if order < 0:
         raise ValueError(f"order {order} is negative")
     if not 0 < cutoff_hz * record.dt < 0.5:
-        raise ValueError(
-            f"cut-off {cutoff_hz} Hz is not between 0 and half the sampling rate {0.5 / record.dt} Hz"
-        )
+        raise ValueError(f"cut-off {cutoff_hz} Hz is not between 0 and half the sampling rate {0.5 / record.dt} Hz")
     for name, values in (("force", force), ("displacement", displacement)):
         if values.shape != (record.samples,):
             raise ValueError(f"{name} has shape {values.shape}, the record {(record.samples,)}")

@@ -139,14 +139,10 @@ def _files(paths: Sequence[str | os.PathLike]) -> list[Path]:
         try:
             inside = sorted(path.iterdir())
         except OSError as error:
-            raise BadInput(
-                f"{path}: cannot list the folder: {error.strerror or error}; check its rights"
-            ) from None
+            raise BadInput(f"{path}: cannot list the folder: {error.strerror or error}; check its rights") from None
         inside = [file for file in inside if _is_record(file)]
         if not inside:
-            raise BadInput(
-                f"{path}: no record files in this folder (folders do not recurse); name the one with files"
-            )
+            raise BadInput(f"{path}: no record files in this folder (folders do not recurse); name the one with files")
         files.extend(inside)
     return files
 
@@ -168,9 +164,7 @@ def _names(files: Sequence[Path]) -> list[str]:
         if name in first:
             if file.resolve() == first[name].resolve():
                 raise BadInput(f"{file}: given twice; name each record once")
-            raise BadInput(
-                f"{file}: has the same record name {name!r} as {first[name]}; rename one of the two"
-            )
+            raise BadInput(f"{file}: has the same record name {name!r} as {first[name]}; rename one of the two")
         first[name] = file
     return full
 
@@ -182,9 +176,7 @@ def _read_one(path: Path, name: str, input_column: str | None, output_column: st
     out_column, out_unit = choose_column(table, "displacement", output_column)
     columns = (time_column, in_column, out_column)
     if len(set(columns)) < 3:
-        raise BadInput(
-            f"{table.source}: column {in_column!r}: chosen twice; choose different input and output columns"
-        )
+        raise BadInput(f"{table.source}: column {in_column!r}: chosen twice; choose different input and output columns")
     values = table.load(columns)
     time = to_base(values[time_column], time_unit, "time")
     voltage = to_base(values[in_column], in_unit, "voltage")

@@ -39,9 +39,7 @@ def file_bytes(path: Path, count: int = -1) -> bytes:
         with open(path, "rb") as file:
             data = file.read(count)
     except OSError as error:
-        raise BadInput(
-            f"{path}: cannot read: {error.strerror or error}; check the path and its rights"
-        ) from None
+        raise BadInput(f"{path}: cannot read: {error.strerror or error}; check the path and its rights") from None
     if not data:
         raise BadInput(f"{path}: the file is empty (0 bytes); record it again or leave it out")
     return data
@@ -61,9 +59,7 @@ def as_column(values, column: str, source: str) -> np.ndarray:
     values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         kind = {"c": "complex numbers", "S": "text", "U": "text"}.get(values.dtype.kind, "not plain numbers")
-        raise BadInput(
-            f"{source}: column {column!r}, sample 0: {kind} where real numbers belong; store it as float64"
-        )
+        raise BadInput(f"{source}: column {column!r}, sample 0: {kind} where real numbers belong; store it as float64")
     if values.ndim > 1 and values.size != max(values.shape):
         raise BadInput(
             f"{source}: column {column!r}, sample 0: a matrix of shape {values.shape} where a vector "

@@ -26,9 +26,7 @@ def smooth_step(s: np.ndarray) -> np.ndarray:
 def _clock(duration: float, rate: float) -> np.ndarray:
     count = round(duration * rate) if duration > 0 and rate > 0 else 0
     if count < 2:
-        raise ValueError(
-            f"duration {duration} s at {rate} Hz gives fewer than two samples; raise one of them"
-        )
+        raise ValueError(f"duration {duration} s at {rate} Hz gives fewer than two samples; raise one of them")
     return np.arange(count) / rate
 
 
@@ -98,9 +96,7 @@ def sine(
         time in s and values in V.
     """
     time = _clock(duration, rate)
-    return _finish(
-        time, amplitude * np.sin(2 * np.pi * frequency * time - np.pi / 2) + offset, rate, rise, rest_s
-    )
+    return _finish(time, amplitude * np.sin(2 * np.pi * frequency * time - np.pi / 2) + offset, rate, rise, rest_s)
 
 
 def triangle(
@@ -176,9 +172,7 @@ def multisine(
     bins = np.arange(int(np.ceil(band[0] * duration - 1e-9)), int(np.floor(band[1] * duration + 1e-9)) + 1)
     bins = bins[(bins > 0) & (bins < len(time) / 2)]
     if len(bins) == 0:
-        raise ValueError(
-            f"no multiple of 1/{duration} Hz lies in the band {band} Hz; lengthen it or widen the band"
-        )
+        raise ValueError(f"no multiple of 1/{duration} Hz lies in the band {band} Hz; lengthen it or widen the band")
     phase = np.random.default_rng(seed).uniform(0.0, 2 * np.pi, len(bins))
     best = _tones(bins, phase, len(time))
     trial = best
