@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._errors import BadInput
+from ._model.input_map import SquareInput
 from ._model.model import Model, Scales
 from ._record.preprocess import StateRecord, cutoff, force_band, preprocess
 from ._record.record import Record
@@ -51,7 +52,7 @@ def build_dataset(
 ) -> Dataset:
     """Filter, differentiate, scale and remember."""
     dt = records[0].dt
-    forces = [np.asarray(_force(nominal, r.voltage)) for r in records]
+    forces = [_force(nominal, r.voltage) for r in records]
     f_max = force_band(forces, dt)
     cut = cutoff(f_max, dt)
     states = [
@@ -112,7 +113,7 @@ def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np
 
 def _force(model: Model, voltage: np.ndarray) -> np.ndarray:
     """Force in float64 on the host."""
-    return model.input_map.force(voltage)
+    return np.asarray(voltage**2 if isinstance(model.input_map, SquareInput) else voltage, np.float64)
 
 
 def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: float, scaling: str) -> Model:

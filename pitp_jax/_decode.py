@@ -163,8 +163,8 @@ def _start(model: Model, record: Record):
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
-    args = (record.voltage[first], np.where(observed, x, 0.0))
-    return estimate_start(model, *(jnp.asarray(a, dtype) for a in args), jnp.asarray(observed), record.dt), True
+    voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
+    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt), True
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:

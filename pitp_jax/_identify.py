@@ -148,7 +148,8 @@ def build_problem(records: Sequence[Record], input_map: str) -> OutputError:
     return OutputError(
         jnp.asarray(drive / voltage_scale), jnp.asarray(output / output_scale), jnp.asarray(weight),
         rest=tuple(bool(v) for v in rest), square=input_map == "square", dt=dt,
-        omega=float(2 * np.pi * min(band, 0.1 / dt)), voltage_scale=voltage_scale, output_scale=output_scale, offset=offset,
+        omega=float(2 * np.pi * min(band, 0.1 / dt)), voltage_scale=voltage_scale, output_scale=output_scale,
+        offset=offset,
     )  # fmt: skip
 
 
@@ -191,7 +192,7 @@ def _least_squares(params, order: int, hold: Hold, problem: OutputError) -> _Fit
     cost = _cost(found.value, order, hold, problem)
     if not np.isfinite(cost):
         return None
-    return _Fit(np.asarray(found.value), order, hold, cost, found.result == optx.RESULTS.successful)
+    return _Fit(np.asarray(found.value), order, hold, cost, bool(found.result == optx.RESULTS.successful))
 
 
 def _equation_error_roots(records, order: int, problem: OutputError):
@@ -304,7 +305,8 @@ def _advice(chosen: OrderFit, described: list[OrderFit]) -> str:
     good = [str(d.order) for d in described if d.identifiable]
     why = "its poles are not determined by the data" if chosen.converged else "the least squares ran away"
     hint = f"orders that are: {', '.join(good)}" if good else "no lower order is either"
-    return f"order {chosen.order} cannot be identified from these records ({why}); {hint}; record a sweep or use --order auto"
+    where = f"order {chosen.order} cannot be identified from these records ({why})"
+    return f"{where}; {hint}; record a sweep or use --order auto"
 
 
 def _to_model(chosen: OrderFit, records, input_map: str, orders) -> Model:

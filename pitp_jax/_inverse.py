@@ -103,21 +103,23 @@ def feedforward(
     wanted = model.output.to_model(target.displacement)
     path = extend(wanted, target.dt, model, limits)
     warnings += _advice(model, target, wanted, path)
-    best, force, features = _shoot(model, path, limits, target.dt, shots)
+    best = _shoot(model, path, limits, target.dt, shots)
     first, last = path.target.start, path.target.stop
     voltage, saturated = best.voltage, best.saturated
-    tail = np.zeros(len(voltage) - len(force), bool)
-    share = outside_share(model, features[first:last])
+    infeasible = np.asarray(model.input_map.infeasible(jnp.asarray(best.force)))
+    infeasible = np.append(infeasible, np.zeros(len(voltage) - len(infeasible), bool))
+    share = outside_share(model, best.features[first:last])
     if share > 0.01:
         warnings += (
-            f"{100 * share:.0f} % of the target lies outside the region the model was trained in: expect more error there",
+            f"{100 * share:.0f} % of the target lies outside the region the model was trained in: "
+            "expect more error there",
         )
     inside = np.zeros(len(voltage), bool)
     inside[first:last] = True
     return Feedforward(
         time=target.time[0] + (np.arange(len(voltage)) - first) * target.dt,
         voltage=voltage,
-        infeasible=np.concatenate([np.asarray(model.input_map.infeasible(force)), tail]),
+        infeasible=infeasible,
         saturated=saturated,
         target=inside,
         outside_training_share=share,
@@ -167,29 +169,33 @@ def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tup
     rough = rough_share(wanted, target.dt, model)
     if rough > 0:
         warnings += (
-            f"{100 * rough:.2g} % of the target is not smooth enough (its derivative of order {model.order - 1} jumps): "
+            f"{100 * rough:.2g} % of the target is not smooth enough (derivative {model.order - 1} jumps): "
             "round the corners or filter it",
         )
-    if not path.led_in and path.start_moves:
-        warnings += ("the target starts away from rest and no ramp within the slew limit was found: the start is cut",)
+    if not path.slew_kept:
+        warnings += ("no way into the target's first state was found within the slew limit: its start is cut",)
     return warnings
 
 
 @dataclass(frozen=True)
 class _Shot:
+    """One pass: the voltage with its ramp down, and the plan (force, features) up to the target's end."""
+
     voltage: np.ndarray
     saturated: np.ndarray
+    force: np.ndarray
+    features: np.ndarray
     error: float
     equation_error: float
 
 
-def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int):
+def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int) -> _Shot:
     """Eq. 13, then move the reference by what the rollout missed, as long as that helps."""
     scale = model.scales.state[0]
     dtype = model.coefficients.dtype
     wanted = path.displacement
-    reference, best, plan = wanted.copy(), None, None
-    for _ in range(shots + 1):
+    reference, best = wanted.copy(), None
+    for _ in range(max(shots, 0) + 1):
         equation = derivatives(reference, dt, model.order) / np.asarray(model.scales.state)
         force, voltage, features = invert_path(model, jnp.asarray(equation, dtype), dt)
         u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
@@ -198,12 +204,9 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int):
         if best is not None and not error < best.error:
             break
         first = error if best is None else best.equation_error
-        best, plan = (
-            _Shot(u, saturated, float(error), float(first)),
-            (np.asarray(force), np.asarray(features)),
-        )
+        best = _Shot(u, saturated, np.asarray(force), np.asarray(features), float(error), float(first))
         missed = np.where(saturated | ~np.isfinite(x), 0.0, wanted - x)
         reference = reference + missed
+    assert best is not None  # the first pass always sets it
     tail, cut = path.ramp_down(best.voltage[-1], limits, dt)
-    best = replace(best, voltage=np.append(best.voltage, tail), saturated=np.append(best.saturated, cut))
-    return best, *plan
+    return replace(best, voltage=np.append(best.voltage, tail), saturated=np.append(best.saturated, cut))

@@ -7,6 +7,7 @@ down:  u_end (1 + cos(pi t / T)) / 2,  T = pi u_end / (2 slew) at least
 
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import lsq_linear
@@ -25,14 +26,12 @@ class Path:
     Attributes:
         displacement: model coordinates, m, shape (M,), from rest.
         target: where the target itself lies.
-        led_in: a ramp was put in front.
-        start_moves: the target does not start at rest.
+        slew_kept: the nominal force of the lead-in stays within the slew limit.
     """
 
     displacement: np.ndarray
     target: slice
-    led_in: bool
-    start_moves: bool
+    slew_kept: bool
     period: float
 
     def ramp_down(self, voltage: float, limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -67,16 +66,18 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
     moves = abs(states[0, 0]) > 1e-3 * span or abs(states[0, 1]) > 1e-2 * max(np.abs(states[:, 1]).max(), 1e-30)
     if not moves:
-        return Path(wanted, slice(0, len(wanted)), False, False, period)
-    high = float(model.input_map.force(np.float64(limits.high)))
-    low = 0.0 if limits.low == 0 else float(model.input_map.force(np.float64(limits.low)))
+        return Path(wanted, slice(0, len(wanted)), True, period)
+    high = float(model.input_map.force(jnp.asarray(limits.high)))
+    low = 0.0 if limits.low == 0 else float(model.input_map.force(jnp.asarray(limits.low)))
+    lead, count, kept = np.zeros(0), 0, False
     for stretch in (1, 2, 4):
         count = max(int(np.ceil(5 * stretch * period / dt)), 64)
         lead, force = swing_in(a, states[0], count, dt, low, high)
         slew = np.abs(np.diff(np.asarray(model.input_map.voltage(force)))).max() / dt
-        if slew <= limits.slew:
+        kept = bool(slew <= limits.slew)
+        if kept:
             break
-    return Path(np.concatenate([lead, wanted]), slice(count, count + len(wanted)), True, True, period)
+    return Path(np.concatenate([lead, wanted]), slice(count, count + len(wanted)), kept, period)
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
@@ -94,12 +95,14 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     pieces = int(np.clip(count // 4, 8, 40))
     knots = np.concatenate([np.zeros(3), np.linspace(0, count * dt, pieces + 1), np.full(3, count * dt)])
     t = np.arange(count + 1) * dt
-    basis = BSpline.design_matrix(np.minimum(t, count * dt * (1 - 1e-12)), knots, 3).toarray()[
-        :, 2:
-    ]  # F(0) = F'(0) = 0
+    design = BSpline.design_matrix(np.minimum(t, count * dt * (1 - 1e-12)), knots, 3)
+    basis = np.asarray(design.todense(), np.float64)[:, 2:]  # without the first two: F(0) = F'(0) = 0
     companion = np.vstack([np.eye(n)[1:], -a[:-1][None] / a[-1]])
     system = cont2discrete((companion, np.eye(n)[:, -1:] / a[-1], np.eye(n), np.zeros((n, 1))), dt, method="foh")
-    responses = [dlsim((*system[:4], dt), column)[1] for column in basis.T]
+    responses = []
+    for column in basis.T:
+        _, states, _ = dlsim((*system[:4], dt), column)
+        responses.append(states)
     last = np.stack([r[-1] for r in responses], -1)  # S(T) per coefficient
     last = np.vstack([last, (basis[-1] - a[:-1] @ last) / a[-1]])
     size = np.abs(last).max(1)

@@ -29,10 +29,10 @@ def logs_from_roots(roots: np.ndarray) -> np.ndarray:
     """Inverse of `polynomial`, after reflecting the roots into the stable half plane."""
     roots = np.asarray(roots, complex)
     size = np.maximum(np.abs(roots), 1e-4)
-    roots = -np.maximum(np.abs(roots.real), 1e-3 * size) + 1j * roots.imag
-    real_root = np.abs(roots.imag) <= 1e-9 * size
-    pairs = roots[~real_root & (roots.imag > 0)]
-    real = sorted(-roots[real_root].real)
+    roots = np.asarray(-np.maximum(np.abs(np.real(roots)), 1e-3 * size) + 1j * np.imag(roots))
+    real_root = np.abs(np.imag(roots)) <= 1e-9 * size
+    pairs = roots[~real_root & (np.imag(roots) > 0)]
+    real = sorted(-np.real(roots[real_root]))
     logs = [v for r in pairs for v in (np.log(-2 * r.real), np.log(abs(r) ** 2))]
     while len(real) > 1:
         a, b = real.pop(0), real.pop(0)

@@ -1,7 +1,7 @@
 """How a record begins: sensor noise, and whether the actuator is at rest at the first sample.
 
 sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
-y(t) ~ c_0 + c_1 t + c_2 t^2 + c_3 t^3 + c_4 t^4 over the first samples; rest when y(0) = offset and y'(0) = 0 within noise
+y(t) ~ c_0 + ... + c_4 t^4 over the first samples; rest when y(0) = offset and y'(0) = 0 within noise
 """
 
 from collections.abc import Sequence

@@ -136,22 +136,25 @@ def train(
                          memory=partial(_memory, settings, nominal, records))  # fmt: skip
     model = _with_encoder(data.model, settings, key_init)
     history: list[dict] = []
-    interrupted, done = False, None
-    began = time.monotonic()
+    best, interrupted, began = None, False, time.monotonic()
     try:
-        for done, entry in _stages(model, data, settings, key_stages, progress):
+        for found, entry in _stages(model, data, settings, key_stages, progress):
+            best = found
             history.append(entry)
-        if settings.refine_steps:
-            for done, entry in refine(done, data, records, settings, key_refine, partial(_report, progress)):
+        if best is not None and settings.refine_steps:
+            for found, entry in refine(best, data, records, settings, key_refine, partial(_report, progress)):
+                best = found
                 history.append(entry)
     except KeyboardInterrupt:
-        if done is None:
+        if best is None:
             raise
         interrupted = True
+    if best is None:
+        raise BadInput("settings allow no training stage: set stages to 1 or more")
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "samples": int(data.equation.force.shape[0]),
              "interrupted": interrupted}  # fmt: skip
-    return Training(_annotated(done, data, notes), tuple(history), interrupted, notes)
+    return Training(_annotated(best, data, notes), tuple(history), interrupted, notes)
 
 
 def _report(progress, stage, step, steps, value, best, seconds_left):
@@ -182,7 +185,7 @@ def _with_encoder(model: Model, settings: Settings, key) -> Model:
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Algorithm 1: yield (best model, history entry) after every stage."""
-    optimiser = optax.inject_hyperparams(optax.adam)(learning_rate=settings.rate)
+    optimiser = optax.scale_by_adam()
     run = _epoch_function(optimiser, settings)
     total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
     best_model, best, count, began = model, np.inf, 0, time.monotonic()
@@ -195,10 +198,9 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
         for epoch in range(epochs):
             key, sub = jax.random.split(key)
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder == "compact" else 1.0
-            state.hyperparams["learning_rate"] = jnp.asarray(
-                settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
-            )
-            params, state, (physics, constraint) = run(params, static, state, data.equation, jnp.asarray(box), sub)
+            rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
+            box_rate = jnp.asarray(box), jnp.asarray(rate)
+            params, state, (physics, constraint) = run(params, static, state, data.equation, *box_rate, sub)
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
                 raise ComputationFailed(_nan_advice(f"stage {j + 1}, epoch {epoch + 1}"))
@@ -228,11 +230,11 @@ def _trainable(model: Model):
 
 
 def _epoch_function(optimiser, settings: Settings):
-    """One epoch over shuffled minibatches as one compiled scan; the last incomplete batch is left to the next shuffle."""
+    """One epoch over shuffled minibatches as one compiled scan; an incomplete batch is left to the next shuffle."""
     dropout = settings.encoder == "paper"
 
     @eqx.filter_jit
-    def run(params, static, state, data, box, key):
+    def run(params, static, state, data, box, rate, key):
         count = max(data.force.shape[0] // settings.batch, 1)
         size = min(settings.batch, data.force.shape[0])
         shuffle, drop = jax.random.split(key)
@@ -246,6 +248,7 @@ def _epoch_function(optimiser, settings: Settings):
             index, k = item
             grads, parts = eqx.filter_grad(objective, has_aux=True)(p, data.take(index), k if dropout else None)
             updates, s = optimiser.update(grads, s, p)
+            updates = jax.tree.map(lambda u: -rate * u, updates)
             return (eqx.apply_updates(p, updates), s), jnp.stack(parts)
 
         keys = jax.random.split(drop, count)

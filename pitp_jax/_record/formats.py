@@ -64,7 +64,7 @@ def h5_table(path: Path) -> Table:
 
 def _h5_names(path: Path) -> list[str]:
     with h5py.File(path, "r") as file:
-        return [name for name in file if isinstance(file.get(name), h5py.Dataset)]
+        return [str(name) for name in file if isinstance(file.get(name), h5py.Dataset)]
 
 
 def _h5_values(path: Path, wanted: Sequence[str]) -> dict:

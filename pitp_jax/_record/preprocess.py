@@ -67,7 +67,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_SH
     frequencies, energies = [], []
     for force in forces:
         force = np.asarray(force, dtype=np.float64)
-        energy = np.abs(rfft(force - force.mean())) ** 2 / len(force)
+        energy = np.abs(np.asarray(rfft(force - force.mean()))) ** 2 / len(force)
         energy[1 : (len(force) + 1) // 2] *= 2.0  # both signs of the frequency
         energy[0] = 0.0
         frequencies.append(rfftfreq(len(force), dt))
@@ -131,7 +131,7 @@ def preprocess(
     force = np.asarray(force, dtype=np.float64)
     dt = record.dt
     _check(record, order, cutoff_hz, force, displacement, difference)
-    sos = butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * dt, output="sos")
+    sos = np.asarray(butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * dt, output="sos"))
     edge = edge_samples(cutoff_hz, dt, order)
     states = np.zeros((record.samples, order + 1))
     known = np.zeros(record.samples, dtype=bool)

@@ -9,7 +9,7 @@ _SEGMENTS = 16
 
 
 def is_sweep(record: Record) -> bool:
-    """True when the zero crossings of the drive per segment, 16 segments, rise or fall monotonically (rank corr. > 0.9).
+    """True when the zero crossings of the drive, counted in 16 segments, rise or fall (rank correlation > 0.9).
 
     The drive is taken about its own mid-range; a record with fewer than 16 crossings in all is no sweep.
     """
@@ -20,5 +20,5 @@ def is_sweep(record: Record) -> bool:
     counts = np.bincount(np.minimum(crossings * _SEGMENTS // record.samples, _SEGMENTS - 1), minlength=_SEGMENTS)
     if len(np.unique(counts)) < 4:
         return False
-    trend = float(spearmanr(np.arange(_SEGMENTS), counts).statistic)
+    trend = float(spearmanr(np.arange(_SEGMENTS), counts)[0])  # pyright: ignore[reportArgumentType]
     return abs(trend) > 0.9 and counts.max() >= 3 * max(counts.min(), 1)

@@ -111,7 +111,8 @@ def triangle(
 ) -> Waveform:
     """Symmetric triangle between offset - amplitude (at t = 0) and offset + amplitude; else as `sine`."""
     time = _clock(duration, rate)
-    return _finish(time, amplitude * sawtooth(2 * np.pi * frequency * time, 0.5) + offset, rate, rise, rest_s)
+    wave = sawtooth(2 * np.pi * frequency * time, 0.5)  # pyright: ignore[reportArgumentType]
+    return _finish(time, amplitude * wave + offset, rate, rise, rest_s)
 
 
 def steps(levels: Sequence[float], hold: float, rate: float, *, rise: float, rest_s: float = 0.0) -> Waveform:
@@ -132,11 +133,11 @@ def steps(levels: Sequence[float], hold: float, rate: float, *, rise: float, res
             f"steps need a level and 0 <= rise <= hold, got {len(levels)} levels, rise {rise}, hold {hold}"
         )
     time = _clock(hold * len(levels), rate)
-    levels = np.asarray(levels, dtype=np.float64)
-    before = np.concatenate([[0.0], levels[:-1]])
+    values = np.asarray(levels, dtype=np.float64)
+    before = np.concatenate([[0.0], values[:-1]])
     k = np.minimum((time / hold + 1e-9).astype(int), len(levels) - 1)
     share = smooth_step((time - k * hold) / rise) if rise > 0 else 1.0
-    return _finish(time, before[k] + (levels - before)[k] * share, rate, 0.0, rest_s)
+    return _finish(time, before[k] + (values - before)[k] * share, rate, 0.0, rest_s)
 
 
 def multisine(
@@ -177,7 +178,7 @@ def multisine(
     best = _tones(bins, phase, len(time))
     trial = best
     for _ in range(0 if crest is None else 100):
-        if _crest(best) <= crest:
+        if crest is None or _crest(best) <= crest:
             break
         limit = 0.85 * np.abs(trial).max()
         phase = np.angle(np.fft.rfft(np.clip(trial, -limit, limit))[bins])
