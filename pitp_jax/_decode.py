@@ -8,8 +8,7 @@ for constant tokens; for state-dependent tokens frozen over a step, order 1 agai
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -121,6 +120,12 @@ def estimate_start(
     return assemble(jax.lax.scan(improve, prior, None, length=12)[0])
 
 
+def at_rate(model: Model, dt: float) -> Model:
+    """The same model with enough substeps for records sampled more coarsely than those it was trained on."""
+    factor = max(1, round(dt / model.provenance.dt))
+    return replace(model, substeps=model.substeps * factor) if factor > 1 else model
+
+
 @dataclass(frozen=True)
 class Prediction:
     """A free run beside one record.
@@ -145,6 +150,7 @@ class Prediction:
 
 def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     """Free run of the model under every record's voltage, batched; records may have any lengths, one sampling rate."""
+    model = at_rate(model, records[0].dt)
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     starts, estimated = zip(*[_start(model, r) for r in records], strict=True)
@@ -189,7 +195,3 @@ def _prediction(model: Model, record: Record, states: np.ndarray, estimated: boo
     scored[: INITIAL_SAMPLES if estimated else 0] = False
     share = 1.0 if first == 0 else outside_share(model, states[:first])
     return Prediction(record.name, x, bool(lost.any()), estimated, scored, share)
-
-
-# re-exported for closed-loop use: one sample at a time
-decoder_step = eqx.filter_jit(partial(step))

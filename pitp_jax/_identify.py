@@ -188,7 +188,8 @@ def _least_squares(params, order: int, hold: Hold, problem: OutputError) -> _Fit
     """Levenberg-Marquardt on the output error; None where it is not finite."""
     solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-6)
     fn = residual_function(order, hold)
-    found = optx.least_squares(fn, solver, jnp.asarray(params), problem, max_steps=30, throw=False)
+    arrays = jax.tree.map(jnp.asarray, problem)
+    found = optx.least_squares(fn, solver, jnp.asarray(params), arrays, max_steps=30, throw=False)
     cost = _cost(found.value, order, hold, problem)
     if not np.isfinite(cost):
         return None

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._decode import outside_share, rest_state, rollout
+from ._decode import at_rate, outside_share, rest_state, rollout
 from ._errors import BadInput
 from ._metrics import e_rms_percent
 from ._model.model import Model
@@ -99,7 +99,7 @@ def feedforward(
         BadInput: a limit that is not positive, or a target of fewer samples than the model's order needs.
     """
     limits, warnings = _limits(model, max_voltage, max_slew)
-    model = _at_rate(model, target.dt)
+    model = at_rate(model, target.dt)
     wanted = model.output.to_model(target.displacement)
     path = extend(wanted, target.dt, model, limits)
     warnings += _advice(model, target, wanted, path)
@@ -151,12 +151,6 @@ def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...
             warnings = (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
     low = 0.0 if bool(model.input_map.infeasible(jnp.asarray(-1.0))) else min(low, 0.0)
     return Limits(low, high, trained_slew if max_slew is None else max_slew), warnings
-
-
-def _at_rate(model: Model, dt: float) -> Model:
-    """The same model with enough substeps for a coarser sampling interval."""
-    factor = max(1, round(dt / model.provenance.dt))
-    return replace(model, substeps=model.substeps * factor) if factor > 1 else model
 
 
 def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:

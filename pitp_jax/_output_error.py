@@ -28,11 +28,11 @@ class OutputError(eqx.Module):
     weight: Float[Array, "records time"]
     rest: tuple[bool, ...] = eqx.field(static=True)
     square: bool = eqx.field(static=True)
-    dt: float = eqx.field(static=True)
-    omega: float = eqx.field(static=True)
-    voltage_scale: float = eqx.field(static=True)
-    output_scale: float = eqx.field(static=True)
-    offset: float = eqx.field(static=True)
+    dt: float  # this and the next four are leaves: a static number would compile every problem anew
+    omega: float
+    voltage_scale: float
+    output_scale: float
+    offset: float
 
     def parameters(self, order: int) -> int:
         """Number of parameters: poles, gain, an offset unless some record rests, a start per moving record."""

@@ -45,7 +45,7 @@ def respond(
     drive: Float[Array, " time"],
     start: Float[Array, " n"],
     *,
-    step: float,
+    step: float | Float[Array, ""],
     square: bool,
     hold: str,
 ) -> Float[Array, " time"]:
