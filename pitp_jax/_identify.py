@@ -20,12 +20,12 @@ import optimistix as optx
 from ._errors import BadInput, ComputationFailed
 from ._model.input_map import INPUT_MAPS
 from ._model.model import Hold, Model, Output, Provenance, linear_model
-from ._output_error import OutputError, covariance, numerical_jacobian, residual, residual_function
-from ._poles import logs_from_roots, polynomial
-from ._record.preprocess import force_band, preprocess
+from ._output_error import OutputError, build_problem, covariance, numerical_jacobian, residual, residual_function
+from ._poles import polynomial
 from ._record.record import Record
 from ._record.sweeps import is_sweep as is_sweep
-from ._rest import initial_rest, noise_std
+from ._rest import noise_std
+from ._starts import equation_error_roots, linear_start, peak_roots
 
 ORDERS = tuple(range(1, 7))
 # auto takes the smallest order >= 2 (a moving mass is second order, even where the nonlinearity hides it: on the
@@ -130,38 +130,15 @@ def identify(
     return Identification(model, chosen, orders, dict(zip([r.name for r in records], problem.rest, strict=True)))
 
 
-def build_problem(records: Sequence[Record], input_map: str) -> OutputError:
-    """Normalise and pad the records; find rest, offset and the unit of frequency."""
-    dt, size = records[0].dt, max(r.samples for r in records)
-    rest, offset = initial_rest(records)
-    output, drive, weight = (np.zeros((len(records), size)) for _ in range(3))
-    for k, r in enumerate(records):
-        drive[k, : r.samples], drive[k, r.samples :] = r.voltage, r.voltage[-1]
-        weight[k, : r.samples] = r.observed
-        output[k, : r.samples] = np.where(r.observed, r.displacement - offset, 0.0)
-    voltage_scale, output_scale = float(np.abs(drive).max()), float(np.sqrt((output**2).sum() / weight.sum()))
-    if np.ptp(drive) == 0:
-        raise BadInput("the voltage never changes in these records: record an excitation such as a sweep")
-    if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
-        raise BadInput("the displacement never changes in these records: check the sensor and its column")
-    band = force_band([np.asarray(r.voltage ** (2 if input_map == "square" else 1)) for r in records], dt)
-    return OutputError(
-        jnp.asarray(drive / voltage_scale), jnp.asarray(output / output_scale), jnp.asarray(weight),
-        rest=tuple(bool(v) for v in rest), square=input_map == "square", dt=dt,
-        omega=float(2 * np.pi * min(band, 0.1 / dt)), voltage_scale=voltage_scale, output_scale=output_scale,
-        offset=offset,
-    )  # fmt: skip
-
-
 def _fit_orders(records, problem: OutputError, orders: Iterable[int], progress) -> list[_Fit]:
     """Every order from the best of its starts, refined to convergence."""
     fits: list[_Fit] = []
     for order in orders:
-        starts = [_equation_error_roots(records, order, problem), _peak_roots(problem, order)]
+        starts = [equation_error_roots(records, order, problem), peak_roots(problem, order)]
         if fits and fits[-1].order == order - 1:
             roots = np.roots(np.asarray(polynomial(jnp.asarray(fits[-1].params[: order - 1])))[::-1])
             starts += [np.append(roots, -factor * max(np.abs(roots).max(), 1.0)) for factor in (3.0, 12.0)]
-        params = [_linear_start(r, order, problem) for r in starts]
+        params = [linear_start(r, order, problem) for r in starts]
         params = sorted((p for p in params if p is not None), key=lambda p: _cost(p, order, "foh", problem))[:2]
         found = []
         for start in params:  # the next start only where the last one failed or lost to the lower order
@@ -196,59 +173,6 @@ def _least_squares(params, order: int, hold: Hold, problem: OutputError) -> _Fit
     return _Fit(np.asarray(found.value), order, hold, cost, bool(found.result == optx.RESULTS.successful))
 
 
-def _equation_error_roots(records, order: int, problem: OutputError):
-    """Roots of the polynomial that fits F = sum a_i x^(i) + c on filtered derivatives, in units of omega."""
-    cut = min(problem.omega / np.pi, 0.4 / problem.dt)
-    rows, rhs = [], []
-    for r in records:
-        s = preprocess(
-            r,
-            order,
-            cut,
-            r.voltage ** (2 if problem.square else 1),
-            displacement=r.displacement - problem.offset,
-        )
-        keep = np.flatnonzero(s.valid)
-        keep = keep[:: max(1, len(keep) * len(records) // 200_000)]
-        rows.append(s.states[keep] / problem.omega ** np.arange(order + 1))
-        rhs.append(s.force[keep])
-    rows = np.concatenate(rows)
-    if len(rows) < 4 * (order + 2):
-        return None
-    scale = np.abs(rows).max(0) + 1e-300
-    fit = np.linalg.lstsq(np.c_[rows / scale, np.ones(len(rows))], np.concatenate(rhs), rcond=None)[0][:-1] / scale
-    return np.roots(fit[::-1]) if np.isfinite(fit).all() and abs(fit[-1]) > 0 else None
-
-
-def _peak_roots(problem: OutputError, order: int):
-    """A resonance, damping 10 %, where output over force is largest in the spectrum; further poles faster."""
-    force = np.asarray(problem.drive) ** (2 if problem.square else 1)
-    f = np.abs(np.fft.rfft(force - force.mean(1, keepdims=True))).sum(0)
-    y = np.abs(np.fft.rfft(np.asarray(problem.output))).sum(0)
-    width = max(len(f) // 400, 1)
-    f, y = (np.convolve(v, np.ones(width) / width, "same") for v in (f, y))
-    grid = 2 * np.pi * np.arange(len(f)) / (force.shape[1] * problem.dt) / problem.omega
-    band = (grid > 0.02) & (f > 0.03 * f.max())
-    peak = float(grid[np.argmax(np.where(band, y / np.maximum(f, 1e-300), 0))]) if band.any() else 0.5
-    pair = peak * np.array([-0.1 + 0.995j, -0.1 - 0.995j])
-    return np.array([-peak]) if order == 1 else np.append(pair, -peak * 4.0 * np.arange(1, order - 1))
-
-
-def _linear_start(roots, order: int, problem: OutputError):
-    """Given the poles, the gain (and free offset) by linear least squares; initial states zero."""
-    if roots is None or len(roots) != order:
-        return None
-    params = np.zeros(problem.parameters(order))
-    params[:order], params[order] = logs_from_roots(roots), 1.0
-    y = np.asarray(problem.weight * problem.output).reshape(-1)
-    unit = np.asarray(residual(jnp.asarray(params), problem, order=order, hold="foh")) + y
-    if not np.isfinite(unit).all():
-        return None
-    columns = [unit] + ([] if any(problem.rest) else [np.asarray(problem.weight).reshape(-1)])
-    params[order : order + len(columns)] = np.linalg.lstsq(np.stack(columns, -1), y, rcond=None)[0]
-    return params
-
-
 def _describe(fit: _Fit, problem: OutputError) -> OrderFit:
     """Physical coefficients, their errors, and the figures orders are compared by."""
     n = fit.order
@@ -264,7 +188,6 @@ def _describe(fit: _Fit, problem: OutputError) -> OrderFit:
     jacobian = numerical_jacobian(physical, fit.params)
     roots = np.roots(np.asarray(polynomial(jnp.asarray(fit.params[:n])))[::-1]) * problem.omega
     upper = sorted(roots[roots.imag >= 0], key=abs)
-    free_offset = 0.0 if any(problem.rest) else float(fit.params[n + 1]) * problem.output_scale
     known = np.sqrt(np.clip(np.diag(spread)[: n + 1], 0, None))
     known[n] /= abs(fit.params[n])
     rms = float(np.sqrt((left**2).sum() / samples))
@@ -278,7 +201,7 @@ def _describe(fit: _Fit, problem: OutputError) -> OrderFit:
         bic=float(samples * np.log(rms**2) + len(fit.params) * np.log(samples)),
         natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
         damping=np.array([-r.real / abs(r) for r in upper]),
-        offset=problem.offset + free_offset,
+        offset=problem.offset + (float(fit.params[n + 1]) * problem.output_scale if problem.free_offset else 0.0),
         polarity=float(np.sign(fit.params[n]) or 1.0),
         converged=bool(fit.converged),
         identifiable=bool((known < 3.0).all() and np.abs(roots).max() * problem.dt < np.pi),

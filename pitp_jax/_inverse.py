@@ -24,6 +24,7 @@ from ._record.reading import Target
 from ._residual import equation_force
 
 _SHOTS = 6
+_ROUNDING = 1e-6  # of the largest force
 
 
 def equation_inverse(
@@ -106,7 +107,8 @@ def feedforward(
     best = _shoot(model, path, limits, target.dt, shots)
     first, last = path.target.start, path.target.stop
     voltage, saturated = best.voltage, best.saturated
-    infeasible = np.asarray(model.input_map.infeasible(jnp.asarray(best.force)))
+    slack = _ROUNDING * np.abs(best.force).max()  # an actuator at rest asks for a force of zero, give or take a bit
+    infeasible = np.asarray(model.input_map.infeasible(jnp.asarray(best.force + slack)))
     infeasible = np.append(infeasible, np.zeros(len(voltage) - len(infeasible), bool))
     share = outside_share(model, best.features[first:last])
     if share > 0.01:
@@ -144,6 +146,8 @@ def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...
     for name, value in (("max-voltage", max_voltage), ("max-slew", max_slew)):
         if value is not None and not value > 0:
             raise BadInput(f"--{name} must be positive, got {value}")
+    if max_voltage == np.inf:
+        raise BadInput("--max-voltage must be finite: give the amplifier's limit")
     warnings: tuple[str, ...] = ()
     if max_voltage is not None:
         high, low = max_voltage, max(low, -max_voltage)

@@ -1,12 +1,15 @@
 """The output error of a linear ODE over a padded set of records, and the covariance of its parameters.
 
-    r_t = w_t (gain x_t(poles, start) + offset - y_t),    p = (log pole coefficients, gain, [offset], [starts])
+    r_t = w_t (gain x_t(poles, start) + offset - y_t),    p = (log pole coefficients, gain, offset, [starts])
+    the offset is fitted only where no record starts at rest: a linear model's misfit would bend it by far more than
+    the first samples leave open (cone100 sweep: 11 um against 1)
 
 Everything is normalised: voltage, output and frequency by their scales. The covariance is a block sandwich
 (J'J)^-1 (sum_b g_b g_b') (J'J)^-1, g_b the gradient over one of 64 blocks of time: model error is strongly
 correlated, and the textbook formula would understate the errors by an order of magnitude.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 
 import equinox as eqx
@@ -15,7 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._errors import BadInput
 from ._poles import respond
+from ._record.preprocess import force_band
+from ._record.record import Record
+from ._rest import initial_rest
 
 _BLOCKS = 64
 
@@ -36,7 +43,35 @@ class OutputError(eqx.Module):
 
     def parameters(self, order: int) -> int:
         """Number of parameters: poles, gain, an offset unless some record rests, a start per moving record."""
-        return order + 1 + (not any(self.rest)) + order * self.rest.count(False)
+        return order + 1 + self.free_offset + order * self.rest.count(False)
+
+    @property
+    def free_offset(self) -> bool:
+        """Whether the sensor's offset has to be fitted."""
+        return not any(self.rest)
+
+
+def build_problem(records: Sequence[Record], input_map: str) -> OutputError:
+    """Normalise and pad the records; find rest, offset and the unit of frequency."""
+    dt, size = records[0].dt, max(r.samples for r in records)
+    rest, offset = initial_rest(records)
+    output, drive, weight = (np.zeros((len(records), size)) for _ in range(3))
+    for k, r in enumerate(records):
+        drive[k, : r.samples], drive[k, r.samples :] = r.voltage, r.voltage[-1]
+        weight[k, : r.samples] = r.observed
+        output[k, : r.samples] = np.where(r.observed, r.displacement - offset, 0.0)
+    voltage_scale, output_scale = float(np.abs(drive).max()), float(np.sqrt((output**2).sum() / weight.sum()))
+    if np.ptp(drive) == 0:
+        raise BadInput("the voltage never changes in these records: record an excitation such as a sweep")
+    if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
+        raise BadInput("the displacement never changes in these records: check the sensor and its column")
+    band = force_band([np.asarray(r.voltage ** (2 if input_map == "square" else 1)) for r in records], dt)
+    return OutputError(
+        jnp.asarray(drive / voltage_scale), jnp.asarray(output / output_scale), jnp.asarray(weight),
+        rest=tuple(bool(v) for v in rest), square=input_map == "square", dt=dt,
+        omega=float(2 * np.pi * min(band, 0.1 / dt)), voltage_scale=voltage_scale, output_scale=output_scale,
+        offset=offset,
+    )  # fmt: skip
 
 
 @partial(jax.jit, static_argnames=("order", "hold"))
@@ -45,14 +80,12 @@ def residual(
 ) -> Float[Array, " residuals"]:
     """Weighted output error, flattened over records and time."""
     rest = np.asarray(problem.rest)
-    free_offset = not rest.any()
-    offset = params[order + 1] if free_offset else 0.0
     starts = jnp.zeros((len(rest), order), params.dtype)
     if not rest.all():
-        starts = starts.at[np.flatnonzero(~rest)].set(params[order + 1 + free_offset :].reshape(-1, order))
+        starts = starts.at[np.flatnonzero(~rest)].set(params[order + 1 + problem.free_offset :].reshape(-1, order))
     run = partial(respond, step=problem.omega * problem.dt, square=problem.square, hold=hold)
     unit = jax.vmap(run, in_axes=(None, 0, None))(params[:order], problem.drive, jnp.zeros(order, params.dtype))
-    modelled = params[order] * unit + offset
+    modelled = params[order] * unit + (params[order + 1] if problem.free_offset else 0.0)
     if not rest.all():  # the free response is linear in the start: added outside the gain
         free = jax.vmap(run, in_axes=(None, None, 0))(params[:order], 0 * problem.drive[0], starts)
         modelled = modelled + free

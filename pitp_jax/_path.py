@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
+from scipy.linalg import expm
 from scipy.optimize import lsq_linear
-from scipy.signal import cont2discrete, dlsim
 
 from ._errors import BadInput
 from ._model.model import Model
@@ -91,20 +91,13 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     Returns:
         displacement (count,) in m and force (count,); the next sample is the target's first.
     """
-    n = len(a) - 1
     pieces = int(np.clip(count // 4, 8, 40))
     knots = np.concatenate([np.zeros(3), np.linspace(0, count * dt, pieces + 1), np.full(3, count * dt)])
     t = np.arange(count + 1) * dt
     design = BSpline.design_matrix(np.minimum(t, count * dt * (1 - 1e-12)), knots, 3)
     basis = np.asarray(design.todense(), np.float64)[:, 2:]  # without the first two: F(0) = F'(0) = 0
-    companion = np.vstack([np.eye(n)[1:], -a[:-1][None] / a[-1]])
-    system = cont2discrete((companion, np.eye(n)[:, -1:] / a[-1], np.eye(n), np.zeros((n, 1))), dt, method="foh")
-    responses = []
-    for column in basis.T:
-        _, states, _ = dlsim((*system[:4], dt), column)
-        responses.append(states)
-    last = np.stack([r[-1] for r in responses], -1)  # S(T) per coefficient
-    last = np.vstack([last, (basis[-1] - a[:-1] @ last) / a[-1]])
+    states = _respond(a, basis, dt)  # (time, n, coefficients)
+    last = np.vstack([states[-1], (basis[-1] - a[:-1] @ states[-1]) / a[-1]])  # X(T) per coefficient
     size = np.abs(last).max(1)
     size = np.where(size > 0, size, 1.0)
     smooth = np.diff(np.eye(basis.shape[1]), 2, axis=0)
@@ -112,8 +105,21 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     rows = np.vstack([1e4 * last / size[:, None], smooth, 1e-2 * np.eye(basis.shape[1])])
     rhs = np.concatenate([1e4 * end / size / unit, np.zeros(len(smooth) + basis.shape[1])])
     c = lsq_linear(rows, rhs, bounds=(0.98 * low / unit, 0.98 * high / unit)).x * unit
-    x = np.tensordot(c, np.stack([r[:, 0] for r in responses]), 1)
-    return x[:-1], (basis @ c)[:-1]
+    return (states[:, 0] @ c)[:-1], (basis @ c)[:-1]
+
+
+def _respond(a: np.ndarray, forces: np.ndarray, dt: float) -> np.ndarray:
+    """States [x, ..., x^(n-1)] of the nominal ODE from rest under forces (T, k), linear between samples: (T, n, k)."""
+    n = len(a) - 1
+    chained = np.zeros((n + 2, n + 2))
+    chained[:n, :n] = np.vstack([np.eye(n)[1:], -a[:-1][None] / a[-1]])
+    chained[n - 1, n], chained[n, n + 1] = 1 / a[-1], 1 / dt
+    exact = expm(chained * dt)
+    states = np.zeros((len(forces), n, forces.shape[1]))
+    for t in range(len(forces) - 1):
+        driven = np.outer(exact[:n, n], forces[t]) + np.outer(exact[:n, n + 1], forces[t + 1] - forces[t])
+        states[t + 1] = exact[:n, :n] @ states[t] + driven
+    return states
 
 
 def limit_slew(voltage: np.ndarray, limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +129,7 @@ def limit_slew(voltage: np.ndarray, limits, dt: float) -> tuple[np.ndarray, np.n
         The voltage kept, and True where it differs from the voltage asked for.
     """
     kept = np.clip(voltage, limits.low, limits.high)
-    most = limits.slew * dt * (1 + 1e-6)
+    most = limits.slew * dt
     if np.isfinite(most) and (np.abs(np.diff(kept)) > most).any():
         for i in range(1, len(kept)):
             kept[i] = min(max(kept[i], kept[i - 1] - most), kept[i - 1] + most)

@@ -70,7 +70,8 @@ def starts_at_rest(record: Record, offset: float) -> bool:
 def initial_rest(records: Sequence[Record]) -> tuple[np.ndarray, float]:
     """Which records start at rest, and the sensor's offset: the value most still starts share.
 
-    If no record is still the offset is the median first value: a start for the fit, not a measurement.
+    Among the records at rest the offset is averaged over their longest quiet beginnings (`_rest_level`). If no
+    record is still it is the median first value: a start for the fit, not a measurement.
 
     Returns:
         rest: bool (records,); offset: output unit.
@@ -81,6 +82,31 @@ def initial_rest(records: Sequence[Record]) -> tuple[np.ndarray, float]:
     if np.isnan(value).all():
         return np.zeros(len(records), bool), float(np.nanmedian([v[-1] for _, v, _ in found]))
     votes = [np.nansum(np.abs(value - c) <= tolerance) for c in value]
-    near = np.abs(value - value[int(np.argmax(votes))]) <= tolerance
-    offset = float(np.average(value[near], weights=1 / (tolerance[near] ** 2 + 1e-30)))
+    near = np.flatnonzero(np.abs(value - value[int(np.argmax(votes))]) <= tolerance)
+    levels, errors = zip(*[_rest_level(records[k]) for k in near], strict=True)
+    offset = float(np.average(levels, weights=1 / (np.array(errors) ** 2 + 1e-30)))
     return np.array([starts_at_rest(r, offset) for r in records]), offset
+
+
+def _rest_level(record: Record) -> tuple[float, float]:
+    """First value of a record known to start at rest, and its standard error.
+
+    Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window, from 12 samples doubled as often as the
+    fit leaves no more than the noise: a sweep's slow beginning gives thousands of samples.
+    """
+    noise, best = noise_std(record.displacement), (float(record.displacement[record.observed][0]), np.inf)
+    window = 12
+    while window <= record.samples:
+        t, y = np.arange(window) / window, record.displacement[:window]
+        keep = np.isfinite(y)
+        if keep.sum() >= 8:
+            basis = np.stack([t**0, t**2, t**3, t**4], -1)[keep]
+            fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
+            left = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))
+            if np.isfinite(best[1]) and left > noise * (1 + 1.5 / np.sqrt(2 * keep.sum())):
+                break
+            error = max(left, noise) * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
+            if error < best[1]:
+                best = float(fit[0]), float(error)
+        window *= 2
+    return best

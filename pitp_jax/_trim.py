@@ -49,8 +49,9 @@ def pi_trim(
         u, u_next, wanted = now
         error = wanted - x
         correction = p * error + i * (total + error * dt)
+        free = (u + correction >= low) & (u + correction <= high)
         first, last = jnp.clip(u + correction, low, high), jnp.clip(u_next + correction, low, high)
-        total = jnp.where(first == u + correction, total + error * dt, total)
+        total = jnp.where(free, total + error * dt, total)
         state, following = step(state, first, last)
         return (state, following, total), (x, first)
 

@@ -72,8 +72,7 @@ def bench(tmp_path_factory):
     rise = 0.5 * (1 - np.cos(np.pi * np.clip(TIME / 1.0, 0, 1)))
     wanted = 1e-3 * rise * (1.0 + 0.5 * np.sin(2 * np.pi * TIME))
     (root / "target.csv").write_text(
-        "time_s,displacement_mm\n"
-        + "".join(f"{t:.6f},{1e3 * x:.9g}\n" for t, x in zip(TIME, wanted, strict=True))
+        "time_s,displacement_mm\n" + "".join(f"{t:.6f},{1e3 * x:.9g}\n" for t, x in zip(TIME, wanted, strict=True))
     )
     return root
 
@@ -203,9 +202,7 @@ def quick_identify(monkeypatch, identified):
 
 def test_identify_writes_and_reports(call, bench, tmp_path, quick_identify):
     out = tmp_path / "nominal"
-    code, text, _ = call(
-        "identify", bench / "records", "--out", out, "--order", "2", "--json", tmp_path / "j"
-    )
+    code, text, _ = call("identify", bench / "records", "--out", out, "--order", "2", "--json", tmp_path / "j")
     assert code == 0
     assert quick_identify[0][0] == ["sine2", "sine4", "sweep"]
     assert quick_identify[0][1]["order"] == 2
@@ -272,9 +269,7 @@ def test_bad_records_are_refused(call, bench, tmp_path):
     ):
         refused(call("identify", *records, "--out", tmp_path / "m"))
         refused(call("fit", *records, "--out", tmp_path / "m"))
-        refused(
-            call("predict", bench / "nominal", *records, "--json", tmp_path / "j", "--out", tmp_path / "d")
-        )
+        refused(call("predict", bench / "nominal", *records, "--json", tmp_path / "j", "--out", tmp_path / "d"))
     assert tree(tmp_path) == before
 
 
@@ -406,18 +401,14 @@ def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
 
 def test_fit_is_reproducible_by_seed(call, bench, tmp_path, trainer):
     for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        call(
-            "fit", bench / "records", "--out", tmp_path / name, "--nominal", bench / "nominal", "--seed", seed
-        )
+        call("fit", bench / "records", "--out", tmp_path / name, "--nominal", bench / "nominal", "--seed", seed)
     a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
     assert a == b
     assert a != c
 
 
 @pytest.mark.parametrize("found", [["sweep"], []])
-def test_fit_identifies_on_sweeps_else_on_all(
-    call, bench, tmp_path, trainer, quick_identify, monkeypatch, found
-):
+def test_fit_identifies_on_sweeps_else_on_all(call, bench, tmp_path, trainer, quick_identify, monkeypatch, found):
     monkeypatch.setattr(_identify, "is_sweep", lambda record: record.name in found)
     code, _, err = call("fit", bench / "records", "--out", tmp_path / "m", "--order", "2")
     assert code == 0
@@ -500,9 +491,7 @@ def test_predict_writes_scores_and_records_in_their_own_units(call, bench, tmp_p
         np.testing.assert_allclose(values[:, 1], voltage / 1e3, atol=1e-8)
         np.testing.assert_allclose(values[:, 2], x * 1e3, atol=1e-7)
         assert np.sqrt(np.mean((values[:, 3] - values[:, 2]) ** 2)) == pytest.approx(row["rmse"], rel=1e-4)
-    assert result["median_e_rms_percent"] == np.median(
-        [row["e_rms_percent"] for row in result["records"].values()]
-    )
+    assert result["median_e_rms_percent"] == np.median([row["e_rms_percent"] for row in result["records"].values()])
     assert "median e_rms" in text
     assert tree(tmp_path) == sorted(
         ["new", "new/folder", "scores.json", *(f"new/folder/{name}.csv" for name in DRIVES)]
@@ -514,9 +503,7 @@ def test_predict_counts_missing_samples_and_names_moving_records(call, bench, tm
     gaps = x.copy()
     gaps[700:720] = np.nan
     moving = write_record(tmp_path / "moving.csv", voltage[315:], gaps[315:], time=TIME[315:])
-    assert (
-        call("predict", bench / "nominal", moving, "--json", tmp_path / "j", "--out", tmp_path / "d")[0] == 0
-    )
+    assert call("predict", bench / "nominal", moving, "--json", tmp_path / "j", "--out", tmp_path / "d")[0] == 0
     code, text, _ = call("predict", bench / "nominal", moving, "--json", tmp_path / "j")
     assert code == 0
     assert "moving: starts moving; initial state estimated from the first 50 samples" in text
@@ -684,9 +671,7 @@ def quick_inverse(monkeypatch):
 def test_invert_writes_the_voltage_and_counts(call, bench, tmp_path, quick_inverse):
     out, file = tmp_path / "v.csv", tmp_path / "j"
     limits = ["--max-voltage", "1500", "--max-slew", "2e4"]
-    code, text, err = call(
-        "invert", bench / "nominal", bench / "target.csv", "--out", out, "--json", file, *limits
-    )
+    code, text, err = call("invert", bench / "nominal", bench / "target.csv", "--out", out, "--json", file, *limits)
     assert code == 0
     assert err == "pitp: warning: 25 % of the target lies outside the trained region\n"
     assert quick_inverse[0][1:] == (1500.0, 2e4)

@@ -32,9 +32,7 @@ def test_sweep_starts_at_rest_and_has_the_linear_frequency():
     frequency = 1.0 + 19.0 * (crossing[:-1] + crossing[1:]) / 2 / 10.0  # exact for a linear sweep
     np.testing.assert_allclose(1 / np.diff(crossing), frequency, rtol=2e-3)
     # eq. 14 itself
-    np.testing.assert_allclose(
-        values, 3 * np.sin(np.pi * (1.9 * time + 2.0) * time - np.pi / 2) + 3, atol=1e-9
-    )
+    np.testing.assert_allclose(values, 3 * np.sin(np.pi * (1.9 * time + 2.0) * time - np.pi / 2) + 3, atol=1e-9)
 
 
 def test_rise_and_rest():
@@ -61,9 +59,7 @@ def test_steps():
     assert values[0] == 0.0
     for k, level in enumerate((2000.0, 500.0, 4000.0)):
         np.testing.assert_allclose(values[1000 * k + 100 : 1000 * (k + 1)], level)
-    assert (
-        np.abs(np.diff(values)).max() < 3500 * 1.9 / 100
-    )  # steepest slope of the smooth step is 1.875 / rise
+    assert np.abs(np.diff(values)).max() < 3500 * 1.9 / 100  # steepest slope of the smooth step is 1.875 / rise
     np.testing.assert_array_equal(steps([1.0], 0.1, 1000.0, rise=0.0)[1], 1.0)
     with pytest.raises(ValueError, match="rise"):
         steps([1.0], 0.1, 1000.0, rise=0.2)

@@ -63,9 +63,7 @@ CASES = {
     "no notes": lambda: model(provenance=Provenance(1.0)),
     "odd notes": lambda: model(provenance=PROVENANCE.with_(notes='{"a":1}  ')),
     "notes of text": lambda: model(provenance=PROVENANCE.with_(notes="not json\n")),
-    "notes that look like an infinity": lambda: model(
-        provenance=PROVENANCE.with_(notes='{"x": {"float": "inf"}}')
-    ),
+    "notes that look like an infinity": lambda: model(provenance=PROVENANCE.with_(notes='{"x": {"float": "inf"}}')),
 }
 
 

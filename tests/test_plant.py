@@ -34,9 +34,7 @@ def energy(p, state):
     p2 = p.prestretch**2
     gent = -0.5 * p.spring * p.limit * np.log(1.0 - (p2 * q + p2 + 1.0 / (p2**2 * q) - 3.0) / p.limit)
     ratio = p.stretch_ratio(x)
-    memory = sum(
-        k / 4 * (ratio / b + b / ratio - 2.0) for (k, _), b in zip(p.branches, 1.0 + state[2:], strict=True)
-    )
+    memory = sum(k / 4 * (ratio / b + b / ratio - 2.0) for (k, _), b in zip(p.branches, 1.0 + state[2:], strict=True))
     return gent + memory - p.mass * 9.81 * x + 0.5 * p.mass * v**2
 
 
@@ -96,9 +94,9 @@ def test_free_motion_only_loses_energy(name):
     with jax.enable_x64(True):
         step, rest = stepper(p)
         start = rest.at[0].set(1.5)
-        states = jax.jit(
-            lambda y: jax.lax.scan(lambda s, _: (step(s, 0.0, 0.0)[0],) * 2, y, length=int(p.rate_hz))[1]
-        )(start)
+        states = jax.jit(lambda y: jax.lax.scan(lambda s, _: (step(s, 0.0, 0.0)[0],) * 2, y, length=int(p.rate_hz))[1])(
+            start
+        )
     states = np.vstack([np.asarray(start)[None], np.asarray(states)])
     e = np.array([energy(p, s) for s in states]) - energy(p, np.zeros(len(rest)))
     assert (np.diff(e) <= 1e-7 * e[0]).all()

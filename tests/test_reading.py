@@ -165,9 +165,7 @@ def test_npz_with_objects_is_refused_and_not_unpickled(tmp_path):
         def __reduce__(self):
             return (os.mkdir, (str(tmp_path / "ran"),))
 
-    np.savez(
-        tmp_path / "a.npz", time_s=TIME, voltage_V=VOLTAGE, displacement_mm=np.array([Bomb()], dtype=object)
-    )
+    np.savez(tmp_path / "a.npz", time_s=TIME, voltage_V=VOLTAGE, displacement_mm=np.array([Bomb()], dtype=object))
     assert "displacement_mm" in refused(tmp_path / "a.npz")
     assert not (tmp_path / "ran").exists()
 

@@ -1,0 +1,93 @@
+"""The discrete inverse gives back the force that drove the decoder, whatever the model and the voltage."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from pitp_jax._decode import rest_state, rollout
+from pitp_jax._discrete_inverse import discrete_inverse
+from pitp_jax._model.encoder import AbstractEncoder
+from pitp_jax._model.input_map import LinearInput, SquareInput
+
+DT, SAMPLES = 1e-3, 200
+HZ = 0.1 / DT / (2 * np.pi)  # the scales' frequency; the model's own is drawn anew each time
+SEED = st.integers(0, 2**31 - 1)
+
+
+class Rescaled(AbstractEncoder):
+    """An encoder that sees its features times `factor`: another frequency scale without another compiled shape."""
+
+    inner: AbstractEncoder
+    factor: jax.Array
+
+    def __call__(self, features, *, key=None):
+        return self.inner(features * self.factor)
+
+
+roll = eqx.filter_jit(rollout)
+
+
+def random_model(nonlinear, seed, w_dt, order, size, **options):
+    """Random stable poles of about w_dt / dt rad/s, random encoder (logits of about `size`), two fading memories."""
+    rng = np.random.default_rng(seed)
+    model, w = nonlinear(order, key=seed % 1000, size=size, hz=HZ, dt=DT, **options), w_dt / DT
+    poly = np.ones(1)
+    for _ in range(order // 2):
+        pole = w * rng.uniform(0.7, 1)
+        poly = np.convolve(poly, [1.0, 2 * rng.uniform(0.03, 1.2) / pole, 1 / pole**2])
+    if order % 2:
+        poly = np.convolve(poly, [1.0, 1 / (w * rng.uniform(0.5, 1))])
+    # poly_i scale_i over poly_0 scale_0: the scaled coefficients, of order (0.1 / w_dt)^i in the fixed scales
+    ratio = np.asarray(model.scales.state) / model.scales.state[0]
+    slower = (2 * np.pi * HZ / w) ** np.arange(order)
+    encoder = Rescaled(model.encoder, jnp.asarray(np.append(slower, np.ones(2)), jnp.float32))
+    log_tau = jnp.asarray(np.log(np.array([5.0, 50.0]) / w), jnp.float32)
+    return eqx.tree_at(
+        lambda m: (m.coefficients, m.encoder, m.memory.log_tau),
+        model,
+        (jnp.asarray(poly * ratio, jnp.float32), encoder, log_tau),
+    )
+
+
+def force_error(model, signed, seed):
+    """Largest error of the recovered force over the largest force of a random voltage."""
+    rng, dtype = np.random.default_rng(seed), model.coefficients.dtype
+    u = jnp.asarray(1e6 * rng.uniform(-1, 1, SAMPLES) if signed else 1e3 * rng.uniform(0, 1, SAMPLES), dtype)
+    states = roll(model, u, DT, rest_state(model))
+    assume(bool(jnp.abs(states[:, 0]).max() < 50))  # nan fails too: a rollout that diverged has no inverse
+    found = discrete_inverse(model, states, DT, u[0] if model.hold == "foh" else None)
+    assert found.shape == (SAMPLES - 1,)
+    force = model.input_map.force
+    return float(jnp.abs(force(found) - force(u[:-1])).max() / jnp.abs(force(u)).max())
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("input_map", [SquareInput, LinearInput])
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_recovers_the_force_of_every_step(nonlinear, double, order, hold, input_map, precision):
+    @settings(max_examples=6, deadline=None, derandomize=True, database=None)
+    @given(seed=SEED, log_w=st.floats(np.log(0.02), np.log(0.5)), size=st.floats(0.0, 0.3))
+    def check(seed, log_w, size):
+        w_dt = float(np.exp(log_w))
+        model = random_model(nonlinear, seed, w_dt, order, size, hold=hold, input_map=input_map())
+        if precision == "float64":
+            with jax.enable_x64(True):
+                assert force_error(double(model), input_map is LinearInput, seed) <= 1e-9
+        else:
+            bound = max(1e-4, 20 * float(np.finfo(np.float32).eps) / w_dt)
+            assert force_error(model, input_map is LinearInput, seed) <= bound
+
+    check()
+
+
+def test_refuses_substeps(nonlinear):
+    model = replace(nonlinear(2), substeps=2)
+    with pytest.raises(ValueError, match="substeps = 1"):
+        discrete_inverse(model, jnp.zeros((10, 4)), DT)

@@ -1,0 +1,143 @@
+"""Planted linear systems come back from noisy sweeps, within their own standard errors."""
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from pitp_jax._errors import BadInput, ComputationFailed
+from pitp_jax._identify import identify
+from pitp_jax._record.record import Record
+
+DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
+TIME = np.arange(SAMPLES) * DT
+SWEEP = 1000 * (1 - np.cos(2 * np.pi * (0.1 * TIME + 14.9 * TIME**2 / 16)))  # 0.1 to 15 Hz, the force to 30 Hz
+
+
+def simulate(a, voltage, *, square=True, hold="foh", fine=16):
+    """Exact response of sum a_i x^(i) = F for a force linear (foh: between 16 times finer samples) or held."""
+    fine = fine if hold == "foh" else 1
+    places = np.arange((len(voltage) - 1) * fine + 1) / fine
+    drive = np.interp(places, np.arange(len(voltage)), voltage)
+    top, bottom, _ = cont2discrete(([1.0], a[::-1] / a[0]), DT / fine, method=hold)
+    return lfilter(top.ravel(), bottom, drive**2 if square else drive)[::fine] / a[0]
+
+
+def sweep(a, seed=0, *, voltage=SWEEP, name="sweep", **options):
+    x = simulate(a, voltage, **options)
+    noise = NOISE * x.std() * np.random.default_rng(seed).standard_normal(SAMPLES)
+    return Record(name, TIME, voltage, x + noise)
+
+
+def changed(record, displacement):
+    return Record(record.name, record.time, record.voltage, displacement)
+
+
+def errors(fit, a):
+    """Coefficient errors in standard errors; the standard errors must be small enough to mean something."""
+    assert (fit.stderr < 0.02 * a).all()
+    return np.abs(fit.coefficients - a) / fit.stderr
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_planted_orders_come_back(coefficients, order):
+    a = coefficients(order)
+    found = identify([sweep(a, order)], order=order, hold="foh")
+    assert errors(found.chosen, a).max() < 5
+    assert found.rest == {"sweep": True}
+    assert found.chosen.rms == pytest.approx(NOISE * simulate(a, SWEEP).std(), rel=0.05)
+    model = found.model
+    np.testing.assert_allclose(model.physical_coefficients, found.chosen.coefficients, rtol=1e-6)
+    assert model.order == order and model.hold == "foh"
+    if order == 2:
+        assert found.chosen.natural_hz == pytest.approx([5.0], rel=1e-3)
+        assert found.chosen.damping == pytest.approx([0.1], rel=0.01)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_auto_picks_the_planted_order(coefficients, order):
+    a = coefficients(order)
+    found = identify([sweep(a, 10 + order)], order="auto")
+    assert (found.chosen.order, found.chosen.hold) == (order, "foh")
+    assert errors(found.chosen, a).max() < 5
+    mae = [f.mae for f in found.orders]
+    assert mae[order - 2] > 1.5 * mae[order - 1]  # the next smaller order is far worse
+
+
+def test_offset_and_reversed_laser(coefficients):
+    a = coefficients(2)
+    record = sweep(a, 20)
+    found = identify([changed(record, 7.5e-3 - record.displacement)], order=2, hold="foh").chosen
+    assert found.polarity == -1.0
+    assert found.offset == pytest.approx(7.5e-3, abs=1e-3 * np.ptp(record.displacement))
+    assert errors(found, a).max() < 5
+
+
+def test_gaps_are_masked(coefficients):
+    a = coefficients(2)
+    record = sweep(a, 21)
+    x = record.displacement.copy()
+    for start in (0, 1500, 3300, 6000):
+        x[start + 300 : start + 500] = np.nan
+    x[2000:2003] = np.nan
+    assert errors(identify([changed(record, x)], order=2, hold="foh").chosen, a).max() < 5
+
+
+def test_coefficients_follow_the_units(coefficients):
+    record = sweep(coefficients(2), 22)
+    first, second = (
+        identify([changed(record, k * record.displacement)], order=2, hold="foh").chosen for k in (1.0, 1e3)
+    )
+    np.testing.assert_allclose(second.coefficients, first.coefficients * 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(second.stderr, first.stderr * 1e-3, rtol=1e-3)
+
+
+def test_standard_errors_cover(coefficients):
+    """Errors over seeds are of the size the standard errors say, neither hidden nor inflated."""
+    a = coefficients(2)
+    z = [errors(identify([sweep(a, seed)], order=2, hold="foh").chosen, a) for seed in range(30, 42)]
+    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 2.5
+
+
+def test_held_voltage_is_told_from_linear(coefficients):
+    a = coefficients(2)
+    found = identify([sweep(a, 23, hold="zoh")], order=2)
+    assert found.chosen.hold == found.model.hold == "zoh"
+    assert errors(found.chosen, a).max() < 5
+
+
+def test_a_moving_start(coefficients):
+    """Cut from the middle of a sweep and padded to length: neither position nor velocity start at zero."""
+    a = coefficients(2)
+    lead = np.concatenate([SWEEP[3500:6000][::-1], SWEEP])
+    x = simulate(a, lead)[1000 : 1000 + SAMPLES] + 1e-3
+    x = x + NOISE * x.std() * np.random.default_rng(24).standard_normal(SAMPLES)
+    found = identify([Record("cut", TIME, lead[1000 : 1000 + SAMPLES], x)], order=2, hold="foh")
+    assert found.rest == {"cut": False}
+    assert found.chosen.offset == pytest.approx(1e-3, abs=1e-3 * np.ptp(x))
+    assert errors(found.chosen, a).max() < 5
+
+
+def test_linear_input(coefficients):
+    a = coefficients(2)
+    voltage = SWEEP - 1000
+    voltage = voltage * np.minimum(TIME / 0.5, 1)
+    found = identify([sweep(a, 25, voltage=voltage, square=False)], order=2, hold="foh", input_map="linear")
+    assert errors(found.chosen, a).max() < 5
+
+
+def test_one_sine_cannot_carry_six_orders(coefficients):
+    voltage = 1000 * (1 - np.cos(2 * np.pi * 3 * TIME))
+    with pytest.raises(ComputationFailed, match="order 6 cannot be identified"):
+        identify([sweep(coefficients(2), 26, voltage=voltage)], order=6, hold="foh")
+
+
+def test_nothing_to_identify(coefficients):
+    record = sweep(coefficients(2))
+    with pytest.raises(BadInput, match="voltage never changes"):
+        identify([Record("flat", TIME, np.full(SAMPLES, 500.0), record.displacement)], order=2)
+    with pytest.raises(BadInput, match="displacement never changes"):
+        identify([changed(record, np.full(SAMPLES, 2e-3))], order=2)
+    with pytest.raises(BadInput, match="order 7"):
+        identify([record], order=7)
+    with pytest.raises(BadInput, match="unknown input map 'cubic'"):
+        identify([record], input_map="cubic")

@@ -1,0 +1,107 @@
+"""Stable polynomials by construction, and exact responses to sampled voltages."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.signal import lsim
+
+from pitp_jax._poles import logs_from_roots, polynomial, respond
+
+STEP = 0.4
+
+
+def coefficients(logs):
+    with jax.enable_x64(True):
+        return np.asarray(polynomial(jnp.asarray(logs, jnp.float64)))
+
+
+def run(logs, drive, start=None, *, square, hold, step=STEP):
+    with jax.enable_x64(True):
+        start = jnp.zeros(len(logs)) if start is None else jnp.asarray(start)
+        return np.asarray(
+            respond(jnp.asarray(logs, jnp.float64), jnp.asarray(drive), start, step=step, square=square, hold=hold)
+        )
+
+
+decay = st.floats(0.05, 3.0)
+pairs = st.lists(st.tuples(decay, st.floats(0.05, 4.0)), max_size=3)
+reals = st.lists(st.floats(0.05, 5.0), max_size=2)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(pairs, reals)
+def test_every_stable_polynomial_is_reached(pairs, reals):
+    roots = [r for a, b in pairs for r in (-a + 1j * b, -a - 1j * b)] + [-a + 0j for a in reals]
+    if not roots:
+        return
+    truth = np.poly(roots).real[::-1]
+    np.testing.assert_allclose(coefficients(logs_from_roots(np.array(roots))), truth, rtol=1e-9)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.lists(st.floats(-2.5, 2.5), min_size=1, max_size=4))
+def test_any_logarithms_are_stable(logs):
+    poly = coefficients(np.array(logs))
+    assert poly[-1] == 1 and (poly > 0).all()
+    assert np.roots(poly[::-1]).real.max() < 0
+
+
+def test_unstable_roots_are_reflected():
+    logs = logs_from_roots(np.array([0.5 + 2j, 0.5 - 2j, 3.0]))
+    np.testing.assert_allclose(
+        np.sort_complex(np.roots(coefficients(logs)[::-1])), np.sort_complex([-0.5 + 2j, -0.5 - 2j, -3.0])
+    )
+
+
+LOGS = {1: [0.2], 2: [-1.5, 0.1], 3: [-1.0, 0.3, 0.8], 4: [-1.5, 0.1, 0.5, 1.9]}
+
+
+def system(logs):
+    poly = coefficients(logs)
+    n = len(logs)
+    a = np.eye(n, k=1)
+    a[-1] = -poly[:-1]
+    return a, np.append(np.zeros(n - 1), poly[0])[:, None], np.eye(n)[:1], np.zeros((1, 1))
+
+
+@pytest.mark.parametrize("order", LOGS)
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_linear_drive_against_scipy(order, hold):
+    rng = np.random.default_rng(order)
+    drive, start = rng.standard_normal(60), rng.standard_normal(order)
+    truth = lsim(system(LOGS[order]), drive, np.arange(60) * STEP, X0=start, interp=hold == "foh")[1]
+    np.testing.assert_allclose(run(LOGS[order], drive, start, square=False, hold=hold), truth, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_squared_ramps_against_an_adaptive_solver(order):
+    """The force u(t)^2 of a voltage linear between samples, integrated sample by sample to 1e-11."""
+    drive = np.random.default_rng(3).standard_normal(12)
+    a, b, *_ = system(LOGS[order])
+    state, truth = np.zeros(order), [0.0]
+    for now, later in zip(drive[:-1], drive[1:], strict=True):
+
+        def slope(t, s, now=now, later=later):
+            return a @ s + b[:, 0] * (now + (later - now) * t / STEP) ** 2
+
+        state = solve_ivp(slope, (0, STEP), state, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+        truth.append(state[0])
+    np.testing.assert_allclose(run(LOGS[order], drive, square=True, hold="foh"), truth, rtol=0, atol=1e-9)
+    held = lsim(system(LOGS[order]), drive**2, np.arange(12) * STEP, interp=False)[1]
+    np.testing.assert_allclose(run(LOGS[order], drive, square=True, hold="zoh"), held, rtol=0, atol=1e-10)
+
+
+def test_finer_samples_of_the_same_ramps_change_nothing():
+    drive = np.random.default_rng(4).standard_normal(40)
+    fine = np.interp(np.arange(39 * 5 + 1) / 5, np.arange(40), drive)
+    coarse = run(LOGS[2], drive, square=True, hold="foh")
+    np.testing.assert_allclose(run(LOGS[2], fine, square=True, hold="foh", step=STEP / 5)[::5], coarse, atol=1e-11)
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_unit_static_gain(hold):
+    assert run(LOGS[3], np.full(400, 1.7), square=True, hold=hold)[-1] == pytest.approx(1.7**2, rel=1e-9)

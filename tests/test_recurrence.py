@@ -1,0 +1,67 @@
+"""Blocked recurrences against the plain loop, and lags against closed forms and scipy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lsim
+
+from pitp_jax._recurrence import first_order_lags, linear_recurrence
+
+LENGTHS = (1, 2, 3, 4, 5, 13, 16, 17, 64, 97)
+
+
+def plain_loop(matrix, drive, start):
+    states = [start]
+    for b in drive[:-1]:
+        states.append(matrix @ states[-1] + b)
+    return np.stack(states)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(steps=st.sampled_from(LENGTHS), n=st.integers(1, 4), seed=st.integers(0, 10**6))
+def test_blocks_equal_the_plain_loop(steps, n, seed):
+    rng = np.random.default_rng(seed)
+    matrix = rng.standard_normal((n, n))
+    matrix *= rng.uniform(0.2, 1.0) / np.abs(np.linalg.eigvals(matrix)).max()
+    drive, start = rng.standard_normal((steps, n)), rng.standard_normal(n)
+    with jax.enable_x64(True):
+        found = np.asarray(linear_recurrence(*map(jnp.asarray, (matrix, drive, start))))
+    truth = plain_loop(matrix, drive, start)
+    assert found.shape == (steps, n)
+    np.testing.assert_allclose(found, truth, rtol=1e-10, atol=1e-10 * np.abs(truth).max())
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 17, 400])
+def test_lags_of_a_ramp_on_a_level(steps):
+    """X = 1 + 2 t from z(0) = 0.3: z = 1 + 2 (t - tau) + (0.3 - 1 + 2 tau) exp(-t / tau)."""
+    dt, tau = 0.01, np.array([0.004, 0.1, 30.0])
+    t = np.arange(steps)[:, None] * dt
+    with jax.enable_x64(True):
+        found = first_order_lags(jnp.asarray(1 + 2 * t[:, 0]), jnp.asarray(tau), dt, jnp.full(3, 0.3))
+    truth = 1 + 2 * (t - tau) + (0.3 - 1 + 2 * tau) * np.exp(-t / tau)
+    np.testing.assert_allclose(found, truth, rtol=0, atol=1e-12)
+
+
+def test_lags_of_noise_against_scipy():
+    rng, dt, tau = np.random.default_rng(1), 2e-3, np.array([1e-3, 0.05, 2.0])
+    x, start = rng.standard_normal(1000), rng.standard_normal(3)
+    system = (-np.diag(1 / tau), (1 / tau)[:, None], np.eye(3), np.zeros((3, 1)))
+    truth = lsim(system, x, np.arange(1000) * dt, X0=start, interp=True)[2]
+    with jax.enable_x64(True):
+        found = first_order_lags(jnp.asarray(x), jnp.asarray(tau), dt, jnp.asarray(start))
+    np.testing.assert_allclose(found, truth, rtol=0, atol=1e-11)
+
+
+def test_slow_lags_survive_float32():
+    """25,000 samples a time constant, in float32 against float64."""
+    x = np.sin(np.arange(20_000) * 0.01) + 0.5
+    run = [
+        first_order_lags(jnp.asarray(x, jnp.float32), jnp.asarray([25.0]), 1e-3, jnp.asarray([0.0])),
+    ]
+    with jax.enable_x64(True):
+        run.append(first_order_lags(jnp.asarray(x), jnp.asarray([25.0]), 1e-3, jnp.asarray([0.0])))
+    assert np.ptp(run[1]) > 0.2
+    np.testing.assert_allclose(*run, rtol=0, atol=3e-5)
