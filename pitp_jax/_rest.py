@@ -83,7 +83,7 @@ def initial_rest(records: Sequence[Record]) -> tuple[np.ndarray, float]:
         return np.zeros(len(records), bool), float(np.nanmedian([v[-1] for _, v, _ in found]))
     votes = [np.nansum(np.abs(value - c) <= tolerance) for c in value]
     near = np.flatnonzero(np.abs(value - value[int(np.argmax(votes))]) <= tolerance)
-    levels, errors = zip(*[_rest_level(records[k]) for k in near], strict=True)
+    levels, errors = zip(*[_rest_level(records[int(k)]) for k in near], strict=True)
     offset = float(np.average(levels, weights=1 / (np.array(errors) ** 2 + 1e-30)))
     return np.array([starts_at_rest(r, offset) for r in records]), offset
 
