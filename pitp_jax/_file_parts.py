@@ -47,6 +47,7 @@ def _compact_sizes(encoder: CompactEncoder) -> dict:
         "memories": int(first.in_features) - 1,
         "width": trunk.readout.in_features,
         "depth": len(trunk.hidden),
+        "offset": int(encoder.offset),
     }
 
 
@@ -75,7 +76,11 @@ INPUT_MAPS = {
 }
 ENCODERS = {
     "constant": Part(ConstantEncoder, lambda e: {"outputs": e.outputs}, ConstantEncoder),
-    "compact": Part(CompactEncoder, _compact_sizes, lambda **k: CompactEncoder(**k, key=_key())),
+    "compact": Part(
+        CompactEncoder,
+        _compact_sizes,
+        lambda offset, **k: CompactEncoder(**k, offset=bool(offset), key=_key()),
+    ),
     "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
 }
 MEMORIES = {

@@ -36,6 +36,7 @@ class Settings:
     Attributes:
         encoder: "compact" or "paper".
         width, depth: hidden size and hidden layers of the compact encoder.
+        offset: whether the compact encoder has an offset token.
         memory: "fading", "elapsed" or "none".
         memories: how many fading memories, log-spaced from 2 samples of the resonance to half the longest record.
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
@@ -45,12 +46,13 @@ class Settings:
         tolerance [epsilon]: a stage must lower the physics residual by this share to earn another.
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
-        refine_steps, refine_rate, window_s, windows: rollout refinement; window length in periods of the resonance.
+        refine_steps, refine_rate, window_periods, windows: rollout refinement; window length in periods of the resonance.
     """
 
     encoder: str = "compact"
     width: int = 32
     depth: int = 2
+    offset: bool = True
     memory: str = "fading"
     memories: int = 5
     scaling: str = "rms"
@@ -179,7 +181,9 @@ def _with_encoder(model: Model, settings: Settings, key) -> Model:
     if settings.encoder == "paper":
         encoder = PaperEncoder(features, n + 1, key=key)
     else:
-        encoder = CompactEncoder(n, model.memory.size, width=settings.width, depth=settings.depth, key=key)
+        encoder = CompactEncoder(
+            n, model.memory.size, width=settings.width, depth=settings.depth, offset=settings.offset, key=key
+        )
     return eqx.tree_at(lambda m: m.encoder, model, encoder)
 
 

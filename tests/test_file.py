@@ -56,6 +56,9 @@ CASES = {
     "compact": lambda: model(
         encoder=noisy(CompactEncoder(2, 3, width=8, depth=2, key=KEY)), memory=FadingMemory(jnp.arange(3.0))
     ),
+    "compact without offset": lambda: model(
+        encoder=noisy(CompactEncoder(2, 0, width=4, depth=1, offset=False, key=KEY))
+    ),
     "compact order 1": lambda: model(1, encoder=noisy(CompactEncoder(1, 0, width=4, depth=1, key=KEY))),
     "paper": lambda: model(
         encoder=noisy(PaperEncoder(3, 3, width=4, depth=1, dropout=0.25, key=KEY)), memory=ElapsedTime(10.0)

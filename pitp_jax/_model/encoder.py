@@ -76,16 +76,18 @@ class CompactEncoder(AbstractEncoder):
     and 3 Hz, 134 % nrmse against 31 %. The leading token sees the velocity too (33 % without): its load is pulled up
     and falls freely.
 
-    Args at init: order n, number of memories, width and depth (hidden layers) of each trunk.
+    Args at init: order n, number of memories, width and depth (hidden layers) of each trunk, and whether there is an
+    offset token (without one no token can express a force left over when x crosses zero).
     """
 
     restoring: _Trunk
     dynamic: _Trunk
     order: int = eqx.field(static=True)
+    offset: bool = eqx.field(static=True)
 
-    def __init__(self, order: int, memories: int, *, width: int, depth: int, key: PRNGKeyArray):
+    def __init__(self, order: int, memories: int, *, width: int, depth: int, offset: bool = True, key: PRNGKeyArray):
         first, second = jax.random.split(key)
-        self.order = order
+        self.order, self.offset = order, offset
         self.restoring = _Trunk(1 + memories, 2, 1, width, depth, first)
         self.dynamic = _Trunk(order + memories, order, order, width, depth, second)
 
@@ -93,6 +95,7 @@ class CompactEncoder(AbstractEncoder):
         """Logits of one instant."""
         still = jnp.concatenate([features[:1], features[self.order :]])
         first, offset = self.restoring(still)
+        offset = offset if self.offset else jnp.zeros_like(offset)
         return jnp.concatenate([first[None], self.dynamic(features), offset[None]])
 
 
