@@ -1,0 +1,163 @@
+"""Training lowers the error of free runs on drives it never saw, repeats exactly, and ends as it says."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pitp_jax._decode import predict
+from pitp_jax._errors import BadInput, ComputationFailed
+from pitp_jax._metrics import rmse
+from pitp_jax._model.encoder import PaperEncoder
+from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._record.record import Record
+from pitp_jax._train import PRESETS, Settings, train
+
+DT, SAMPLES = 2e-3, 1000
+TIME = np.arange(SAMPLES) * DT
+TINY = Settings(width=8, depth=1, memories=2, epochs=30, stages=2, batch=256, rate=1e-2, refine_steps=0, windows=16)
+KEY = jax.random.key(11)
+
+
+def duffing(a, hz, peak=2000.0, noise=2e-6):
+    """A spring 80 % stiffer at 4 mm: a_0 x (1 + 0.8 (x / 4 mm)^2) + a_1 x' + a_2 x'' = u^2."""
+
+    def drive(t):
+        return peak / 2 * (1 - np.cos(2 * np.pi * hz * t))
+
+    def slope(t, s):
+        spring = a[0] * s[0] * (1 + 0.8 * (s[0] / 4e-3) ** 2)
+        return [s[1], (drive(t) ** 2 - spring - a[1] * s[1]) / a[2]]
+
+    x = solve_ivp(slope, (0, TIME[-1]), [0.0, 0.0], t_eval=TIME, rtol=1e-9, atol=1e-12).y[0]
+    return Record(
+        f"{hz} Hz", TIME, drive(TIME), x + noise * np.random.default_rng(int(10 * hz)).standard_normal(SAMPLES)
+    )
+
+
+@pytest.fixture(scope="module")
+def plant(linear, coefficients):
+    """The model of small motions, three training records, and two held-out ones."""
+    a = coefficients(2, 5.0, 0.15)
+    held_out = [duffing(a, 2.5), duffing(a, 1.5, 1800.0)]
+    return linear(2, 5.0, 0.15, dt=DT), [duffing(a, hz) for hz in (1.0, 2.0, 3.2)], held_out
+
+
+@pytest.fixture(scope="module")
+def first(plant):
+    """One training on the equation error."""
+    return train(plant[0], plant[1], settings=TINY, key=KEY)
+
+
+def errors(model, records):
+    found = predict(model, records)
+    return np.array([rmse(p.displacement, r.displacement) for p, r in zip(found, records, strict=True)])
+
+
+def leaves(model):
+    return jax.tree.leaves(eqx.filter(model, eqx.is_array))
+
+
+def test_equation_error_alone_beats_the_nominal_threefold(plant, first):
+    nominal, _, held_out = plant
+    assert (errors(first.model, held_out) * 3 < errors(nominal, held_out)).all()
+    assert not first.interrupted
+    assert len(first.history) == 2 and first.history[1]["physics"] <= first.history[0]["physics"]
+
+
+def test_rollouts_improve_on_their_start(plant):
+    nominal, records, held_out = plant
+    settings = replace(TINY, epochs=4, stages=1, refine_steps=60, refine_rate=3e-3, window_periods=1.5)
+    seen = []
+    found = train(nominal, records, settings=settings, progress=seen.append, key=KEY)
+    rollouts = [h for h in found.history if h["stage"] == "rollouts"]
+    assert rollouts[-1]["rollout"] < 0.7 * rollouts[0]["before"]
+    assert (errors(found.model, held_out) * 3 < errors(nominal, held_out)).all()
+    assert {p.stage for p in seen} == {"stage 1", "rollouts"}
+
+
+def test_the_nominal_and_the_records_stay(plant, first):
+    nominal, records, _ = plant
+    again = train(nominal, records, settings=replace(TINY, epochs=1, stages=1), key=KEY)
+    assert again.model.order == nominal.order and again.model.hold == nominal.hold
+    for model in (again.model, first.model):
+        np.testing.assert_allclose(model.physical_coefficients, nominal.physical_coefficients, rtol=1e-6)
+    region = np.asarray(first.model.provenance.region)
+    assert region.shape == (4, 2)
+    top = np.max([r.displacement.max() for r in records]) / first.model.scales.state[0]
+    assert region[0, 1] == pytest.approx(top, rel=0.02)
+
+
+def test_the_same_key_gives_the_same_model(plant):
+    nominal, records, _ = plant
+    quick = replace(TINY, epochs=2, stages=1)
+    one, two, other = (train(nominal, records, settings=quick, key=jax.random.key(k)).model for k in (1, 1, 2))
+    assert all(bool(jnp.array_equal(a, b)) for a, b in zip(leaves(one), leaves(two), strict=True))
+    assert any(not bool(jnp.array_equal(a, b)) for a, b in zip(leaves(one), leaves(other), strict=True))
+
+
+def stop_at(stage):
+    def progress(line):
+        if line.stage == stage:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def test_interrupted_before_the_first_stage_there_is_nothing(plant):
+    with pytest.raises(KeyboardInterrupt):
+        train(plant[0], plant[1], settings=TINY, progress=stop_at("stage 1"), key=KEY)
+
+
+def test_interrupted_later_the_best_so_far_is_kept(plant):
+    nominal, records, held_out = plant
+    found = train(nominal, records, settings=TINY, progress=stop_at("stage 2"), key=KEY)
+    assert found.interrupted and found.notes["interrupted"]
+    assert [h["stage"] for h in found.history] == [1]
+    assert (errors(found.model, held_out) < errors(nominal, held_out)).all()
+
+
+def test_gaps_are_masked(plant):
+    """A fifth of the samples missing: the model is as good, in both parts of the training."""
+    nominal, records, held_out = plant
+    torn = []
+    for r in records:
+        x = r.displacement.copy()
+        x[300:400] = x[640:740] = np.nan
+        torn.append(Record(r.name, r.time, r.voltage, x))
+    settings = replace(TINY, refine_steps=10, window_periods=1.5)
+    model = train(nominal, torn, settings=settings, key=KEY).model
+    assert all(bool(jnp.isfinite(a).all()) for a in leaves(model) if eqx.is_inexact_array(a))
+    assert (errors(model, held_out) * 3 < errors(nominal, held_out)).all()
+
+
+def test_nothing_left_to_train_on(plant):
+    nominal, records, _ = plant
+    x = records[0].displacement.copy()
+    x[::8] = np.nan
+    with pytest.raises(BadInput, match="no sample of these records survives"):
+        train(nominal, [Record("sieve", TIME, records[0].voltage, x)], settings=TINY, key=KEY)
+    with pytest.raises(BadInput, match="unknown preset 'fast'"):
+        train(nominal, records, preset="fast", key=KEY)
+
+
+def test_a_loss_that_is_not_finite_is_told(plant):
+    nominal, records, _ = plant
+    broken = eqx.tree_at(lambda m: m.coefficients, nominal, nominal.coefficients * jnp.array([1.0, jnp.nan, 1.0]))
+    with pytest.raises(ComputationFailed, match="stage 1, epoch 1"):
+        train(broken, records, settings=replace(TINY, memory="none"), key=KEY)
+
+
+def test_the_paper_preset(plant):
+    nominal, records, held_out = plant
+    settings = replace(PRESETS["paper"], epochs=6, stages=1, batch=256)
+    found = train(nominal, records, settings=settings, key=KEY)
+    assert isinstance(found.model.encoder, PaperEncoder)
+    assert isinstance(found.model.memory, ElapsedTime)
+    assert found.model.memory.horizon == pytest.approx(SAMPLES * DT, rel=1e-6)
+    assert (errors(found.model, held_out) < errors(nominal, held_out)).all()
+    assert found.history[0]["box"] == pytest.approx([0.8, 1.2])
