@@ -38,8 +38,8 @@ def stage_forces(model: Model, now, later, fraction: float, width: float):
     return first, middle, last
 
 
-def frozen_step(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
-    """One RK4 step of length h (s) with the tokens of its first instant; `state` is S then memory, scaled."""
+def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
+    """What one RK4 step of length h (s) adds, tokens of its first instant; `state` is S then memory, scaled."""
     n = model.order
     tokens, offset = model.tokens(state)
     rates = jnp.asarray(model.scales.rates, state.dtype)
@@ -54,14 +54,15 @@ def frozen_step(model: Model, state: Float[Array, " state"], forces: tuple, h: f
     k2 = slope(state + h / 2 * k1, middle)
     k3 = slope(state + h / 2 * k2, middle)
     k4 = slope(state + h * k3, last)
-    return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def step(model: Model, state: Float[Array, " state"], now, later, dt: float) -> Float[Array, " state"]:
     """Advance one sample: `substeps` RK4 steps, tokens read anew at each."""
     width = 1.0 / model.substeps
     for k in range(model.substeps):
-        state = frozen_step(model, state, stage_forces(model, now, later, k * width, width), dt * width)
+        forces = stage_forces(model, now, later, k * width, width)
+        state = state + frozen_increment(model, state, forces, dt * width)
     return state
 
 

@@ -1,6 +1,6 @@
 """The discrete inverse: the force sequence behind consecutive states of the decoder (PAPER_READINGS, eq. 13).
 
-With frozen tokens a step is affine in its stage forces:  s_{t+1} = p(s_t) + sum_j g_j(s_t) F_j.
+With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
 
     zoh:  one force a step; the row of x^(n-1) gives it at once.
     foh:  F_j come from u_t and u_{t+1}. The row of x^(n-1) fixes about (F_t + F_{t+1})/2 to eps/(w dt) and is blind to
@@ -14,17 +14,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._decode import frozen_step
+from ._decode import frozen_increment
 from ._model.input_map import SquareInput
 from ._model.model import Model
 
 
 def _affine(model: Model, state, dt):
-    """p(s) - s and the three g_j(s) of one frozen step, for all rows."""
+    """p(s) and the three g_j(s) of one frozen step, for all rows."""
     units = jnp.eye(3, dtype=state.dtype)
 
     def stepped(forces):
-        return frozen_step(model, state, (forces[0], forces[1], forces[2]), dt)
+        return frozen_increment(model, state, (forces[0], forces[1], forces[2]), dt)
 
     gains = jax.vmap(lambda unit: jax.jvp(stepped, (0 * unit,), (unit,))[1])(units)
     return stepped(0 * units[0]), gains
@@ -36,7 +36,7 @@ def discrete_inverse(
     states: Float[Array, "time state"],
     dt: float,
     first: Float[Array, ""] | None = None,
-    sweeps: int = 12,
+    sweeps: int = 20,
 ) -> Float[Array, " time-1"]:
     """Voltage of every step from consecutive decoder states (scaled, S then memory), substeps = 1.
 
@@ -58,11 +58,12 @@ def discrete_inverse(
         raise ValueError("discrete_inverse needs substeps = 1: decode on the finer grid and invert there")
     free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])
     n = model.order
-    top = states[1:, n - 1] - free[:, n - 1]
+    moved = jnp.diff(states, axis=0)  # exact for neighbouring states: no rounding is added to the decoder's own
+    top = moved[:, n - 1] - free[:, n - 1]
     if model.hold == "zoh":
         return model.input_map.voltage(top / gains[:, :, n - 1].sum(1) * model.scales.force)
     second = n - 2 if n > 1 else (n if model.memory.size else None)
-    below = None if second is None else (states[1:, second] - free[:, second], gains[:, :, second])
+    below = None if second is None else (moved[:, second] - free[:, second], gains[:, :, second])
     return _solve_foh(model, (top, gains[:, :, n - 1]), below, first, sweeps)[:-1]
 
 

@@ -72,14 +72,10 @@ def nonlinear(linear):
     """fn(order, key, size, ...): `linear` with a random CompactEncoder (logits of about `size`) and fading memories."""
 
     def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), **options):
-        keys = jax.random.split(jax.random.key(key), 2)
-        encoder = CompactEncoder(order, len(tau), width=6, depth=2, key=keys[0])
-        leaves, tree = jax.tree.flatten(encoder)
-        noise = [
-            jax.random.normal(k, a.shape) for k, a in zip(jax.random.split(keys[1], len(leaves)), leaves, strict=True)
-        ]
-        shaken = jax.tree.unflatten(
-            tree, [a + size * e / np.sqrt(a.shape[-1]) for a, e in zip(leaves, noise, strict=True)]
+        encoder = CompactEncoder(order, len(tau), width=6, depth=2, key=jax.random.key(key))
+        rng = np.random.default_rng(key)
+        shaken = jax.tree.map(
+            lambda a: a + jnp.asarray(size * rng.standard_normal(a.shape) / np.sqrt(a.shape[-1]), a.dtype), encoder
         )
         model = linear(order, **options)
         parts = (shaken, FadingMemory(jnp.log(jnp.asarray(tau, jnp.float32))))

@@ -174,7 +174,9 @@ def test_a_record_that_starts_moving(sweep, write, study):
         ("resting", MOVING),
         ("resting", TURNING),
         ("moving", MOVING),
-        pytest.param("moving", TURNING, marks=pytest.mark.xfail(strict=True, reason="_rest: one vote each, first wins")),
+        pytest.param(
+            "moving", TURNING, marks=pytest.mark.xfail(strict=True, reason="_rest: one vote each, first wins")
+        ),
     ],
 )
 def test_a_moving_record_beside_a_resting_one(sweep, write, study, tmp_path, first, cut):

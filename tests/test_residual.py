@@ -70,13 +70,19 @@ def test_huber_joins_smoothly():
         assert float(slope(edge)) == pytest.approx(np.sign(edge), abs=1e-6)
 
 
+@pytest.fixture(scope="module")
+def wild(nonlinear):
+    model = nonlinear(2, key=0, size=3.0)
+    return model, eqx.filter_jit(jax.vmap(lambda f: model.tokens(f)[0]))
+
+
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(0, 10**6), st.sampled_from([1.0, 10.0, 100.0]))
-def test_tokens_keep_their_sign(nonlinear, seed, reach):
+def test_tokens_keep_their_sign(wild, seed, reach):
     """Tokens of a wild encoder anywhere in feature space are positive and finite, so every step is solvable."""
-    model = nonlinear(2, key=0, size=3.0)
+    model, read = wild
     features = reach * jax.random.normal(jax.random.key(seed), (64, 4))
-    tokens = jax.vmap(lambda f: model.tokens(f)[0])(features)
+    tokens = read(features)
     assert bool((tokens * jnp.sign(model.coefficients) > 0).all())
     assert bool(jnp.isfinite(1 / tokens).all())
 
