@@ -46,7 +46,8 @@ class Settings:
         tolerance [epsilon]: a stage must lower the physics residual by this share to earn another.
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
-        refine_steps, refine_rate, window_periods, windows: rollout refinement; window length in periods of the resonance.
+        refine_steps, refine_rate, windows: rollout refinement; windows per step.
+        window_periods: window length in periods of the resonance.
     """
 
     encoder: str = "compact"

@@ -73,7 +73,7 @@ def slew_of(found, dt=DT):
     return np.abs(np.diff(found.voltage)).max() / dt
 
 
-# ---- eq. 13 ----------------------------------------------------------------------------------------------------
+# ---- eq. 13 ----
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
@@ -151,7 +151,7 @@ def test_vmapped_inverse_is_the_loop(nonlinear):
             np.testing.assert_allclose(many[k], one, rtol=2e-5, atol=2e-5 * float(jnp.abs(one).max()))
 
 
-# ---- what no voltage does ----------------------------------------------------------------------------------------
+# ---- what no voltage does ----
 
 
 @pytest.mark.parametrize("shots", [0, 6])
@@ -181,7 +181,7 @@ def test_the_linear_map_pulls_both_ways(linear, bounded):
     assert e_rms_percent(respond(model, found.voltage)[found.target, 0], target.displacement) < 2e-3
 
 
-# ---- limits --------------------------------------------------------------------------------------------------------
+# ---- limits ----
 
 
 def test_a_voltage_limit_is_kept_and_flagged(actuator):
@@ -243,7 +243,7 @@ def test_an_endless_voltage_is_refused(actuator):
         feedforward(actuator, hump(), max_voltage=float("inf"))
 
 
-# ---- the way in and out ----------------------------------------------------------------------------------------------
+# ---- the way in and out ----
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_the_clock_runs_back_into_the_lead_in(actuator):
     assert {len(v) for v in (found.time, found.voltage, found.infeasible, found.saturated)} == {len(found.target)}
 
 
-# ---- advice ------------------------------------------------------------------------------------------------------------
+# ---- advice ----
 
 
 def test_corners_warn_and_a_smooth_target_does_not(actuator):
@@ -316,7 +316,7 @@ def test_a_target_outside_the_trained_region_warns_with_the_share(linear, bounde
     assert feedforward(model, Target(TIME, swing(6e-4, 2e-4, 2.0))).outside_training_share == 0
 
 
-# ---- the user's coordinates ----------------------------------------------------------------------------------------------
+# ---- the user's coordinates ----
 
 
 def test_offset_and_polarity_are_undone(linear, bounded, actuator):

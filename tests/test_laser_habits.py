@@ -126,7 +126,7 @@ def test_other_units_give_the_same_model(clean, sweep, write, study, columns, un
 
 
 def test_volts_taken_for_kilovolts_would_not_go_unseen(sweep, write):
-    """The unit is the column's name: 1 kV written as `voltage_V` is another actuator, one in a million times stiffer."""
+    """The unit is the column's name: 1 kV written as `voltage_V` is another actuator, a million times softer."""
     u, _, y = sweep
     mistaken = pitp.read(write(time_s=TIME, voltage_V=u / 1e3, displacement_m=y))
     found = pitp.identify(mistaken, order=2)
