@@ -2,15 +2,21 @@
 
 sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
 y(t) ~ c_0 + ... + c_4 t^4 over the first samples; rest when y(0) = offset and y'(0) = 0 within noise
+F = b + k(y - c) + a_1 y' + a_2 y'',    k(0) = 0        (whole records; c is the offset only if b = 0)
+
+A turning point is as still as rest. What tells them apart is b, the force that holds the actuator still at c: none at
+rest, a good part of the drive where it stood still for a moment or moved too slowly to see.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from ._record.preprocess import cutoff, force_band, preprocess
 from ._record.record import Record
 
 INITIAL_SAMPLES = 50
+_WINDOWS, _FEWEST = (7, 12, 24, 48), 6  # samples a first state is fitted over; and how many of them must be observed
 
 
 def noise_std(displacement: np.ndarray) -> float:
@@ -37,10 +43,10 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
     span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
     noise = min(noise_std(record.displacement), 0.01 * span)
     values, errors = [], []
-    for window in (7, 12, 24, 48):
+    for window in _WINDOWS:
         t, y = np.arange(window) / window, record.displacement[:window]
         keep = np.isfinite(y)
-        if keep.sum() < 6:
+        if keep.sum() < _FEWEST:
             continue
         basis = np.vander(t[keep], 5, increasing=True)
         fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
@@ -67,11 +73,24 @@ def starts_at_rest(record: Record, offset: float) -> bool:
     return bool((still & (np.abs(value - offset) <= tolerance)).any())
 
 
-def initial_rest(records: Sequence[Record]) -> tuple[np.ndarray, float]:
+def first_known(record: Record) -> int:
+    """First sample from which a state can be estimated: 0, unless the record begins with a gap longer than that."""
+    seen = np.concatenate([[0], np.cumsum(record.observed)])
+    ahead = seen[np.minimum(np.arange(record.samples) + _WINDOWS[-1], record.samples)] - seen[:-1]
+    enough = ahead >= _FEWEST
+    return 0 if enough[0] else int(np.argmax(enough & record.observed))
+
+
+def initial_rest(records: Sequence[Record], input_map: str = "square") -> tuple[np.ndarray, float]:
     """Which records start at rest, and the sensor's offset: the value most still starts share.
 
-    Among the records at rest the offset is averaged over their longest quiet beginnings (`_rest_level`). If no
-    record is still it is the median first value: a start for the fit, not a measurement.
+    A vote counts less the more of a force would be needed to hold the actuator there (`_held`), and nothing where it
+    is no rest at all. Among the records at rest the offset is averaged over their longest quiet beginnings
+    (`_rest_level`). If none is at rest it is the median first value: a start for the fit, not a measurement.
+
+    Args:
+        records: one that begins with a long gap (`first_known`) is never at rest: its first state is unknown.
+        input_map: "square" (F = u^2) or "linear" (F = u).
 
     Returns:
         rest: bool (records,); offset: output unit.
@@ -79,13 +98,51 @@ def initial_rest(records: Sequence[Record]) -> tuple[np.ndarray, float]:
     found = [_still(r) for r in records]
     value = np.array([v[s][-1] if s.any() else np.nan for s, v, _ in found])
     tolerance = np.array([t[s][-1] if s.any() else np.nan for s, _, t in found])
-    if np.isnan(value).all():
-        return np.zeros(len(records), bool), float(np.nanmedian([v[-1] for _, v, _ in found]))
-    votes = [np.nansum(np.abs(value - c) <= tolerance) for c in value]
-    near = np.flatnonzero(np.abs(value - value[int(np.argmax(votes))]) <= tolerance)
+    votes = np.array([np.sum(np.abs(value - c) <= tolerance) for c in value])
+    support = votes * (1 - _held(records, input_map, value))
+    if not (support > 0).any():
+        middle = [np.nanmedian(r.displacement) for r in records]
+        first = [v[-1] if np.isfinite(v[-1]) else m for m, (_, v, _) in zip(middle, found, strict=True)]
+        return np.zeros(len(records), bool), float(np.median(first))
+    near = np.flatnonzero(np.abs(value - value[int(np.argmax(support))]) <= tolerance)
     levels, errors = zip(*[_rest_level(records[int(k)]) for k in near], strict=True)
     offset = float(np.average(levels, weights=1 / (np.array(errors) ** 2 + 1e-30)))
     return np.array([starts_at_rest(r, offset) for r in records]), offset
+
+
+def _held(records: Sequence[Record], input_map: str, values: np.ndarray) -> np.ndarray:
+    """How surely each value (output unit, nan for none) is not the sensor's offset: above 1 it cannot be.
+
+    Least squares of the force balance, pooled over the records, with b and without. 1 is where b is 0.3 of the range
+    of the force and without it three times as much is left; both are asked because a single tone far above the
+    resonance leaves b open. A straight and a cubic k must agree, as a stiffening actuator bends a straight one's b.
+    (So each of 330 bench records at rest, taken by itself, stays at rest.)
+    """
+    forces = [r.voltage ** (2 if input_map == "square" else 1) for r in records]
+    span = max(np.nanmax(r.displacement) - np.nanmin(r.displacement) for r in records)
+    cut = cutoff(force_band(forces, records[0].dt), records[0].dt)
+    rows = []
+    for r, f in zip(records, forces, strict=True):
+        settled = max(cut, 15.0 / (r.samples * r.dt))  # leaves three quarters of a short record
+        s = preprocess(r, 2, settled, f, displacement=r.displacement / span)
+        keep = np.flatnonzero(s.valid)
+        keep = keep[:: max(1, len(keep) * len(records) // 20_000)]
+        rows.append(np.c_[s.states[keep], s.force[keep]])
+    x, velocity, acceleration, force = np.concatenate(rows).T
+    if len(force) < INITIAL_SAMPLES:
+        return np.zeros(len(values))
+    unit = np.maximum([np.abs(velocity).max(), np.abs(acceleration).max()], 1e-300)
+    moving, force = np.stack([velocity, acceleration], -1) / unit, force / np.ptp(force)
+
+    def held(c, degree):
+        z = x - c / span
+        balance = np.c_[np.stack([z**i for i in range(degree + 1)], -1), moving]
+        free, *_ = np.linalg.lstsq(balance, force, rcond=None)
+        rest, *_ = np.linalg.lstsq(balance[:, 1:], force, rcond=None)
+        least = max(np.linalg.norm(force - balance @ free), 1e-9 * np.linalg.norm(force))
+        return min(abs(free[0]) / 0.3, np.linalg.norm(force - balance[:, 1:] @ rest) / (3 * least))
+
+    return np.array([min(held(c, 1), held(c, 3)) if np.isfinite(c) else 0.0 for c in values])
 
 
 def _rest_level(record: Record) -> tuple[float, float]:

@@ -147,7 +147,6 @@ def test_gaps_of_200_samples(clean, sweep, write, study):
     np.testing.assert_allclose(run.displacement, clean[2][0].displacement, atol=2 * NOISE)
 
 
-@pytest.mark.xfail(strict=True, reason="_rest: no value where the first 48 samples are missing")
 def test_a_gap_at_the_start(sweep, write, study):
     u, x, y = sweep
     late = np.where(TIME < 0.2, np.nan, y)
@@ -170,14 +169,7 @@ def test_a_record_that_starts_moving(sweep, write, study):
 
 @pytest.mark.parametrize(
     ("first", "cut"),
-    [
-        ("resting", MOVING),
-        ("resting", TURNING),
-        ("moving", MOVING),
-        pytest.param(
-            "moving", TURNING, marks=pytest.mark.xfail(strict=True, reason="_rest: one vote each, first wins")
-        ),
-    ],
+    [("resting", MOVING), ("resting", TURNING), ("moving", MOVING), ("moving", TURNING)],
 )
 def test_a_moving_record_beside_a_resting_one(sweep, write, study, tmp_path, first, cut):
     u, x, y = sweep
@@ -195,7 +187,6 @@ def test_a_moving_record_beside_a_resting_one(sweep, write, study, tmp_path, fir
         np.testing.assert_allclose(run.displacement[50:], wanted[50:], atol=20 * NOISE)
 
 
-@pytest.mark.xfail(strict=True, reason="_rest: a turning point passes for rest")
 def test_a_lone_record_that_starts_at_a_turning_point(sweep, write, study):
     time, u, _, y = (v[TURNING : TURNING + CUT] for v in (TIME, *sweep))
     _, found, _ = study(write(time_s=time, voltage_V=u, displacement_m=y))

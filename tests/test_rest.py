@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lsim
 
 from pitp_jax._record.record import Record
-from pitp_jax._rest import first_states, initial_rest, noise_std, starts_at_rest
+from pitp_jax._rest import first_known, first_states, initial_rest, noise_std, starts_at_rest
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
 TIME = np.arange(3000) * DT
@@ -66,6 +66,56 @@ def test_offset_is_what_most_still_starts_share():
     assert rest.tolist() == [True, False, True]
     assert offset == pytest.approx(zero, abs=3 * NOISE)
     assert abs(offset - zero) < 0.002 * np.ptp(x)
+
+
+SLOW = 1000 * (1 - np.cos(2 * np.pi * 0.3 * TIME))
+
+
+@pytest.mark.parametrize("start", [1000, 2200])
+@pytest.mark.parametrize("others", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_slow_start_in_mid_motion_is_moving(start, others, sign):
+    """Below 0.64 Hz at 1 kHz no motion is faster than 0.2 % of range a sample: as still as rest, but under force."""
+    zero, x = 1e-3, sign * motion(SLOW)
+    slow = record(SLOW, x + zero, 20, start=start)
+    assert starts_at_rest(slow, slow.displacement[0])
+    rest, offset = initial_rest([slow, *[record(SINE, sign * motion(SINE) + zero, k) for k in range(others)]])
+    assert rest.tolist() == [False] + [True] * others
+    assert not others or offset == pytest.approx(zero, abs=3 * NOISE)
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("turning", [1, 2])
+def test_a_turning_point_is_moving(first, turning):
+    """The top of the motion, alike in two records: more votes than the one at rest, but under force."""
+    zero, x = 1e-3, motion(SINE)
+    top = 1000 + int(np.argmax(x[1000:1300]))
+    still = [record(SINE, x + zero, k, start=top) for k in range(turning)]
+    resting = record(SINE, x + zero, 9)
+    rest, offset = initial_rest([*still, resting] if first else [resting, *still])
+    assert rest.tolist() == ([False] * turning + [True] if first else [True] + [False] * turning)
+    assert offset == pytest.approx(zero, abs=3 * NOISE)
+    assert not initial_rest(still)[0].any()
+
+
+def test_a_linear_input_pushes_both_ways():
+    """An offset of zero force in mid-range, where u^2 would have none."""
+    drive = 1000 * np.sin(2 * np.pi * 2 * TIME)
+    x = lsim(([1e-6], [1 / OMEGA**2, 0.2 / OMEGA, 1]), drive, TIME)[1]
+    top = 1000 + int(np.argmax(x[1000:1500]))
+    for start in (0, top):
+        rest, _ = initial_rest([record(drive, x, start=start)], "linear")
+        assert rest.tolist() == [start == 0]
+
+
+@pytest.mark.parametrize(("gap", "first"), [(0, 0), (4, 0), (40, 0), (48, 48), (200, 200)])
+def test_a_gap_at_the_start_leaves_it_unknown(gap, first):
+    r = record(SINE, motion(SINE))
+    r.displacement[:gap] = np.nan
+    assert first_known(r) == first
+    rest, offset = initial_rest([r])
+    assert np.isfinite(offset)
+    assert not rest.any() or not first
 
 
 def test_no_still_start():
