@@ -4,42 +4,50 @@
     the offset is fitted only where no record starts at rest: a linear model's misfit would bend it by far more than
     the first samples leave open (cone100 sweep: 11 um against 1)
 
-Everything is normalised: voltage, output and frequency by their scales. The covariance is a block sandwich
-(J'J)^-1 (sum_b g_b g_b') (J'J)^-1, g_b the gradient over one of 64 blocks of time: model error is strongly
-correlated, and the textbook formula would understate the errors by an order of magnitude.
+    cov p = D H^-1 (sum_b g_b g_b') H^-1 D B / (B - P) + v v' var(offset),    H = J'J,    v = dp/doffset = H^-1 J'w
+
+Everything is normalised: voltage, output and frequency by their scales. g_b is the gradient over one of B = 64 blocks
+of samples (block sandwich): model error is strongly correlated, and the textbook sigma^2 H^-1 would understate the
+errors by an order of magnitude. Where few blocks tell of a parameter the sandwich is the smaller one: D >= 1 widens
+it to the textbook's variance. v: an offset taken from rest is not fitted, but it has an error too.
 """
 
-from collections.abc import Sequence
-from functools import lru_cache, partial
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ._errors import BadInput
-from ._poles import respond
+from ._levenberg import Normal
+from ._poles import coast, respond
+from ._record.checks import MIN_SAMPLES
 from ._record.preprocess import force_band
 from ._record.record import Record
-from ._rest import initial_rest
+from ._recurrence import pieces
+from ._rest import _rest_level, first_known, initial_rest
 
 _BLOCKS = 64
+# A ridge per sample on the logarithms gives directions the data do not see (a pole far above the band) a minimum; it
+# moves identifiable poles by less than 1e-6 of themselves.
+_RIDGE = 1e-10
 
 
-class OutputError(eqx.Module):
+@dataclass(frozen=True)
+class OutputError:
     """The data of one identification: padded to (records, time), normalised by the scales it carries."""
 
-    drive: Float[Array, "records time"]
-    output: Float[Array, "records time"]
-    weight: Float[Array, "records time"]
-    rest: tuple[bool, ...] = eqx.field(static=True)
-    square: bool = eqx.field(static=True)
-    dt: float  # this and the next four are leaves: a static number would compile every problem anew
+    drive: Float[np.ndarray, "records time"]
+    output: Float[np.ndarray, "records time"]
+    weight: Float[np.ndarray, "records time"]
+    rest: tuple[bool, ...]
+    square: bool
+    dt: float
     omega: float
     voltage_scale: float
     output_scale: float
     offset: float
+    offset_std: float  # standard error of the offset found at rest, over output_scale; 0 where the offset is fitted
 
     def parameters(self, order: int) -> int:
         """Number of parameters: poles, gain, an offset unless some record rests, a start per moving record."""
@@ -52,83 +60,132 @@ class OutputError(eqx.Module):
 
 
 def build_problem(records: Sequence[Record], input_map: str) -> OutputError:
-    """Normalise and pad the records; find rest, offset and the unit of frequency."""
+    """Normalise and pad the records, each from its first known state; find rest, offset and the unit of frequency."""
+    if np.ptp(np.concatenate([r.voltage for r in records])) == 0:
+        raise BadInput("the voltage never changes in these records: record an excitation such as a sweep")
+    if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
+        raise BadInput("the displacement never changes in these records: check the sensor and its column")
+    rest, offset = initial_rest(records, input_map)
+    records = [_from(r, min(first_known(r), r.samples - MIN_SAMPLES)) for r in records]
     dt, size = records[0].dt, max(r.samples for r in records)
-    rest, offset = initial_rest(records)
     output, drive, weight = (np.zeros((len(records), size)) for _ in range(3))
     for k, r in enumerate(records):
         drive[k, : r.samples], drive[k, r.samples :] = r.voltage, r.voltage[-1]
         weight[k, : r.samples] = r.observed
         output[k, : r.samples] = np.where(r.observed, r.displacement - offset, 0.0)
     voltage_scale, output_scale = float(np.abs(drive).max()), float(np.sqrt((output**2).sum() / weight.sum()))
-    if np.ptp(drive) == 0:
-        raise BadInput("the voltage never changes in these records: record an excitation such as a sweep")
-    if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
-        raise BadInput("the displacement never changes in these records: check the sensor and its column")
     band = force_band([np.asarray(r.voltage ** (2 if input_map == "square" else 1)) for r in records], dt)
     return OutputError(
-        jnp.asarray(drive / voltage_scale), jnp.asarray(output / output_scale), jnp.asarray(weight),
+        drive / voltage_scale, output / output_scale, weight,
         rest=tuple(bool(v) for v in rest), square=input_map == "square", dt=dt,
         omega=float(2 * np.pi * min(band, 0.1 / dt)), voltage_scale=voltage_scale, output_scale=output_scale,
-        offset=offset,
+        offset=offset, offset_std=_offset_std(records, rest) / output_scale,
     )  # fmt: skip
 
 
-@partial(jax.jit, static_argnames=("order", "hold"))
-def residual(
-    params: Float[Array, " parameters"], problem: OutputError, *, order: int, hold: str
-) -> Float[Array, " residuals"]:
-    """Weighted output error, flattened over records and time."""
-    rest = np.asarray(problem.rest)
-    starts = jnp.zeros((len(rest), order), params.dtype)
-    if not rest.all():
-        starts = starts.at[np.flatnonzero(~rest)].set(params[order + 1 + problem.free_offset :].reshape(-1, order))
-    run = partial(respond, step=problem.omega * problem.dt, square=problem.square, hold=hold)
-    unit = jax.vmap(run, in_axes=(None, 0, None))(params[:order], problem.drive, jnp.zeros(order, params.dtype))
-    modelled = params[order] * unit + (params[order + 1] if problem.free_offset else 0.0)
-    if not rest.all():  # the free response is linear in the start: added outside the gain
-        free = jax.vmap(run, in_axes=(None, None, 0))(params[:order], 0 * problem.drive[0], starts)
-        modelled = modelled + free
-    return (problem.weight * (modelled - problem.output)).reshape(-1)
+def _offset_std(records: Sequence[Record], rest: np.ndarray) -> float:
+    """Standard error of the offset, the weighted mean of the levels at rest; wider where these disagree.
 
-
-@lru_cache
-def residual_function(order: int, hold: str):
-    """The residual as fn(params, problem), one object per order and hold so that a solver compiles it once.
-
-    A ridge of 1e-5 per sample on the logarithms gives directions the data do not see (a pole far above the band) a
-    minimum; it moves identifiable poles by less than 1e-6 of themselves.
+    A level comes from the longest beginning whose misfit hides in the noise. What hides can still bend the level by
+    about a standard error (measured: rms 1 to 2, as the window happens to stop), so the errors are widened by half.
     """
-
-    def fn(params, problem):
-        ridge = 1e-5 * jnp.sqrt(problem.weight.sum()) * params[:order]
-        return jnp.concatenate([residual(params, problem, order=order, hold=hold), ridge])
-
-    return fn
-
-
-def numerical_jacobian(fn, params: np.ndarray) -> np.ndarray:
-    """Central differences of a float64 function, shape (outputs, parameters); good to 1e-9, and nothing to compile."""
-    step = 1e-6 * np.maximum(np.abs(params), 1e-3)
-    columns = []
-    for k, h in enumerate(step):
-        move = np.zeros_like(params)
-        move[k] = h
-        columns.append((np.asarray(fn(params + move)) - np.asarray(fn(params - move))) / (2 * h))
-    return np.stack(columns, -1)
+    levels = np.array([_rest_level(r) for r, at_rest in zip(records, rest, strict=True) if at_rest])
+    if not len(levels):
+        return 0.0
+    weights = 1 / (levels[:, 1] ** 2 + 1e-30)
+    scatter = weights @ (levels[:, 0] - np.average(levels[:, 0], weights=weights)) ** 2 / max(len(levels) - 1, 1)
+    return float(1.5 * np.sqrt(max(scatter, 1.0) / weights.sum()))
 
 
-def covariance(params: np.ndarray, problem: OutputError, *, order: int, hold: str) -> np.ndarray:
-    """Block-sandwich covariance of the parameters, shape (parameters, parameters); inf where singular."""
+def _from(record: Record, first: int) -> Record:
+    """The record without its first samples."""
+    kept = (v[first:] for v in (record.time, record.voltage, record.displacement))
+    return replace(record, **dict(zip(("time", "voltage", "displacement"), kept, strict=True))) if first else record
 
-    def fn(p):
-        return residual(jnp.asarray(p), problem, order=order, hold=hold)
 
-    jacobian, left = numerical_jacobian(fn, params), np.asarray(fn(params))
-    try:
-        inverse = np.linalg.inv(jacobian.T @ jacobian)
-    except np.linalg.LinAlgError:
-        return np.full((len(params),) * 2, np.inf)
-    blocks = zip(np.array_split(jacobian, _BLOCKS), np.array_split(left, _BLOCKS), strict=True)
-    scores = np.stack([j.T @ r for j, r in blocks])
-    return inverse @ (scores.T @ scores) @ inverse
+def terms(
+    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Per record: weighted output error (time,), its Jacobian (time, columns), and the parameters of the columns."""
+    shared, moving = order + 1 + problem.free_offset, 0
+    logs, gain = params[:order], params[order]
+    offset = params[order + 1] if problem.free_offset else 0.0
+    step = problem.omega * problem.dt
+    for drive, output, weight, at_rest in zip(problem.drive, problem.output, problem.weight, problem.rest, strict=True):
+        unit, by_logs = respond(logs, drive, step=step, square=problem.square, hold=hold)
+        modelled, slopes = gain * unit + offset, [gain * by_logs, unit[:, None]]
+        slopes += [np.ones((len(drive), 1))] * problem.free_offset
+        columns = np.arange(shared)
+        if not at_rest:  # the free response is linear in the start: added outside the gain
+            own = shared + order * moving + np.arange(order)
+            free, free_by_logs, by_start = coast(logs, params[own], len(drive), step=step)
+            modelled, slopes[0] = modelled + free, slopes[0] + free_by_logs
+            slopes, columns, moving = [*slopes, by_start], np.append(columns, own), moving + 1
+        yield weight * (modelled - output), weight[:, None] * np.concatenate(slopes, 1), columns
+
+
+def residual(
+    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
+) -> Float[np.ndarray, "records time"]:
+    """Weighted output error."""
+    with np.errstate(all="ignore"):
+        return np.stack([left for left, *_ in terms(params, problem, order=order, hold=hold)])
+
+
+def fastest_logs(order: int, problem: OutputError) -> Float[np.ndarray, " order"]:
+    """Upper bounds of the logarithms: poles that decay by e^30 a sample, far above what any record can tell."""
+    fastest = np.log(30.0 / (problem.omega * problem.dt))
+    pairs = [np.log(2) + fastest, 2 * fastest] * (order // 2)
+    return np.array(pairs + [fastest] * (order % 2))
+
+
+def normal_equations(
+    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
+) -> Normal:
+    """Sum of squares, half gradient and J'J over all records, with a ridge on the logarithms."""
+    ridge = _RIDGE * problem.weight.sum() * (np.arange(len(params)) < order)
+    cost, gradient, hessian = float(ridge @ params**2), ridge * params, np.diag(ridge)
+    with np.errstate(all="ignore"):
+        for left, jacobian, columns in terms(params, problem, order=order, hold=hold):
+            products = _gram(np.column_stack([jacobian, left]))
+            cost += float(products[-1, -1])
+            gradient[columns] += products[:-1, -1]
+            hessian[np.ix_(columns, columns)] += products[:-1, :-1]
+    return Normal(cost, gradient, hessian)
+
+
+def _gram(rows: np.ndarray) -> np.ndarray:
+    return np.sum([(p.swapaxes(1, 2) @ p).sum(0) for p in pieces(rows)], 0)
+
+
+def covariance(
+    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
+) -> Float[np.ndarray, "parameters parameters"]:
+    """Covariance of the parameters (see the head of this file); huge where the data leave one open."""
+    size = len(params)
+    hessian, scores = np.zeros((size, size)), np.zeros((_BLOCKS, size))
+    by_offset, cost = np.zeros(size), 0.0
+    block = (np.cumsum(problem.weight) - problem.weight.flat[0]) * _BLOCKS // problem.weight.sum()
+    block = np.minimum(block.astype(int), _BLOCKS - 1).reshape(problem.weight.shape)
+    for k, (left, jacobian, columns) in enumerate(terms(params, problem, order=order, hold=hold)):
+        products = _gram(np.column_stack([jacobian, problem.weight[k], left]))
+        hessian[np.ix_(columns, columns)] += products[:-2, :-2]
+        by_offset[columns] += products[:-2, -2]
+        cost += float(products[-1, -1])
+        edges = np.flatnonzero(np.diff(block[k], prepend=-1))
+        scores[np.ix_(block[k, edges], columns)] += np.add.reduceat(jacobian * left[:, None], edges)
+    inverse = _inverse(hessian)
+    moves = scores @ inverse
+    sandwich = moves.T @ moves * (_BLOCKS / max(_BLOCKS - size, 1))
+    textbook = cost / max(problem.weight.sum() - size, 1) * inverse
+    wider = np.sqrt(np.maximum(np.diag(textbook) / (np.diag(sandwich) + 1e-300), 1.0))
+    moved = inverse @ by_offset * problem.offset_std
+    return sandwich * np.outer(wider, wider) + np.outer(moved, moved)
+
+
+def _inverse(hessian: np.ndarray) -> np.ndarray:
+    """Inverse of J'J; a direction that rounding hides has the largest variance it may have, not a negative one."""
+    diagonal = np.diag(hessian)
+    root = np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max()))
+    values, vectors = np.linalg.eigh(hessian / np.outer(root, root))
+    return (vectors / np.maximum(values, 1e-15)) @ vectors.T / np.outer(root, root)

@@ -3,50 +3,64 @@
     s_{t+1} = A s_t + b_t
 
 The T steps are cut into about sqrt(T) blocks that run side by side from zero; the block ends are then chained with
-A^L and their free responses added. Same result as the plain loop to rounding, ~sqrt(T) sequential steps.
+A^L, which gives every block its start: its free response is added, or the block runs again. Same result as the plain
+loop to rounding, ~sqrt(T) sequential steps.
 """
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
-def _powers(matrix, count):
-    """A^1 ... A^count, shape (count, n, n)."""
+def pieces(rows: Float[np.ndarray, "time n"]) -> list[np.ndarray]:
+    """Views (many, 512, n) and (1, fewer, n) of the rows: products stay in the cache and on one thread.
 
-    def next_power(power, _):
-        power = matrix @ power
-        return power, power
+    A tall product is otherwise spread over threads, which wait for each other where cores are shared.
+    """
+    full = len(rows) // 512 * 512
+    return [rows[:full].reshape(-1, 512, rows.shape[1]), rows[None, full:]]
 
-    return jax.lax.scan(next_power, jnp.eye(matrix.shape[0], dtype=matrix.dtype), None, length=count)[1]
+
+def times(rows: Float[np.ndarray, "time n"], matrix: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "time m"]:
+    """The product, piece by piece."""
+    return np.concatenate([(p @ matrix).reshape(-1, matrix.shape[1]) for p in pieces(rows)])
 
 
 def linear_recurrence(
-    matrix: Float[Array, "n n"], drive: Float[Array, "time n"], start: Float[Array, " n"]
-) -> Float[Array, "time n"]:
-    """All s_t with s_{t+1} = A s_t + b_t; row 0 is `start` and the last row of `drive` is not used."""
+    matrix: Float[np.ndarray, "n n"], drive: Float[np.ndarray, "time n"], start: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "time n"]:
+    """All s_t with s_{t+1} = A s_t + b_t; row 0 is `start` and the last row of `drive` is not used.
+
+    On the host: every order of an identification is another n, and compiling one costs more than running it.
+    """
     steps, n = drive.shape
     length = max(int(steps**0.5), 1)
     blocks = -(-(steps - 1) // length)
-    if blocks == 0:
-        return start[None]
-    padded = jnp.zeros((blocks * length, n), drive.dtype).at[: steps - 1].set(drive[:-1])
+    states = np.empty((1 + blocks * length, n))
+    states[0] = start
+    states[1:steps], states[steps:] = drive[:-1], 0.0
+    inside = states[1:].reshape(blocks, length, n)  # a view: the drive of each block, then its states
+    once, across = np.ascontiguousarray(matrix.T), np.linalg.matrix_power(matrix, length)
+    ends, starts = np.zeros((blocks, n)), np.empty((blocks, n))
+    for k in range(length):
+        ends = ends @ once + inside[:, k]
+    for k in range(blocks):
+        starts[k] = start
+        start = across @ start + ends[k]
+    for k in range(length):
+        starts = inside[:, k] = starts @ once + inside[:, k]
+    return states[:steps]
 
-    def step(state, b):
-        state = state @ matrix.T + b
-        return state, state
 
-    zero = jnp.zeros((blocks, n), drive.dtype)
-    forced = jax.lax.scan(step, zero, padded.reshape(blocks, length, n).swapaxes(0, 1))[1]  # (length, blocks, n)
-    powers = _powers(matrix, length)
+def scalar_recurrence(keep: Float[Array, ""], drive: Float[Array, " steps"], start: Float[Array, ""]) -> Array:
+    """All s_t of s_{t+1} = keep s_t + b_t as one associative scan, shape (steps + 1,); for |keep| <= 1."""
 
-    def chain(state, end):
-        return powers[-1] @ state + end, state
+    def compose(first, second):
+        return first[0] * second[0], second[0] * first[1] + second[1]
 
-    starts = jax.lax.scan(chain, start, forced[-1])[1]  # (blocks, n)
-    free = jnp.einsum("lij,bj->bli", powers, starts)
-    states = (forced.swapaxes(0, 1) + free).reshape(blocks * length, n)[: steps - 1]
-    return jnp.concatenate([start[None], states])
+    powers, sums = jax.lax.associative_scan(compose, (jnp.full_like(drive, keep), drive))
+    return jnp.append(start, powers * start + sums)
 
 
 def first_order_lags(

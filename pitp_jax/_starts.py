@@ -7,7 +7,6 @@ gain:            given the poles, gain and free offset by linear least squares o
 
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
 from ._output_error import OutputError, residual
@@ -42,9 +41,9 @@ def equation_error_roots(records: Sequence[Record], order: int, problem: OutputE
 
 def peak_roots(problem: OutputError, order: int):
     """A resonance, damping 10 %, where output over force is largest in the spectrum; further poles faster."""
-    force = np.asarray(problem.drive) ** (2 if problem.square else 1)
+    force = problem.drive ** (2 if problem.square else 1)
     f = np.abs(np.fft.rfft(force - force.mean(1, keepdims=True))).sum(0)
-    y = np.abs(np.fft.rfft(np.asarray(problem.output))).sum(0)
+    y = np.abs(np.fft.rfft(problem.output)).sum(0)
     width = max(len(f) // 400, 1)
     f, y = (np.convolve(v, np.ones(width) / width, "same") for v in (f, y))
     grid = 2 * np.pi * np.arange(len(f)) / (force.shape[1] * problem.dt) / problem.omega
@@ -60,10 +59,11 @@ def linear_start(roots, order: int, problem: OutputError):
         return None
     params = np.zeros(problem.parameters(order))
     params[:order], params[order] = logs_from_roots(roots), 1.0
-    y = np.asarray(problem.weight * problem.output).reshape(-1)
-    unit = np.asarray(residual(jnp.asarray(params), problem, order=order, hold="foh")) + y
+    y = (problem.weight * problem.output).reshape(-1)
+    unit = residual(params, problem, order=order, hold="foh").reshape(-1) + y
     if not np.isfinite(unit).all():
         return None
-    columns = [unit] + ([np.asarray(problem.weight).reshape(-1)] if problem.free_offset else [])
-    params[order : order + len(columns)] = np.linalg.lstsq(np.stack(columns, -1), y, rcond=None)[0]
+    columns = [unit] + ([problem.weight.reshape(-1)] if problem.free_offset else [])
+    normal = np.array([[a @ b for b in columns] for a in columns])
+    params[order : order + len(columns)] = np.linalg.lstsq(normal, [a @ y for a in columns], rcond=None)[0]
     return params

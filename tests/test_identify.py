@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from pitp_jax import _identify
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._identify import identify
 from pitp_jax._record.record import Record
@@ -33,16 +32,10 @@ def changed(record, displacement):
     return Record(record.name, record.time, record.voltage, displacement)
 
 
-def errors(fit, a, zero=None):
-    """Coefficient errors in standard errors, which must be small enough to mean something.
-
-    With `zero`, the sensor's true offset: standard errors are conditional on the offset found at rest, so what its own
-    error can do to the coefficients is allowed on top.
-    """
+def errors(fit, a):
+    """Coefficient errors in standard errors, which must be small enough to mean something."""
     assert (fit.stderr < 0.02 * a).all()
-    leverage = 0.0 if zero is None else abs(fit.offset - zero) / simulate(a, SWEEP).std()
-    assert leverage < NOISE  # one standard deviation of a single sample
-    return np.clip(np.abs(fit.coefficients / a - 1) - 2 * leverage, 0, None) / (fit.stderr / a)
+    return np.abs(fit.coefficients - a) / fit.stderr
 
 
 def moving(a, seed):
@@ -59,7 +52,7 @@ def moving(a, seed):
 def test_planted_orders_come_back(coefficients, order):
     a = coefficients(order)
     found = identify([sweep(a, order)], order=order, hold="foh")
-    assert errors(found.chosen, a, 0.0).max() < 5
+    assert errors(found.chosen, a).max() < 5
     assert found.rest == {"sweep": True}
     assert found.chosen.rms == pytest.approx(NOISE * simulate(a, SWEEP).std(), rel=0.05)
     model = found.model
@@ -71,12 +64,11 @@ def test_planted_orders_come_back(coefficients, order):
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_auto_picks_the_planted_order(coefficients, order, monkeypatch):
-    monkeypatch.setattr(_identify, "ORDERS", (1, 2, 3, 4))  # every order costs seconds of compilation
+def test_auto_picks_the_planted_order(coefficients, order):
     a = coefficients(order)
     found = identify([sweep(a, 10 + order)], order="auto")
     assert (found.chosen.order, found.chosen.hold) == (order, "foh")
-    assert errors(found.chosen, a, 0.0).max() < 5
+    assert errors(found.chosen, a).max() < 5
     mae = [f.mae for f in found.orders]
     assert mae[order - 2] > 1.5 * mae[order - 1]  # the next smaller order is far worse
 
@@ -87,7 +79,7 @@ def test_offset_and_reversed_laser(coefficients):
     found = identify([changed(record, 7.5e-3 - record.displacement)], order=2, hold="foh").chosen
     assert found.polarity == -1.0
     assert found.offset == pytest.approx(7.5e-3, abs=1e-3 * np.ptp(record.displacement))
-    assert errors(found, a, 7.5e-3).max() < 5
+    assert errors(found, a).max() < 5
 
 
 def test_gaps_are_masked(coefficients):
@@ -97,7 +89,7 @@ def test_gaps_are_masked(coefficients):
     for start in (0, 1500, 3300, 6000):
         x[start + 300 : start + 500] = np.nan
     x[2000:2003] = np.nan
-    assert errors(identify([changed(record, x)], order=2, hold="foh").chosen, a, 0.0).max() < 5
+    assert errors(identify([changed(record, x)], order=2, hold="foh").chosen, a).max() < 5
 
 
 def test_coefficients_follow_the_units(coefficients):
@@ -109,18 +101,22 @@ def test_coefficients_follow_the_units(coefficients):
     np.testing.assert_allclose(second.stderr, first.stderr * 1e-3, rtol=1e-3)
 
 
-def test_standard_errors_cover(coefficients):
-    """Errors over seeds are of the size the standard errors say, neither hidden nor inflated (offset fitted too)."""
-    a = coefficients(2)
-    z = [errors(identify([moving(a, seed)], order=2, hold="foh").chosen, a) for seed in range(30, 42)]
-    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 2.5
+@pytest.mark.parametrize("begin", [sweep, moving])  # offset taken from rest; offset and start fitted
+@pytest.mark.parametrize(("order", "noise"), [(1, 1e-2), (2, 5e-3), (3, 1e-3)])
+def test_standard_errors_cover(coefficients, monkeypatch, order, noise, begin):
+    """Errors over seeds are of the size the standard errors say, neither hidden nor inflated."""
+    monkeypatch.setitem(globals(), "NOISE", noise)
+    a = coefficients(order)
+    z = np.stack([errors(identify([begin(a, s)], order=order, hold="foh").chosen, a) for s in range(30, 44)])
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
+    assert np.mean(z > 4) < 0.02
 
 
 def test_held_voltage_is_told_from_linear(coefficients):
     a = coefficients(2)
     found = identify([sweep(a, 23, hold="zoh")], order=2)
     assert found.chosen.hold == found.model.hold == "zoh"
-    assert errors(found.chosen, a, 0.0).max() < 5
+    assert errors(found.chosen, a).max() < 5
 
 
 def test_a_moving_start(coefficients):
@@ -134,22 +130,10 @@ def test_a_moving_start(coefficients):
 def test_linear_input(coefficients):
     a, voltage = coefficients(1), (SWEEP - 1000) * np.minimum(TIME / 0.5, 1)
     found = identify([sweep(a, 25, voltage=voltage, square=False)], order=1, hold="foh", input_map="linear")
-    leverage = abs(found.chosen.offset) / simulate(a, voltage, square=False).std()
-    assert leverage < NOISE
-    assert (np.abs(found.chosen.coefficients - a) < 5 * found.chosen.stderr + 2 * leverage * a).all()
-    assert (found.chosen.stderr < 0.02 * a).all()
+    assert errors(found.chosen, a).max() < 5
 
 
-@pytest.mark.parametrize(
-    "order",
-    [
-        3,
-        pytest.param(
-            4, marks=pytest.mark.xfail(strict=True, reason="accepted, with a pole at 145 Hz that no data saw")
-        ),
-        pytest.param(6, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("order", [3, 4, 5, 6])
 def test_one_sine_cannot_carry_many_orders(coefficients, order):
     voltage = 1000 * (1 - np.cos(2 * np.pi * 3 * TIME))
     with pytest.raises(ComputationFailed, match=f"order {order} cannot be identified"):

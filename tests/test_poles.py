@@ -1,30 +1,26 @@
 """Stable polynomials by construction, and exact responses to sampled voltages."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.signal import lsim
 
-from pitp_jax._poles import logs_from_roots, polynomial, respond
+from pitp_jax._poles import coast, exponential, logs_from_roots, polynomial, polynomial_slopes, respond
 
 STEP = 0.4
 
 
 def coefficients(logs):
-    with jax.enable_x64(True):
-        return np.asarray(polynomial(jnp.asarray(logs, jnp.float64)))
+    return polynomial(np.asarray(logs, float))
 
 
 def run(logs, drive, start=None, *, square, hold, step=STEP):
-    with jax.enable_x64(True):
-        start = jnp.zeros(len(logs)) if start is None else jnp.asarray(start)
-        return np.asarray(
-            respond(jnp.asarray(logs, jnp.float64), jnp.asarray(drive), start, step=step, square=square, hold=hold)
-        )
+    logs = np.asarray(logs, float)
+    driven = respond(logs, drive, step=step, square=square, hold=hold)[0]
+    return driven if start is None else driven + coast(logs, start, len(drive), step=step)[0]
 
 
 decay = st.floats(0.05, 3.0)
@@ -105,3 +101,42 @@ def test_finer_samples_of_the_same_ramps_change_nothing():
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 def test_unit_static_gain(hold):
     assert run(LOGS[3], np.full(400, 1.7), square=True, hold=hold)[-1] == pytest.approx(1.7**2, rel=1e-9)
+
+
+def slopes(fn, logs):
+    """Central differences of fn by the logarithms, last axis."""
+    logs = np.asarray(logs, float)
+    return np.stack([(fn(logs + h) - fn(logs - h)) / 2e-6 for h in 1e-6 * np.eye(len(logs))], -1)
+
+
+@pytest.mark.parametrize("order", LOGS)
+def test_slopes_against_differences(order):
+    """Of the coefficients, of the response and of the free response; the last is linear in the start."""
+    rng, logs = np.random.default_rng(order), np.asarray(LOGS[order])
+    drive, start = rng.standard_normal(300), rng.standard_normal(order)
+    how = {"step": STEP, "square": True, "hold": "foh"}
+    np.testing.assert_allclose(polynomial_slopes(logs), slopes(polynomial, logs), rtol=0, atol=1e-7)
+    driven = slopes(lambda p: respond(p, drive, **how)[0], logs)
+    np.testing.assert_allclose(respond(logs, drive, **how)[1], driven, rtol=0, atol=1e-7 * np.abs(driven).max())
+    x, by_logs, by_start = coast(logs, start, 300, step=STEP)
+    free = slopes(lambda p: coast(p, start, 300, step=STEP)[0], logs)
+    np.testing.assert_allclose(by_logs, free, rtol=0, atol=1e-7 * np.abs(free).max())
+    np.testing.assert_allclose(by_start @ start, x, rtol=0, atol=1e-12 * np.abs(x).max())
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-3, 1.0, 30.0, 300.0])
+def test_exponential_against_scipy(size):
+    """Of a stable matrix as stiff as the fastest pole allowed."""
+    rng = np.random.default_rng(1)
+    matrix = size * (rng.standard_normal((9, 9)) / 9 - np.diag(rng.uniform(0.5, 1, 9)))
+    truth = expm(matrix)
+    np.testing.assert_allclose(exponential(matrix), truth, rtol=0, atol=1e-12 * np.abs(truth).max())
+
+
+def test_a_pole_far_above_the_samples_is_not_seen():
+    """A third pole that decays by e^30 a sample delays the response by 1/30 of one, and rounding stays away."""
+    drive = np.sin(0.05 * np.arange(500)) + 1
+    third = run([*LOGS[2], np.log(30 / 0.05)], drive, square=True, hold="foh", step=0.05)
+    second = run(LOGS[2], drive, square=True, hold="foh", step=0.05)
+    late = np.interp(np.arange(500) - 1 / 30, np.arange(500), second)
+    np.testing.assert_allclose(third[5:], late[5:], rtol=0, atol=5e-4)  # of 8; the delay is 8e-3
