@@ -14,6 +14,10 @@ if TYPE_CHECKING:  # the public list, in pipeline order, as a type checker sees 
     from ._decode import rest_state as rest_state
     from ._decode import rollout as rollout
     from ._discrete_inverse import discrete_inverse as discrete_inverse
+    from ._ensemble import Band as Band
+    from ._ensemble import Ensemble as Ensemble
+    from ._ensemble import predict_band as predict_band
+    from ._ensemble import train_ensemble as train_ensemble
     from ._errors import BadInput as BadInput
     from ._errors import ComputationFailed as ComputationFailed
     from ._file import load as load
@@ -46,6 +50,7 @@ _HOME = {
     "read_target": "._record.reading", "excitation": "._record.excitation",
     "identify": "._identify", "Identification": "._identify",
     "Model": "._model.model", "train": "._train", "Training": "._train", "Settings": "._train",
+    "train_ensemble": "._ensemble", "Ensemble": "._ensemble", "predict_band": "._ensemble", "Band": "._ensemble",
     "predict": "._decode", "Prediction": "._decode", "rollout": "._decode", "rest_state": "._decode",
     "feedforward": "._inverse", "Feedforward": "._inverse", "discrete_inverse": "._discrete_inverse",
     "pi_trim": "._trim", "e_rms_percent": "._metrics", "nrmse_percent": "._metrics", "rmse": "._metrics",

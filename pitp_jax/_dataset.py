@@ -129,5 +129,9 @@ def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: floa
     force = max(float(np.abs(f).max()) for f in forces)
     coefficients = nominal.physical_coefficients * rms / force
     voltages = nominal.provenance
-    model = replace(nominal, scales=Scales(tuple(float(v) for v in rms), force), provenance=replace(voltages))
+    model = replace(
+        nominal,
+        scales=Scales(tuple(float(v) for v in rms), force, nominal.scales.sections),
+        provenance=replace(voltages),
+    )
     return eqx.tree_at(lambda m: m.coefficients, model, jnp.asarray(coefficients, jnp.float32))

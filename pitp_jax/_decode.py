@@ -1,10 +1,13 @@
 """Decoder: the model rolled out from a voltage (paper, eq. 7), and predictions for whole sets of records.
 
     tokens frozen over a step of size h:   x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4
+    read where the state drifts to by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
 
-The voltage runs linearly between samples (foh) and is squared inside every stage, or is held (zoh): on a healthy roll
-record zoh left three times the noise floor. With frozen tokens a step is affine in the forces of its stages. Order 4
-for constant tokens; for state-dependent tokens frozen over a step, order 1 against the continuous-token ODE.
+The voltage between samples is squared inside every stage (`_between`): on a healthy roll record zoh left three times
+the noise floor of foh. With frozen tokens a step is affine in the forces of its stages. Order 4
+for constant tokens. Tokens read at a step's beginning (the paper) make a hard spring pump energy, explicit Euler's
+w^2 h^2 / 2 a step: an encoder fitted to the equation error of the roll diverged. Half a step on costs nothing and is
+order 2 against the continuous-token ODE, but for what depends on x^(n-1) (order 1).
 """
 
 from collections.abc import Sequence
@@ -16,9 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ._between import between
 from ._model.model import Model
 from ._record.record import Record
-from ._rest import INITIAL_SAMPLES, starts_at_rest
+from ._rest import INITIAL_SAMPLES, first_known, starts_at_rest
 
 _FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
@@ -28,20 +32,17 @@ def scaled_force(model: Model, voltage: Float[Array, "..."]) -> Float[Array, "..
     return model.input_map.force(voltage) / model.scales.force
 
 
-def stage_forces(model: Model, now, later, fraction: float, width: float):
-    """Scaled force at the start, middle and end of a substep covering [fraction, fraction + width] of a sample."""
-    if model.hold == "zoh":
-        force = scaled_force(model, now)
-        return force, force, force
-    places = (fraction, fraction + width / 2, fraction + width)
-    first, middle, last = (scaled_force(model, now + (later - now) * p) for p in places)
-    return first, middle, last
+def stage_voltages(model: Model, film: Float[Array, " time"]) -> Float[Array, "time stages"]:
+    """Film voltage at the beginning, middle and end of every substep of every sample: 2 substeps + 1 stages."""
+    return between(film, model.hold, np.arange(2 * model.substeps + 1) / (2 * model.substeps), jnp)
 
 
-def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
-    """What one RK4 step of length h (s) adds, tokens of its first instant; `state` is S then memory, scaled."""
+def increment(
+    model: Model, state: Float[Array, " state"], logits: Float[Array, " logits"], forces: tuple, h: float
+) -> Float[Array, " state"]:
+    """What one RK4 step of length h (s) adds under these logits; `state` is S then memory, scaled."""
     n = model.order
-    tokens, offset = model.tokens(state)
+    tokens, offset = model.tokens_from(logits)
     rates = jnp.asarray(model.scales.rates, state.dtype)
     first, middle, last = forces
 
@@ -57,12 +58,25 @@ def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple,
     return h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def step(model: Model, state: Float[Array, " state"], now, later, dt: float) -> Float[Array, " state"]:
-    """Advance one sample: `substeps` RK4 steps, tokens read anew at each."""
-    width = 1.0 / model.substeps
+def midpoint(model: Model, state: Float[Array, " state"], h: float) -> Float[Array, " state"]:
+    """What is known of the state half a step on, whatever the force: all but x^(n-1) has drifted."""
+    n = model.order
+    rates = jnp.asarray(model.scales.rates, state.dtype)
+    still = jnp.zeros((1,), state.dtype)
+    return state + h / 2 * jnp.concatenate([rates[: n - 1] * state[1:n], still, model.memory.rate(state[n:], state[0])])
+
+
+def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
+    """What one step adds, tokens read at the drifted midpoint."""
+    return increment(model, state, model.encoder(midpoint(model, state, h)), forces, h)
+
+
+def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " stages"], dt: float):
+    """Advance one sample along its stage voltages: `substeps` RK4 steps, tokens read anew at each."""
+    force = scaled_force(model, stages)
     for k in range(model.substeps):
-        forces = stage_forces(model, now, later, k * width, width)
-        state = state + frozen_increment(model, state, forces, dt * width)
+        now = (force[2 * k], force[2 * k + 1], force[2 * k + 2])
+        state = state + frozen_increment(model, state, now, dt / model.substeps)
     return state
 
 
@@ -75,13 +89,16 @@ def rest_state(model: Model) -> Float[Array, " state"]:
 def rollout(
     model: Model, voltage: Float[Array, " time"], dt: float, start: Float[Array, " state"]
 ) -> Float[Array, "time state"]:
-    """Scaled states at every sample, row 0 = `start`; write for one record, vmap for more."""
+    """Scaled states at every sample under a drive voltage u, row 0 = `start`; for one record, vmap for more.
 
-    def advance(state, pair):
-        return step(model, state, pair[0], pair[1], dt), state
+    A start at x = 0 without motion is rest: the film is uncharged. Any other start has it settled at u(0).
+    """
+    voltage = model.drive.film(voltage, dt, ~jnp.any(start[: model.order]))
 
-    pairs = jnp.stack([voltage, jnp.append(voltage[1:], voltage[-1])], -1)
-    return jax.lax.scan(advance, start, pairs)[1]
+    def advance(state, stages):
+        return step(model, state, stages, dt), state
+
+    return jax.lax.scan(advance, start, stage_voltages(model, voltage))[1]
 
 
 rollout_batch = eqx.filter_jit(eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0)))
@@ -154,24 +171,32 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     model = at_rate(model, records[0].dt)
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
-    starts, estimated = zip(*[_start(model, r) for r in records], strict=True)
-    dtype = model.coefficients.dtype
-    states = rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, jnp.stack(starts))
+    start, spent = starts(model, records)
+    states = rollout_batch(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, start)
     return tuple(
-        _prediction(model, r, np.asarray(s[: r.samples]), e) for r, s, e in zip(records, states, estimated, strict=True)
+        _prediction(model, r, np.asarray(s[: r.samples]), n) for r, s, n in zip(records, states, spent, strict=True)
     )
 
 
+def starts(model: Model, records: Sequence[Record]) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
+    """Initial states of all records, and from how many samples each was estimated (0: it starts at rest)."""
+    found, spent = zip(*[_start(model, r) for r in records], strict=True)
+    return jnp.stack(found), spent
+
+
 def _start(model: Model, record: Record):
-    """Rest, or the state estimated from the first samples; and which of the two."""
+    """Rest, or the state estimated from the first samples; and how many samples that took (0 at rest).
+
+    After a gap at the beginning the first 50 samples are those behind it: the rollout reaches them from the start.
+    """
     if starts_at_rest(record, model.output.offset):
-        return rest_state(model), False
-    first = slice(0, INITIAL_SAMPLES)
+        return rest_state(model), 0
+    first = slice(0, first_known(record) + INITIAL_SAMPLES)
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
     voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
-    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt), True
+    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt), len(x)
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:
@@ -187,12 +212,12 @@ def outside_share(model: Model, features: np.ndarray) -> float:
     return float(((features < low - slack) | (features > high + slack)).any(-1).mean())
 
 
-def _prediction(model: Model, record: Record, states: np.ndarray, estimated: bool) -> Prediction:
+def _prediction(model: Model, record: Record, states: np.ndarray, spent: int) -> Prediction:
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < _FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
     x[:first] = model.output.to_rig(states[:first, 0].astype(np.float64) * model.scales.state[0])
     scored = np.ones(record.samples, bool)
-    scored[: INITIAL_SAMPLES if estimated else 0] = False
+    scored[:spent] = False
     share = 1.0 if first == 0 else outside_share(model, states[:first])
-    return Prediction(record.name, x, bool(lost.any()), estimated, scored, share)
+    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, share)

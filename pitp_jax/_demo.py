@@ -143,7 +143,7 @@ def run(
     return Demo(name, swept, train, test, found, trained, predicted, linear, tracks)
 
 
-QUICK_TRAINING = {"epochs": 6, "stages": 3, "refine_steps": 100}
+QUICK_TRAINING = {"epochs": 6, "stages": 3, "refine_steps": 15}
 
 
 def kind(name: str) -> str:
@@ -194,7 +194,7 @@ def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> 
     found = _inverse.feedforward(model, Target(time, wanted, source=f"sine at {frequency:g} Hz"))
     dt = 1.0 / actuator.rate_hz
     clock = np.arange(len(found.time)) * dt
-    achieved = simulate(actuator, clock, found.voltage, hold=model.hold)
+    achieved = simulate(actuator, clock, found.voltage, hold="zoh" if model.hold == "zoh" else "foh")
     asked = np.asarray(found.target)
     return Track(frequency, time, wanted, achieved[asked], found.voltage[asked], found.self_check_e_rms_percent)
 

@@ -49,11 +49,15 @@ def discrete_inverse(
         sweeps: Gauss-Newton iterations (foh).
 
     Returns:
-        zoh: u_0 ... u_{T-2} held over each step; foh: u_0 ... u_{T-2}, the last sample's voltage left out.
+        Film voltage, which is the drive's where the model has no lag (else see `drive.undo`).
+        zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
 
     Raises:
-        ValueError: the model takes substeps (tokens change inside a sample; invert on the substep grid instead).
+        ValueError: the model takes substeps (tokens change inside a sample; invert on the substep grid instead), or
+            its voltage is band-limited (one sample then acts on sixteen steps).
     """
+    if model.hold == "bandlimited":
+        raise ValueError("discrete_inverse needs hold foh or zoh")
     if model.substeps != 1:
         raise ValueError("discrete_inverse needs substeps = 1: decode on the finer grid and invert there")
     free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])

@@ -3,7 +3,7 @@
     describe(model)  ->  header of JSON values        encode: a float that is not finite -> {"float": "inf"}
     build(header)    ->  a model whose leaves are placeholders of the right shapes
 
-A part belongs to a file only by its line in one of four registries: input maps, encoders, memories, effects.
+A part belongs to a file only by its line in one of five registries: input maps, encoders, memories, drives, effects.
 """
 
 import json
@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from ._errors import BadInput
+from ._model.drive import DirectDrive, ElectrodeLag
 from ._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
 from ._model.input_map import LinearInput, SquareInput
 from ._model.memory import ElapsedTime, FadingMemory, NoMemory
@@ -40,14 +41,11 @@ class Part:
 
 
 def _compact_sizes(encoder: CompactEncoder) -> dict:
-    trunk = encoder.restoring
-    first = trunk.hidden[0] if trunk.hidden else trunk.readout
     return {
         "order": encoder.order,
-        "memories": int(first.in_features) - 1,
-        "width": trunk.readout.in_features,
-        "depth": len(trunk.hidden),
-        "offset": int(encoder.offset),
+        "memories": encoder.bounds.shape[1] - encoder.order,
+        "width": encoder.spring.readout.in_features,
+        "offset": int(encoder.past is not None),
     }
 
 
@@ -88,6 +86,10 @@ MEMORIES = {
     "elapsed": Part(ElapsedTime, lambda m: {"horizon": m.horizon}, ElapsedTime),
     "fading": Part(FadingMemory, lambda m: {"size": m.size}, lambda size: FadingMemory(jnp.zeros((size,)))),
 }
+DRIVES = {
+    "direct": Part(DirectDrive, _nothing, DirectDrive),
+    "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
+}
 EFFECTS: dict[str, Part] = {}  # one line per effect of the catalogue
 
 
@@ -101,9 +103,14 @@ def describe(model: Model) -> dict:
         "input_map": _named(INPUT_MAPS, model.input_map),
         "encoder": _named(ENCODERS, model.encoder),
         "memory": _named(MEMORIES, model.memory),
+        "drive": _named(DRIVES, model.drive),
         "effects": [_named(EFFECTS, effect) for effect in model.effects],
         "output": {"offset": float(model.output.offset), "polarity": float(model.output.polarity)},
-        "scales": {"state": [float(s) for s in model.scales.state], "force": float(model.scales.force)},
+        "scales": {
+            "state": [float(s) for s in model.scales.state],
+            "force": float(model.scales.force),
+            "sections": [float(s) for s in model.scales.sections],
+        },
         "provenance": {
             "dt": float(source.dt),
             "displacement_unit": source.displacement_unit,
@@ -153,7 +160,7 @@ def build(header: dict) -> Model:
         region=tuple((float(a), float(b)) for a, b in source["region"]),
         notes=notes,
     )
-    if header["hold"] not in ("foh", "zoh") or not 1 <= int(header["substeps"]) <= LARGEST:
+    if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
     model = Model(
         coefficients=jnp.zeros((len(scales["state"]),)),
@@ -161,10 +168,15 @@ def build(header: dict) -> Model:
         encoder=_part(ENCODERS, header["encoder"]),
         memory=_part(MEMORIES, header["memory"]),
         output=Output(float(output["offset"]), float(output["polarity"])),
-        scales=Scales(tuple(float(s) for s in scales["state"]), float(scales["force"])),
+        scales=Scales(
+            tuple(float(s) for s in scales["state"]),
+            float(scales["force"]),
+            tuple(float(s) for s in scales["sections"]),
+        ),
         hold=header["hold"],
         substeps=int(header["substeps"]),
         provenance=provenance,
+        drive=_part(DRIVES, header["drive"]),
         effects=tuple(_part(EFFECTS, effect) for effect in header["effects"]),
     )
     tokens, _ = model.tokens(jnp.zeros((model.order + model.memory.size,)))

@@ -1,6 +1,6 @@
 """Inverse: the voltage for a wanted motion (paper, eq. 13).
 
-    F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),       u = sqrt(max(F, 0))          (a map over instants)
+    F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = V + tau V'   (a map over instants)
 
 Memories follow x alone, so they are known along a target. The closed form inverts the continuous equation; the decoder
 holds its tokens over a step, so a few shooting iterations on the rollout move the reference until the rollout meets the
@@ -41,7 +41,8 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float):
     start = model.memory.initial(jnp.zeros((), equation.dtype))
     memory = model.memory.trajectory(equation[:, 0], dt, start)
     force = equation_inverse(model, equation, memory)
-    voltage = model.input_map.voltage(force * model.scales.force)
+    film = model.input_map.voltage(force * model.scales.force)
+    voltage = model.drive.lead(film, dt)
     return force, voltage, jnp.concatenate([equation[:, :-1], memory], -1)
 
 

@@ -2,9 +2,9 @@
 
     stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
-    then:     windows of the rollout against the measured displacement (multiple shooting)
+    then:     least squares on free runs (`_refine`), with the memories' and the drive's time constants
 
-The equation error is fast and blind to what accumulates; rollouts see just that. See PAPER_READINGS, Algorithm 1.
+The equation error is fast and blind to what accumulates; free runs see just that. See PAPER_READINGS, Algorithm 1.
 """
 
 import json
@@ -21,12 +21,14 @@ import optax
 
 from ._dataset import Dataset, build_dataset
 from ._errors import BadInput, ComputationFailed
+from ._model.drive import ElectrodeLag
 from ._model.encoder import CompactEncoder, PaperEncoder
 from ._model.memory import ElapsedTime, FadingMemory, NoMemory
 from ._model.model import Model
 from ._record.record import Record
 from ._refine import refine
 from ._residual import loss
+from ._sensitivity import trainable
 
 
 @dataclass(frozen=True)
@@ -35,10 +37,11 @@ class Settings:
 
     Attributes:
         encoder: "compact" or "paper".
-        width, depth: hidden size and hidden layers of the compact encoder.
+        width: hidden size of the compact encoder's nets.
         offset: whether the compact encoder has an offset token.
         memory: "fading", "elapsed" or "none".
-        memories: how many fading memories, log-spaced from 2 samples of the resonance to half the longest record.
+        memories: how many fading memories, log-spaced from 2 / omega_0 to half the longest record.
+        drive: "electrode" (a lag before the square, learned from 0.1 / omega_0 on) or "direct".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
         difference: "stencil" (8th order) or "central" (eq. 8).
         epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
@@ -46,39 +49,37 @@ class Settings:
         tolerance [epsilon]: a stage must lower the physics residual by this share to earn another.
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
-        refine_steps, refine_rate, windows: rollout refinement; windows per step.
-        window_periods: window length in periods of the resonance.
+        refine_steps: most Levenberg-Marquardt steps on free runs.
     """
 
     encoder: str = "compact"
-    width: int = 32
-    depth: int = 2
+    width: int = 8
     offset: bool = True
     memory: str = "fading"
     memories: int = 5
+    drive: str = "electrode"
     scaling: str = "rms"
     difference: str = "stencil"
-    epochs: int = 12
+    epochs: int = 8
     decay_epochs: float = 0.971
     rate: float = 3e-3
     decay_rate: float = 0.6
     widen: float = 1.5
     narrow: float = 0.6
     penalty: tuple[float, float] = (0.1, 0.1)
-    stages: int = 6
+    stages: int = 4
     tolerance: float = 0.01
     huber: float = 0.05
     batch: int = 2048
-    refine_steps: int = 600
-    refine_rate: float = 1e-3
-    window_periods: float = 4.0
-    windows: int = 128
+    refine_steps: int = 40
 
+
+_OPTIMISER = optax.scale_by_adam()
 
 PRESETS = {
     "default": Settings(),
     "paper": Settings(
-        encoder="paper", memory="elapsed", scaling="paper", difference="central", epochs=10, rate=1e-3,
+        encoder="paper", memory="elapsed", drive="direct", scaling="paper", difference="central", epochs=10, rate=1e-3,
         decay_rate=0.8, widen=1.2, narrow=0.8, penalty=(2.0, 2.0), huber=1.0, refine_steps=0, stages=8,
     ),
 }  # fmt: skip
@@ -134,10 +135,10 @@ def train(
         if preset not in PRESETS:
             raise BadInput(f"unknown preset {preset!r}: use one of {', '.join(PRESETS)}")
         settings = PRESETS[preset]
-    key_init, key_stages, key_refine = jax.random.split(key, 3)
+    key_init, key_stages = jax.random.split(key)
     data = build_dataset(nominal, records, scaling=settings.scaling, difference=settings.difference,
                          memory=partial(_memory, settings, nominal, records))  # fmt: skip
-    model = _with_encoder(data.model, settings, key_init)
+    model = _with_encoder(data, settings, key_init)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
@@ -145,7 +146,8 @@ def train(
             best = found
             history.append(entry)
         if best is not None and settings.refine_steps:
-            for found, entry in refine(best, data, records, settings, key_refine, partial(_report, progress)):
+            lagging = _with_drive(best, settings)
+            for found, entry in refine(lagging, data, records, settings.refine_steps, partial(_report, progress)):
                 best = found
                 history.append(entry)
     except KeyboardInterrupt:
@@ -177,27 +179,37 @@ def _memory(settings: Settings, nominal: Model, records):
     return FadingMemory(jnp.asarray(np.log(tau), jnp.float32))
 
 
-def _with_encoder(model: Model, settings: Settings, key) -> Model:
-    n, features = model.order, model.order + model.memory.size
+def _with_encoder(data: Dataset, settings: Settings, key) -> Model:
+    """The nominal with a fresh encoder, bounded at twice the trained region."""
+    model = data.model
+    n, memories = model.order, model.memory.size
     if settings.encoder == "paper":
-        encoder = PaperEncoder(features, n + 1, key=key)
+        encoder = PaperEncoder(n + memories, n + 1, key=key)
     else:
-        encoder = CompactEncoder(
-            n, model.memory.size, width=settings.width, depth=settings.depth, offset=settings.offset, key=key
-        )
+        low, high = np.asarray(data.region).T
+        half = np.maximum(high - low, 0.25 * (high[0] - low[0])) / 2
+        bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half
+        encoder = CompactEncoder(n, memories, width=settings.width, offset=settings.offset, bounds=bounds, key=key)
     return eqx.tree_at(lambda m: m.encoder, model, encoder)
+
+
+def _with_drive(model: Model, settings: Settings) -> Model:
+    """The lag free runs start from. Not before: the equation error reads the drive as direct, and does not fit it."""
+    if settings.drive != "electrode":
+        return model
+    a = model.physical_coefficients
+    lag = ElectrodeLag(jnp.asarray(np.log(0.1 / (a[0] / a[-1]) ** (1 / model.order)), jnp.float32))
+    return eqx.tree_at(lambda m: m.drive, model, lag)
 
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Algorithm 1: yield (best model, history entry) after every stage."""
-    optimiser = optax.scale_by_adam()
-    run = _epoch_function(optimiser, settings)
     total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
     best_model, best, count, began = model, np.inf, 0, time.monotonic()
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model, _trainable(best_model))
-        state = optimiser.init(params)
+        state = _OPTIMISER.init(params)
         epochs = max(1, int(settings.epochs * settings.decay_epochs**j))
         at_stage = best
         for epoch in range(epochs):
@@ -205,7 +217,9 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder == "compact" else 1.0
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box), jnp.asarray(rate)
-            params, state, (physics, constraint) = run(params, static, state, data.equation, *box_rate, sub)
+            params, state, (physics, constraint) = _epoch(
+                params, static, state, data.equation, *box_rate, settings, sub
+            )
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
                 raise ComputationFailed(_nan_advice(f"stage {j + 1}, epoch {epoch + 1}"))
@@ -229,42 +243,50 @@ def _nan_advice(place: str) -> str:
 
 
 def _trainable(model: Model):
-    """Encoder weights only: nominal coefficients and memories stay."""
+    """Encoder weights only: the equation error knows no time constant."""
     frozen = jax.tree.map(lambda _: False, model)
-    return eqx.tree_at(lambda m: m.encoder, frozen, jax.tree.map(eqx.is_inexact_array, model.encoder))
+    return eqx.tree_at(lambda m: m.encoder, frozen, trainable(model).encoder)
 
 
-def _epoch_function(optimiser, settings: Settings):
+@eqx.filter_jit
+def _epoch(params, static, state, data, box, rate, settings: Settings, key):
     """One epoch over shuffled minibatches as one compiled scan; an incomplete batch is left to the next shuffle."""
+    count = max(data.force.shape[0] // settings.batch, 1)
+    size = min(settings.batch, data.force.shape[0])
+    shuffle, drop = jax.random.split(key)
+    order = jax.random.permutation(shuffle, data.force.shape[0])[: count * size].reshape(count, size)
     dropout = settings.encoder == "paper"
 
-    @eqx.filter_jit
-    def run(params, static, state, data, box, rate, key):
-        count = max(data.force.shape[0] // settings.batch, 1)
-        size = min(settings.batch, data.force.shape[0])
-        shuffle, drop = jax.random.split(key)
-        order = jax.random.permutation(shuffle, data.force.shape[0])[: count * size].reshape(count, size)
+    def objective(p, batch, k):
+        return loss(eqx.combine(p, static), batch, box, width=settings.huber, penalty=settings.penalty, key=k)
 
-        def objective(p, batch, k):
-            return loss(eqx.combine(p, static), batch, box, width=settings.huber, penalty=settings.penalty, key=k)
+    def update(carry, item):
+        p, s = carry
+        index, k = item
+        grads, parts = eqx.filter_grad(objective, has_aux=True)(p, data.take(index), k if dropout else None)
+        updates, s = _OPTIMISER.update(grads, s, p)
+        updates = jax.tree.map(lambda u: -rate * u, updates)
+        return (eqx.apply_updates(p, updates), s), jnp.stack(parts)
 
-        def update(carry, item):
-            p, s = carry
-            index, k = item
-            grads, parts = eqx.filter_grad(objective, has_aux=True)(p, data.take(index), k if dropout else None)
-            updates, s = optimiser.update(grads, s, p)
-            updates = jax.tree.map(lambda u: -rate * u, updates)
-            return (eqx.apply_updates(p, updates), s), jnp.stack(parts)
+    keys = jax.random.split(drop, count)
+    (params, state), parts = jax.lax.scan(update, (params, state), (order, keys))
+    return params, state, tuple(parts.mean(0))
 
-        keys = jax.random.split(drop, count)
-        (params, state), parts = jax.lax.scan(update, (params, state), (order, keys))
-        return params, state, tuple(parts.mean(0))
 
-    return run
+def _region(model: Model, data: Dataset) -> tuple[tuple[float, float], ...]:
+    """Lowest and highest value of every feature, with the memories as they were learned."""
+    n, seen = model.order, []
+    for found, valid in zip(data.features, data.valid, strict=True):
+        past = np.asarray(
+            model.memory.trajectory(jnp.asarray(found[:, 0]), model.provenance.dt, jnp.asarray(found[0, n:]))
+        )
+        seen.append(np.concatenate([found[:, :n], past], -1)[valid])
+    rows = np.concatenate(seen)
+    return tuple((float(a), float(b)) for a, b in zip(rows.min(0), rows.max(0), strict=True))
 
 
 def _annotated(model: Model, data: Dataset, notes: dict) -> Model:
     """The model with its trained region and the training summary in its provenance."""
     old = json.loads(model.provenance.notes)
-    provenance = replace(model.provenance, region=data.region, notes=json.dumps({**old, "training": notes}))
+    provenance = replace(model.provenance, region=_region(model, data), notes=json.dumps({**old, "training": notes}))
     return eqx.tree_at(lambda m: m.coefficients, replace(model, provenance=provenance), model.coefficients)

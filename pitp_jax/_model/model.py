@@ -1,6 +1,7 @@
 """The model: an ODE of order n whose coefficients are read off the current state (paper, eqs. 2-7).
 
-    F = sigma_off + sum_{i=0}^{n} sigma_i x^(i),      F = map(u),      sigma = tokens(S, m),  S = [x, ..., x^(n-1)]
+    F = sigma_off + sum_{i=0}^{n} sigma_i x^(i),   F = map(V),  V = drive(u)
+    sigma = tokens(S, m),   S = [x, x', ..., x^(n-1)]
 
 In scaled coordinates X_i = x^(i) / scale_i and force / force_scale everything is of order one; a token is the
 nominal coefficient times a positive factor, so a zero encoder is exactly the identified linear model.
@@ -14,11 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
 from .memory import AbstractMemory, NoMemory
+from .sections import product, sections_of
 
-Hold = Literal["foh", "zoh"]
+Hold = Literal["foh", "zoh", "bandlimited"]
 
 
 @dataclass(frozen=True)
@@ -63,10 +66,14 @@ class Output(eqx.Module):
 
 
 class Scales(eqx.Module):
-    """Units of the scaled coordinates: x^(i) in m/s^i (n + 1 of them) and force in V^2 (or V)."""
+    """Units of the scaled coordinates: x^(i) in m/s^i (n + 1 of them) and force in V^2 (or V).
+
+    `sections` (order 3 and up): the nominal polynomial's factors (`sections_of`), the units of its variable tokens.
+    """
 
     state: tuple[float, ...] = eqx.field(static=True)
     force: float = eqx.field(static=True)
+    sections: tuple[float, ...] = eqx.field(static=True, default=())
 
     @property
     def rates(self) -> np.ndarray:
@@ -86,8 +93,8 @@ class Model(eqx.Module):
 
     Attributes:
         coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
-        encoder, memory, input_map, output, scales, effects: the parts; `effects` act on the force side.
-        hold: how the voltage runs between samples: "foh" (linear) or "zoh" (constant).
+        encoder, memory, input_map, output, scales, drive, effects: the parts; `effects` act on the force side.
+        hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
         substeps: RK4 steps per sample.
         provenance: what it was made from.
     """
@@ -101,6 +108,7 @@ class Model(eqx.Module):
     hold: Hold = eqx.field(static=True, default="foh")
     substeps: int = eqx.field(static=True, default=1)
     provenance: Provenance = eqx.field(static=True, default=Provenance(1.0))
+    drive: AbstractDrive = DirectDrive()
     effects: tuple = ()
 
     @property
@@ -117,8 +125,21 @@ class Model(eqx.Module):
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
         """Scaled tokens sigma_0 ... sigma_n and the offset token at one instant (S then memory, scaled)."""
-        logits = self.encoder(features, key=key)
-        return self.coefficients * positive_factor(logits[:-1]), logits[-1]
+        return self.tokens_from(self.encoder(features, key=key))
+
+    def tokens_from(self, logits: Float[Array, " logits"]) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
+        """Tokens and offset token of an encoder's logits; the polynomial they make is stable (`sections`)."""
+        factor = positive_factor(logits[:-1])
+        if self.order < 3:
+            return self.coefficients * factor, logits[-1]
+        nominal, n = np.asarray(self.scales.sections), self.order
+        state = np.asarray(self.scales.state)
+        poly = product(factor[:n] * jnp.asarray(nominal, factor.dtype))
+        return self.coefficients[n] * factor[n] * jnp.asarray(state / state[n], factor.dtype) * poly, logits[-1]
+
+
+def _sections(coefficients: np.ndarray) -> tuple[float, ...]:
+    return sections_of(coefficients) if len(coefficients) > 3 else ()
 
 
 def linear_model(
@@ -141,7 +162,7 @@ def linear_model(
         encoder=ConstantEncoder(len(coefficients) + 1),
         memory=NoMemory(),
         output=output,
-        scales=Scales(tuple(float(s) for s in state_scale), float(force_scale)),
+        scales=Scales(tuple(float(s) for s in state_scale), float(force_scale), _sections(coefficients)),
         hold=hold,
         substeps=substeps,
         provenance=provenance,

@@ -1,0 +1,92 @@
+"""Uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
+
+    x(t) = mean_k x_k(t),    s(t)^2 = (1 + 1/K) var_k x_k(t) + s_0^2,    band = x(t) +- q s(t),  q: Student's, K - 1
+
+What the members agree on by mistake no spread can show, so s_0, their rms error on the training records over its
+range, stands beside it. Coverage on held-out records is measured in `experiments/coverage.py`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import t as student
+
+from ._decode import at_rate, rollout, starts
+from ._model.model import Model
+from ._record.record import Record
+from ._train import train
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Members that differ in trained numbers only.
+
+    Attributes:
+        models: K models, each usable alone.
+        error: rms error of the mean on the training records, over the range of each.
+    """
+
+    models: tuple[Model, ...]
+    error: float
+
+
+@dataclass(frozen=True)
+class Band:
+    """The prediction of an ensemble for one record: mean and half width in rig coordinates (m or V), shape (T,)."""
+
+    name: str
+    displacement: np.ndarray
+    half_width: np.ndarray
+    scored: np.ndarray
+
+
+def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
+    """Train `members` models from keys split off `key`; `options` as for `train`.
+
+    Raises:
+        ValueError: fewer than 2 members.
+    """
+    if members < 2:
+        raise ValueError(f"an ensemble needs at least 2 members, got {members}")
+    models = tuple(train(nominal, records, key=k, **options).model for k in jax.random.split(key, members))
+    found = predict_band(Ensemble(models, 0.0), records)
+    errors = [_relative(b, r) for b, r in zip(found, records, strict=True)]
+    return Ensemble(models, float(np.sqrt(np.mean(np.square(errors)))))
+
+
+def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
+    """Mean and band of every record, all members at once; `level` is the share of samples the band should cover."""
+    stack = _stacked([at_rate(m, records[0].dt) for m in ensemble.models])
+    quantile = float(student.ppf(0.5 + level / 2, len(ensemble.models) - 1))
+    bands = []
+    for r in records:
+        begin, spent = zip(*[starts(m, [r]) for m in ensemble.models], strict=True)
+        states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
+        model = ensemble.models[0]
+        x = np.asarray(states, np.float64) * model.scales.state[0]
+        base = ensemble.error * np.ptp(r.displacement[r.observed])
+        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)
+        scored = np.arange(r.samples) >= spent[0][0]
+        bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, scored))
+    return tuple(bands)
+
+
+def _stacked(models: Sequence[Model]) -> Model:
+    """One model whose leaves have a leading axis of members; what they were made from is the first's."""
+    alike = [replace(m, provenance=models[0].provenance) for m in models]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
+
+
+@eqx.filter_jit
+def _run(stack: Model, voltage, dt: float, start):
+    return eqx.filter_vmap(lambda m, s: rollout(m, voltage, dt, s)[:, 0])(stack, start)
+
+
+def _relative(band: Band, record: Record) -> float:
+    keep = band.scored & record.observed
+    left = (band.displacement - record.displacement)[keep]
+    return float(np.sqrt(np.mean(left**2)) / np.ptp(record.displacement[record.observed]))
