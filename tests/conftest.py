@@ -55,28 +55,58 @@ def coefficients():
 
 @pytest.fixture(scope="session")
 def linear(coefficients):
-    """fn(order, hz, damping, ...): the linear model with those poles; scaled coefficients of order one."""
+    """fn(order, hz, damping, ...): the linear model with those poles; scaled coefficients of order one.
+
+    They are rounded to float32 first: the model in float64 is the same, and so are its sections.
+    """
 
     def make(order=2, hz=5.0, damping=0.1, *, dt=1e-3, hold="foh", substeps=1, input_map=None, **output):
-        a = coefficients(order, hz, damping)
+        scale = 1e-3 * (2 * np.pi * hz) ** np.arange(order + 1)
+        a = (coefficients(order, hz, damping) * scale / 1e6).astype(np.float32).astype(np.float64) * 1e6 / scale
         return linear_model(
-            a, input_map=input_map or SquareInput(), state_scale=1e-3 * (2 * np.pi * hz) ** np.arange(order + 1),
-            force_scale=1e6, output=Output(**output), hold=hold, substeps=substeps, provenance=Provenance(dt),
+            a, input_map=input_map or SquareInput(), state_scale=scale, force_scale=1e6, output=Output(**output),
+            hold=hold, substeps=substeps, provenance=Provenance(dt),
         )  # fmt: skip
 
     return make
 
 
-@pytest.fixture(scope="session")
-def nonlinear(linear):
-    """fn(order, key, size, ...): `linear` with a random CompactEncoder (logits of about `size`) and fading memories."""
+def _without_drag(encoder):
+    """Damping weights and products of an encoder, those of x^(n-1) zero."""
+    last, (rows, columns) = encoder.order - 1, np.triu_indices(encoder.order)
+    blind = np.concatenate([np.arange(encoder.order) == last, (rows == last) | (columns == last)])
+    weight = encoder.damping.hidden.weight.at[:, last].set(0.0)
+    return weight, jnp.where(blind, 0.0, encoder.damping_poly)
 
-    def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), **options):
-        encoder = CompactEncoder(order, len(tau), width=6, depth=2, key=jax.random.key(key))
-        rng = np.random.default_rng(key)
-        shaken = jax.tree.map(
-            lambda a: a + jnp.asarray(size * rng.standard_normal(a.shape) / np.sqrt(a.shape[-1]), a.dtype), encoder
-        )
+
+@pytest.fixture(scope="session")
+def shake():
+    """fn(encoder, size, seed): its weights moved by about `size`, layer by layer; `bounds` are no weights."""
+
+    def moved(encoder, size, seed):
+        rng = np.random.default_rng(seed)
+
+        def push(a):
+            return a + jnp.asarray(size * rng.standard_normal(a.shape) / np.sqrt(max(a.shape[-1], 1)), a.dtype)
+
+        pushed = jax.tree.map(push, encoder)
+        return eqx.tree_at(lambda e: e.bounds, pushed, encoder.bounds)
+
+    return moved
+
+
+@pytest.fixture(scope="session")
+def nonlinear(linear, shake):
+    """fn(order, key, size, ...): `linear` with a random CompactEncoder (logits of about `size`) and fading memories.
+
+    Without `drag` no token depends on the highest derivative in the state, x^(n-1).
+    """
+
+    def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), drag=True, **options):
+        encoder = CompactEncoder(order, len(tau), width=6, key=jax.random.key(key))
+        shaken = shake(encoder, size, key)
+        if not drag:
+            shaken = eqx.tree_at(lambda e: (e.damping.hidden.weight, e.damping_poly), shaken, _without_drag(shaken))
         model = linear(order, **options)
         parts = (shaken, FadingMemory(jnp.log(jnp.asarray(tau, jnp.float32))))
         return eqx.tree_at(lambda m: (m.encoder, m.memory), model, parts)

@@ -228,7 +228,7 @@ def test_info(call, tmp_path, identified):
 def test_info_of_a_trained_model(call, tmp_path):
     training = {
         "records": ["a", "b"], "samples": 9, "seconds": 1.5, "interrupted": True,
-        "history": [{"stage": 1, "box": [0.6, 1.5], "physics": 0.1}, {"stage": "rollouts", "loss": 2.0}],
+        "history": [{"stage": 1, "box": [0.6, 1.5], "physics": 0.1}, {"stage": "free runs", "step": 1, "error": 2.0}],
     }  # fmt: skip
     _file.save(tmp_path / "m", truth(notes=json.dumps({"training": training})))
     code, text, _ = call("info", tmp_path / "m")
@@ -354,10 +354,10 @@ def trainer(monkeypatch):
             self.calls.append((nominal, [r.name for r in records], options))
             for step in (1, 2):
                 options["progress"](_train.Progress("stage 1", step, 2, 1.5, 0.25, 0.125, 61.0))
-            options["progress"](_train.Progress("rollouts", 1, 1, None, 0.1, 0.1, float("nan")))
+            options["progress"](_train.Progress("free runs", 1, 1, None, 0.1, 0.1, float("nan")))
             if self.error:
                 raise self.error
-            encoder = CompactEncoder(2, 0, width=4, depth=1, key=options["key"])
+            encoder = CompactEncoder(2, 0, width=4, key=options["key"])
             model = replace(nominal, encoder=encoder)
             return _train.Training(model, ({"stage": 1, "physics": 0.5},), self.interrupted, {"seconds": 1.0})
 
@@ -376,7 +376,7 @@ def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
     assert names == ["sine2", "sine4", "sweep"]
     assert given["preset"] == "paper"
     assert "stage 1: 2/2  box 1.5  loss 0.25  best 0.125  about 61 s left" in err
-    assert "rollouts: 1/1  loss 0.1  best 0.1  about ? left" in err
+    assert "free runs: 1/1  loss 0.1  best 0.1  about ? left" in err
     assert type(_file.load(out).encoder) is CompactEncoder
     assert "physics 0.5" in text
 

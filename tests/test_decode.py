@@ -73,14 +73,18 @@ def test_constant_tokens_are_fourth_order(linear, double, order):
             assert error(model, truth, 64) < 1e-9
 
 
-def test_state_dependent_tokens_are_first_order(nonlinear, double):
+@pytest.mark.parametrize(("drag", "order"), [(False, 2), (True, 1)])
+def test_state_dependent_tokens_have_their_order(nonlinear, double, drag, order):
+    """Tokens are read where the state drifts to by half a step: order 2. What x^(n-1), the one derivative whose drift
+    takes the force, changes them by is read at the beginning: order 1.
+    """
     with jax.enable_x64(True):
-        model = double(nonlinear(2, size=0.4))
+        model = double(nonlinear(2, size=0.4, drag=drag))
         truth = adaptive(model)
-        linearised = eqx.tree_at(lambda m: m.encoder, model, jax.tree.map(jnp.zeros_like, model.encoder))
+        linearised = eqx.tree_at(lambda m: m.encoder, model, model.encoder.scaled(0.0))
         assert error(linearised, truth) > 0.03 * np.ptp(truth[:, 0])  # the tokens do vary
         errors = [error(model, truth, factor) for factor in (8, 32)]
-        assert np.log2(errors[0] / errors[1]) / 2 == pytest.approx(1, abs=0.15)
+        assert np.log2(errors[0] / errors[1]) / 2 == pytest.approx(order, abs=0.15)
         finer = replace(model, substeps=8)
         assert error(finer, truth) == pytest.approx(errors[0], rel=1e-6)  # a substep is a step
 
@@ -109,7 +113,7 @@ def test_a_frozen_step_is_affine_in_the_force(nonlinear, double):
 
 def test_rest_stays_at_rest_without_voltage(nonlinear):
     model = nonlinear(2)
-    silent = eqx.tree_at(lambda m: m.encoder.restoring, model, jax.tree.map(jnp.zeros_like, model.encoder.restoring))
+    silent = eqx.tree_at(lambda m: m.encoder.past, model, jax.tree.map(jnp.zeros_like, model.encoder.past))
     still = run(silent, jnp.zeros(100), DT, rest_state(model))
     assert bool((still == 0).all())
     assert (
@@ -121,7 +125,7 @@ def test_rest_stays_at_rest_without_voltage(nonlinear):
 def test_a_fresh_encoder_is_the_identified_model(linear, kind):
     model, key = linear(3, substeps=2), jax.random.key(4)
     if kind == "compact":
-        parts = CompactEncoder(3, 2, width=8, depth=2, key=key), FadingMemory(jnp.log(jnp.array([0.01, 1.0])))
+        parts = CompactEncoder(3, 2, width=8, key=key), FadingMemory(jnp.log(jnp.array([0.01, 1.0])))
     else:
         parts = PaperEncoder(4, 4, key=key, width=8), ElapsedTime(10.0)
     fresh = eqx.tree_at(lambda m: (m.encoder, m.memory), model, parts)
@@ -181,7 +185,7 @@ def test_a_moving_start_is_estimated(linear, coefficients, fading):
     model, start = linear(2), 333
     if fading:
         parts = (
-            CompactEncoder(2, 2, width=4, depth=1, key=jax.random.key(0)),
+            CompactEncoder(2, 2, width=4, key=jax.random.key(0)),
             FadingMemory(jnp.log(jnp.array([0.01, 1.0]))),
         )
         model = eqx.tree_at(lambda m: (m.encoder, m.memory), model, parts)

@@ -29,6 +29,9 @@ class Rescaled(AbstractEncoder):
     def __call__(self, features, *, key=None):
         return self.inner(features * self.factor)
 
+    def scaled(self, factor):
+        return Rescaled(self.inner.scaled(factor), self.factor)
+
 
 def _there_and_back(model, voltage):
     states = rollout(model, voltage, DT, rest_state(model))
@@ -48,6 +51,7 @@ def random_model(model, seed, w_dt, size):
         return jnp.asarray(size * rng.standard_normal(leaf.shape) / np.sqrt(leaf.shape[-1]), jnp.float32)
 
     encoder = jax.tree.map(lambda a: shake(a) if eqx.is_inexact_array(a) else a, model.encoder)
+    encoder = eqx.tree_at(lambda e: e.bounds, encoder, model.encoder.bounds)  # no weight: none are bounded here
     poly = np.ones(1)
     for _ in range(order // 2):
         pole = rng.uniform(0.7, 1)
@@ -79,8 +83,10 @@ def force_error(model, signed, seed):
 
 
 def float32_bound(w_dt, hold, reach):
-    """The issue's floor, times |x| beyond 1: a state keeps eps |x|. Linear voltages: their alternating mode acts on
-    x^(n-2) by (w dt)^2 only, and no solver finds more than eps / (w dt)^2 in rounded states (in float64 neither).
+    """The issue's floor, times |x| beyond 1: a state keeps eps |x|.
+
+    foh: the alternating mode of the voltages moves x^(n-2) by (w dt)^2 only, which float32 states hold to eps: the
+    same states inverted in float64 give the same error (1.85e-4 at w dt = 0.02, order 2; the floor there: 1.2e-4).
     """
     eps = float(np.finfo(np.float32).eps)
     return max(1e-4, 20 * eps / w_dt, eps / w_dt**2 if hold == "foh" else 0.0) * max(1.0, reach)
@@ -113,7 +119,7 @@ def test_recovers_the_force_of_every_step(nonlinear, double, order, hold, input_
 
 
 def test_float32_meets_the_issues_floor_but_for_rare_draws(nonlinear):
-    """error / max F <= max(1e-4, 20 eps / (w0 dt)) for 97 % of the draws at least (found: 99.3 to 100 %)."""
+    """error / max F <= max(1e-4, 20 eps / (w0 dt)) for 97 % of the draws at least (found: 99.4 % of 2,491)."""
     rng, template, met = np.random.default_rng(7), nonlinear(2, hz=HZ, dt=DT), []
     while len(met) < 100:
         seed, w_dt, size = (

@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 
 from pitp_jax import _file, _file_parts
 from pitp_jax._errors import BadInput
+from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput, SquareInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory
 from pitp_jax._model.model import Model, Output, Provenance, Scales
 
 KEY = jax.random.key(3)
+SECTIONS = (1.5, 0.1, 20.0, 3e-7, 1 / 3, 1e12)
+BOUNDS = np.array([[-0.5, -2.0], [1.5, 3.0]])
 NOTES = json.dumps({"identification": {"order": 2, "stderr": [0.1, float("inf")]}, "name": "Zürich"})
 PROVENANCE = Provenance(
     1e-3, "mm", "kV", (0.0, 6e3), region=((-1.0, 1.0), (-0.5, float("inf"))), notes=NOTES
@@ -33,7 +36,7 @@ def model(order=2, encoder=None, memory=None, dtype=jnp.float32, **changes):
         encoder=encoder or ConstantEncoder(order + 2),
         memory=memory or NoMemory(),
         output=Output(1.25e-5, -1.0),
-        scales=Scales(tuple(0.1**i for i in range(order + 1)), 3.6e7),
+        scales=Scales(tuple(0.1**i for i in range(order + 1)), 3.6e7, SECTIONS[:order] if order > 2 else ()),
         **{"hold": "zoh", "substeps": 3, "provenance": PROVENANCE, **changes},
     )
 
@@ -52,16 +55,21 @@ CASES = {
     "nominal": lambda: model(),
     "order 1": lambda: model(1),
     "order 6": lambda: model(6),
+    "bandlimited": lambda: model(hold="bandlimited"),
     "linear input": lambda: model(input_map=LinearInput(), hold="foh"),
     "compact": lambda: model(
-        encoder=noisy(CompactEncoder(2, 3, width=8, depth=2, key=KEY)), memory=FadingMemory(jnp.arange(3.0))
+        encoder=noisy(CompactEncoder(2, 3, width=8, key=KEY)), memory=FadingMemory(jnp.arange(3.0))
     ),
-    "compact without offset": lambda: model(
-        encoder=noisy(CompactEncoder(2, 0, width=4, depth=1, offset=False, key=KEY))
-    ),
-    "compact order 1": lambda: model(1, encoder=noisy(CompactEncoder(1, 0, width=4, depth=1, key=KEY))),
+    "compact without offset": lambda: model(encoder=noisy(CompactEncoder(2, 0, width=4, offset=False, key=KEY))),
+    "compact order 1": lambda: model(1, encoder=noisy(CompactEncoder(1, 0, width=4, key=KEY))),
     "paper": lambda: model(
         encoder=noisy(PaperEncoder(3, 3, width=4, depth=1, dropout=0.25, key=KEY)), memory=ElapsedTime(10.0)
+    ),
+    "compact order 3": lambda: model(3, encoder=noisy(CompactEncoder(3, 1, width=4, key=KEY)), memory=ElapsedTime(2.0)),
+    "compact bounded": lambda: model(encoder=noisy(CompactEncoder(2, 0, width=4, bounds=BOUNDS, key=KEY))),
+    "electrode lag": lambda: model(drive=ElectrodeLag(jnp.float32(-6.25))),
+    "electrode lag, order 4, compact": lambda: model(
+        4, drive=noisy(ElectrodeLag(jnp.float32(-6.25))), encoder=noisy(CompactEncoder(4, 0, width=4, key=KEY))
     ),
     "no notes": lambda: model(provenance=Provenance(1.0)),
     "odd notes": lambda: model(provenance=PROVENANCE.with_(notes='{"a":1}  ')),
@@ -249,6 +257,9 @@ def test_missing_folder_and_unwritable(tmp_path):
 class Foreign(AbstractEncoder):
     def __call__(self, features, *, key=None):
         return jnp.zeros(4)
+
+    def scaled(self, factor):
+        return self
 
 
 class Effect(eqx.Module):

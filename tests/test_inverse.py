@@ -93,22 +93,24 @@ def test_eq_13_is_the_closed_form_force_of_a_sine(linear, double, order):
 
 
 @pytest.mark.parametrize(
-    ("kind", "hold", "order_in_dt"),
+    ("kind", "hold", "coarsest", "order_in_dt"),
     [
-        ("linear", "foh", 2),  # a voltage linear between samples against the true force
-        ("linear", "zoh", 1),  # half a sample late
-        ("square", "foh", 2),
-        ("nonlinear", "foh", 1),  # tokens frozen over a step
+        ("linear", "foh", 4e-3, 2),  # a voltage linear between samples against the true force
+        ("linear", "zoh", 4e-3, 1),  # half a sample late
+        ("square", "foh", 4e-3, 2),
+        ("nonlinear", "foh", 4e-3, 2),  # tokens frozen over a step, as read at its drifted middle
+        ("drag", "foh", 1e-3, 1),  # tokens that see x' too, read at the step's beginning: less than the rest until here
     ],
 )
 def test_eq_13_falls_at_its_order_and_shooting_removes_the_rest(
-    linear, nonlinear, bounded, double, kind, hold, order_in_dt
+    linear, nonlinear, bounded, double, kind, hold, coarsest, order_in_dt
 ):
     eq_13 = []
-    for dt in (4e-3, 2e-3, 1e-3):
+    for dt in (coarsest, coarsest / 2, coarsest / 4):
         options = {"dt": dt, "hold": hold} | ({} if kind == "square" else {"input_map": LinearInput()})
         with jax.enable_x64(True):
-            model = nonlinear(2, key=3, **options) if kind == "nonlinear" else linear(2, **options)
+            varying = kind in ("nonlinear", "drag")
+            model = nonlinear(2, key=3, drag=kind == "drag", **options) if varying else linear(2, **options)
             limits = (0.0, 3e3) if kind == "square" else (-3e6, 3e6)
             found = feedforward(bounded(double(model), *limits, slew=1e12), hump(dt))
         eq_13.append(found.equation_e_rms_percent)

@@ -1,0 +1,157 @@
+"""What each token may see, where it stops seeing, and the identified model at zero; a line per encoder in `make`."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pitp_jax._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder, fast_memories
+
+KEY = jax.random.key(5)
+ORDERS = (1, 2, 3)
+MEMORIES = 4
+CASES = [("compact", n) for n in ORDERS] + [("constant", 2), ("compact without offset", 2), ("paper", 2)]
+
+
+@pytest.fixture(scope="module")
+def make(shake):
+    """fn(kind, order): a fresh encoder, and one with random weights."""
+
+    def both(kind, order, bounds=None):
+        if kind == "constant":
+            return ConstantEncoder(order + 2), ConstantEncoder(order + 2)
+        if kind == "paper":
+            fresh = PaperEncoder(order + MEMORIES, order + 1, key=KEY, width=6)
+            pushed = jax.tree.map(lambda a: a + 0.3 * jax.random.normal(KEY, a.shape) if eqx.is_array(a) else a, fresh)
+            return fresh, pushed
+        offset = kind == "compact"
+        fresh = CompactEncoder(order, MEMORIES, width=6, offset=offset, bounds=bounds, key=KEY)
+        return fresh, shake(fresh, 0.7, order)
+
+    return both
+
+
+@eqx.filter_jit
+def logits_of(encoder, features):
+    """Of a batch."""
+    return jax.vmap(encoder)(features)
+
+
+@eqx.filter_jit
+def _slopes(encoder, features):
+    return jax.vmap(jax.jacfwd(encoder))(features)
+
+
+def slopes(encoder, features):
+    """Logits by features for a batch, shape (batch, n + 2, n + K)."""
+    return np.asarray(_slopes(encoder, features))
+
+
+def points(order, count=8, reach=1.0, seed=0):
+    return reach * jax.random.normal(jax.random.key(seed), (count, order + MEMORIES))
+
+
+@pytest.mark.parametrize(("kind", "order"), CASES)
+def test_a_fresh_encoder_is_exactly_the_nominal(make, linear, kind, order):
+    fresh, pushed = make(kind, order)
+    model = linear(order)
+    read = eqx.filter_jit(lambda m, f: jax.vmap(m.tokens)(f))
+    nominal, _ = read(model, points(order, 3, 3.0))
+    for encoder in (fresh, pushed.scaled(0.0)):
+        tokens, offset = read(eqx.tree_at(lambda m: m.encoder, model, encoder), points(order, 3, 3.0))
+        np.testing.assert_array_equal(tokens, nominal)
+        np.testing.assert_array_equal(offset, np.zeros(3))
+
+
+@pytest.mark.parametrize(("kind", "order"), CASES)
+def test_scaled_scales_the_logits(make, kind, order):
+    _, encoder = make(kind, order)
+    logits = logits_of(encoder, points(order, 3))
+    assert logits.shape == (3, order + 2)
+    np.testing.assert_allclose(logits_of(encoder.scaled(0.4), points(order, 3)), 0.4 * logits, rtol=2e-5, atol=1e-6)
+    assert kind == "constant" or float(jnp.abs(logits).max()) > 0.05
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_spring_sees_the_displacement_only(make, order):
+    """Sigma_0 and sigma_n: neither velocity nor memory, so neither can pump energy."""
+    _, encoder = make("compact", order)
+    by = slopes(encoder, points(order))[:, [0, order]]
+    assert (by[..., 1:] == 0).all()
+    assert (by[..., 0] != 0).all()
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_damping_sees_the_state_and_every_memory(make, order):
+    _, encoder = make("compact", order)
+    assert (np.abs(slopes(encoder, points(order))[:, 1:order]).max(0) > 1e-4).all()
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_offset_sees_the_displacement_and_the_past(make, order):
+    """No velocity; the two slowest memories by a weight that is quadratic in x alone, never through the net."""
+    _, encoder = make("compact", order)
+    by = slopes(encoder, points(order))[:, -1]
+    assert (by[:, 1:order] == 0).all()
+    assert (np.abs(by[:, [0, *range(order, order + MEMORIES)]]).max(0) > 1e-4).all()
+    f = points(order, 1)[0]
+    slow = jnp.arange(order + MEMORIES) >= order + fast_memories(MEMORIES)
+    low, middle, high = (encoder(f + k * slow)[-1] for k in (-1.0, 0.0, 1.0))
+    assert float(low + high - 2 * middle) == pytest.approx(0, abs=2e-6)  # linear in them
+    assert abs(float(high - low)) > 1e-2
+
+
+def test_without_an_offset_there_is_none(make):
+    _, encoder = make("compact without offset", 2)
+    assert encoder.past is None and encoder.fading.size == 0
+    assert (np.asarray(logits_of(encoder, points(2)))[:, -1] == 0).all()
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_outside_the_bounds_tokens_stay(make, order):
+    """Each feature on its own is held at the nearer bound: value, and a slope of zero."""
+    low, high = -0.5 - 0.1 * np.arange(order + MEMORIES), 0.8 + 0.1 * np.arange(order + MEMORIES)
+    fresh, encoder = make("compact", order, np.stack([low, high]))
+    np.testing.assert_allclose(fresh.bounds, [low, high], rtol=1e-6)
+    f = points(order, 12, 2.0)
+    inside = jnp.clip(f, jnp.asarray(low, jnp.float32), jnp.asarray(high, jnp.float32))
+    np.testing.assert_array_equal(logits_of(encoder, f), logits_of(encoder, inside))
+    outside = np.asarray(f != inside)
+    assert 0.2 < outside.mean() < 0.8
+    assert (slopes(encoder, f).swapaxes(1, 2)[outside] == 0).all()
+    far, farther = logits_of(encoder, jnp.asarray([[1e2], [1e4]]) * jnp.ones(order + MEMORIES))
+    np.testing.assert_array_equal(far, farther)
+    unbounded = make("compact", order)[1]
+    assert float(jnp.abs(unbounded(1e2 * jnp.ones(order + MEMORIES)) - far).max()) > 10
+
+
+def test_no_gradient_reaches_the_bounds(make):
+    _, encoder = make("compact", 2, np.stack([-0.1 * np.ones(6), 0.1 * np.ones(6)]))
+    slope = eqx.filter_grad(lambda e: jnp.sum(e(jnp.ones(6))))(encoder)
+    assert (np.asarray(slope.bounds) == 0).all()
+    assert float(jnp.abs(slope.spring_poly).max()) > 0
+
+
+@pytest.mark.parametrize(("memories", "fast"), [(0, 0), (1, 0), (2, 0), (3, 1), (5, 3)])
+def test_the_two_slowest_memories_are_kept_from_the_net(memories, fast):
+    assert fast_memories(memories) == fast
+    encoder = CompactEncoder(2, memories, width=4, key=KEY)
+    assert encoder.past is not None and encoder.past.hidden.in_features == 1 + fast
+    assert encoder(jnp.ones(2 + memories)).shape == (4,)
+
+
+def test_a_hardening_spring_is_a_polynomial(make):
+    """Logits of sigma_0 are x^2 where training says so, anywhere within the bounds: no saturation."""
+    fresh, _ = make("compact", 2)
+    cubic = eqx.tree_at(lambda e: e.spring_poly, fresh, fresh.spring_poly.at[0, 1].set(0.25))
+    for x in (-3.0, 0.5, 20.0):
+        assert float(cubic(jnp.zeros(6).at[0].set(x))[0]) == pytest.approx(0.25 * x**2, rel=1e-6)
+
+
+def test_dropout_needs_a_key(make):
+    _, encoder = make("paper", 2)
+    f = jnp.ones(6)
+    first, second = (encoder(f, key=jax.random.key(k)) for k in (1, 2))
+    assert not bool(jnp.array_equal(first, second))
+    np.testing.assert_array_equal(encoder(f), encoder(f))

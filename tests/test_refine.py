@@ -1,0 +1,186 @@
+"""Refinement on free runs: a planted electrode lag is found, nothing else is touched, and a bad start is tamed."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pitp_jax import _refine
+from pitp_jax._dataset import build_dataset
+from pitp_jax._decode import predict, rest_state, rollout, rollout_batch
+from pitp_jax._errors import ComputationFailed
+from pitp_jax._metrics import e_rms_percent
+from pitp_jax._model.drive import ElectrodeLag
+from pitp_jax._model.encoder import CompactEncoder
+from pitp_jax._model.memory import FadingMemory
+from pitp_jax._record.record import Record
+from pitp_jax._refine import refine
+
+DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
+TIME = np.arange(SAMPLES) * DT
+
+
+def quiet(*line):
+    pass
+
+
+@pytest.fixture(scope="module")
+def plant(linear):
+    """The linear actuator without and with the lag, two chirps of it, one with a gap, and a held-out sine."""
+    nominal = linear(2, 5.0, 0.15, dt=DT)
+    truth = eqx.tree_at(lambda m: m.drive, nominal, ElectrodeLag(jnp.log(jnp.float32(TAU))))
+    run = eqx.filter_jit(rollout)
+
+    def record(name, peak, low, high, seed):
+        voltage = peak / 2 * (1 - np.cos(2 * np.pi * (low * TIME + (high - low) * TIME**2 / (2 * TIME[-1]))))
+        x = np.asarray(run(truth, jnp.asarray(voltage, jnp.float32), DT, rest_state(truth)))[:, 0] * 1e-3
+        return Record(name, TIME, voltage, x + 1e-6 * np.random.default_rng(seed).standard_normal(SAMPLES))
+
+    records = [record("up", 1800, 0.5, 8.0, 1), record("down", 1200, 7.0, 0.5, 2)]
+    records[0].displacement[400:440] = np.nan
+    return nominal, records, [record("sine", 1500, 2.0, 2.0, 3)]
+
+
+@pytest.fixture(scope="module")
+def start(plant):
+    """What the first stages hand over: data, and a model with a fresh encoder and a lag of a tenth of a radian."""
+    nominal, records, _ = plant
+    memory = FadingMemory(jnp.log(jnp.asarray([0.06, 0.5, 1.0], jnp.float32)))
+    data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda: memory)
+    low, high = np.asarray(data.region).T
+    encoder = CompactEncoder(2, 3, width=4, bounds=np.stack([1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low]),
+                             key=jax.random.key(2))  # fmt: skip
+    drive = ElectrodeLag(jnp.log(jnp.float32(0.1 / (2 * np.pi * 5))))
+    return eqx.tree_at(lambda m: (m.encoder, m.drive), data.model, (encoder, drive)), data
+
+
+@pytest.fixture(scope="module")
+def refined(plant, start):
+    """All that one refinement yields and reports."""
+    lines = []
+    model, data = start
+    return list(refine(model, data, plant[1], 25, lambda *line: lines.append(line))), lines
+
+
+def error(model, records):
+    """Largest e_rms, %."""
+    runs = predict(model, records)
+    return max(e_rms_percent(p.displacement, r.displacement) for p, r in zip(runs, records, strict=True))
+
+
+def test_a_planted_lag_is_found(plant, start, refined):
+    """Tau within 10 %, the error of a free run on a drive never seen cut fivefold."""
+    found = refined[0][-1][0]
+    assert float(jnp.exp(found.drive.log_tau)) == pytest.approx(TAU, rel=0.1)
+    assert error(found, plant[2]) < 0.2 * error(start[0], plant[2])
+    assert error(found, plant[1]) < 0.1 * error(start[0], plant[1])
+
+
+def test_every_step_goes_down_and_is_told(refined):
+    steps, lines = refined
+    assert [e["stage"] for _, e in steps] == sorted((e["stage"] for _, e in steps), reverse=True)
+    assert {e["stage"] for _, e in steps} == {"short runs", "free runs"}
+    for stage in ("short runs", "free runs"):
+        errors = [e["error"] for _, e in steps if e["stage"] == stage]
+        told = [line for line in lines if line[0] == stage]
+        assert (np.diff(errors) <= 0).all()
+        assert [line[3] for line in told][1:] == errors
+        assert told[0][3] >= errors[0]  # the start is told too
+        assert [line[1] for line in told] == list(range(len(told)))
+        assert len(told) - 1 <= {"short runs": _refine._SHORT_STEPS, "free runs": 25}[stage]
+
+
+def test_only_trained_numbers_move(start, refined):
+    before, after = start[0], refined[0][-1][0]
+    np.testing.assert_array_equal(after.encoder.bounds, before.encoder.bounds)
+    np.testing.assert_array_equal(after.coefficients, before.coefficients)
+    assert after.scales == before.scales and after.provenance == before.provenance
+    for part in (lambda m: m.encoder.spring_poly, lambda m: m.memory.log_tau, lambda m: m.drive.log_tau):
+        assert float(jnp.abs(part(after) - part(before)).max()) > 1e-4
+
+
+def test_whole_records_weigh_the_same(plant, start):
+    """Padded to one length; a record's weights add up to 1e4 / (range^2 records); what is missing has none."""
+    model, records = start[0], plant[1]
+    holes = records[1].displacement.copy()
+    holes[200:300] = np.nan
+    short = Record("short", TIME[:600], records[1].voltage[:600], holes[:600])
+    runs = _refine._whole(model, [records[0], short])
+    assert runs.voltage.shape == (2, SAMPLES)
+    weight, target = np.asarray(runs.weight), np.asarray(runs.target)
+    assert (weight[1, 600:] == 0).all() and (weight[1, 200:300] == 0).all() and (weight[1, :200] > 0).all()
+    assert np.isfinite(target).all()
+    scale = model.scales.state[0]
+    spans = [(np.nanmax(x) - np.nanmin(x)) / scale for x in (records[0].displacement, holes[:600])]
+    np.testing.assert_allclose(weight.sum(1), 1e4 / np.square(spans) / 2, rtol=1e-4)
+    np.testing.assert_array_equal(runs.rest, [1.0, 1.0])
+
+
+def test_windows_start_where_the_record_is(plant, start):
+    """Every window's first scaled displacement is its filtered state, its last sample still on the record."""
+    model, data = start
+    runs = _refine._windows(model, data, plant[1])
+    count, size = runs.target.shape
+    assert count == 2 and size == pytest.approx(6 * 0.2 / DT, abs=2)  # one a record
+    assert not any(valid[0] for valid in data.valid)
+    np.testing.assert_allclose(runs.start[:, 0], runs.target[:, 0], atol=0.02)
+    assert (np.asarray(runs.rest) == 0).all()
+    measured = np.concatenate([r.displacement for r in plant[1]]) / model.scales.state[0]
+    known = np.asarray(runs.weight) > 0
+    assert 0.9 < known.mean() < 1  # a gap lies in one of them
+    assert np.isin(np.asarray(runs.target)[known], measured.astype(np.float32)).all()
+
+
+@pytest.fixture(scope="module")
+def runaway(start):
+    """A fast memory that pushes five times as hard as the spring pulls, and no bounds that would stop it."""
+    model, _ = start
+    wide = 1e6 * jnp.asarray([[-1.0], [1.0]]) * jnp.ones((2, 5))
+    push = model.encoder.fading.at[0, 0].set(-5.0 * model.coefficients[0])
+    return eqx.tree_at(lambda m: (m.encoder.bounds, m.encoder.fading), model, (wide, push))
+
+
+def lost(model, runs):
+    states = np.asarray(rollout_batch(model, runs.voltage, DT, runs.start))[..., 0]
+    return not np.isfinite(states).all() or np.abs(states).max() > 100 * float(jnp.abs(runs.target).max())
+
+
+def test_a_diverging_start_is_tamed(plant, start, runaway):
+    runs = _refine._whole(runaway, plant[1])
+    assert lost(runaway, runs)
+    tamed = _refine._tamed(runaway, runs, DT)
+    assert not lost(tamed, runs)
+    assert float(tamed.encoder.fading[0, 0] / runaway.encoder.fading[0, 0]) < 0.5
+    np.testing.assert_array_equal(tamed.encoder.bounds, runaway.encoder.bounds)
+    found = list(refine(runaway, start[1], plant[1], 2, quiet))
+    assert not lost(found[-1][0], runs)
+
+
+def test_a_good_start_is_left_alone(plant, start):
+    runs = _refine._whole(start[0], plant[1])
+    tamed = _refine._tamed(start[0], runs, DT)
+    for a, b in zip(jax.tree.leaves(tamed), jax.tree.leaves(start[0]), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_no_start_at_all_is_told(plant, start):
+    """Where the linear nominal is lost too there is nothing to step down from."""
+    broken = eqx.tree_at(lambda m: m.coefficients, start[0], start[0].coefficients * jnp.array([1.0, jnp.nan, 1.0]))
+    with pytest.raises(ComputationFailed, match="diverged before refinement"):
+        list(refine(broken, start[1], plant[1], 3, quiet))
+
+
+@pytest.mark.parametrize(("hz", "every"), [(0.2, 8), (5.0, 8), (20.0, 2), (100.0, 1)])
+def test_ten_errors_to_a_period(linear, hz, every):
+    assert _refine._thinning(linear(2, hz), DT) == every
+
+
+def test_records_shorter_than_the_filter_still_have_a_window(plant, start):
+    """Where no window starts at a valid sample the first record's beginning serves."""
+    model, data = start
+    nowhere = replace(data, valid=tuple(np.zeros_like(v) for v in data.valid))
+    runs = _refine._windows(model, nowhere, plant[1])
+    assert runs.target.shape[0] == 1 and bool(jnp.isfinite(runs.weight).all())
