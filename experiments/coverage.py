@@ -1,0 +1,55 @@
+"""Does an ensemble's 95 % band hold 95 % of held-out samples?
+
+    python experiments/coverage.py [cone100|roll] [--data ../shared] [--members 4] [--smoke]
+
+Trains on train/, prints per held-out record the share of samples inside the band and its half width over the record's
+range. Without recordings a quick virtual cone is used.
+"""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import pitp_jax as pitp
+from pitp_jax._demo import excitations, measure
+from pitp_jax._train import PRESETS
+
+
+def records_of(case: str, data: Path):
+    """Sweep, training and held-out records of a bench, or of the virtual cone."""
+    root = data / "bench" / case
+    if root.is_dir():
+        return tuple(pitp.read(root / part) for part in ("sweep", "train", "test"))
+    plant = pitp.plant(case)
+    return tuple(measure(plant, excitations(case, part, True)) for part in ("sweep", "train", "test"))
+
+
+def main(smoke: bool = False, argv=None):
+    """Train, predict and count."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("case", nargs="?", default="cone100")
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared")
+    parser.add_argument("--members", type=int, default=4)
+    parser.add_argument("--smoke", action="store_true")
+    options = parser.parse_args([] if smoke else argv)
+    settings = PRESETS["default"]
+    if smoke or options.smoke:
+        settings = dataclasses.replace(settings, stages=1, epochs=1, refine_steps=1)
+    sweep, train, test = records_of(options.case, options.data)
+    nominal = pitp.identify(sweep).model
+    ensemble = pitp.train_ensemble(nominal, train, members=options.members, settings=settings, key=jax.random.key(0))
+    inside, width = [], []
+    for record, band in zip(test, pitp.predict_band(ensemble, test), strict=True):
+        keep = band.scored & record.observed
+        left = np.abs(band.displacement - record.displacement)[keep]
+        inside.append(100 * np.mean(left <= band.half_width[keep]))
+        width.append(100 * np.mean(band.half_width[keep]) / np.ptp(record.displacement[keep]))
+        print(f"{record.name:28s} {inside[-1]:6.1f} % inside, half width {width[-1]:5.2f} % of range")
+    print(f"all: {np.mean(inside):.1f} % inside (95 wanted), worst {min(inside):.1f} %, width {np.mean(width):.2f} %")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,75 @@
+"""Fig. 11: other models on the same records, roll at 110 Hz.
+
+Claim: existing wide-band models fail at high frequency, the token model does not. The paper compares with two models
+of other authors; here stand, fitted to the same records, the identified linear model, the paper's own preset, and
+the default preset with one part taken away or exchanged. The trajectory at 110 Hz is in-sample, as in the paper.
+"""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+from _paper import PRESETS, Bench, errors
+from _show import arguments, axes_grid, finish, panel, show
+
+import pitp_jax as pitp
+from pitp_jax import _plot
+
+FREQUENCY = {"roll": 110.0, "cone": 8.0}  # Hz
+DEFAULT = PRESETS["default"]
+VARIANTS = {
+    "default preset": DEFAULT,
+    "paper preset": PRESETS["paper"],
+    "default, raw time for memory": replace(DEFAULT, memory="elapsed"),
+    "default, no memory": replace(DEFAULT, memory="none"),
+    "default, no offset token": replace(DEFAULT, offset=False),
+    "default, equation error only": replace(DEFAULT, refine_steps=0),
+}
+
+
+def main(smoke: bool = False, argv=()):
+    """Fit every variant; print its errors; draw the trajectories."""
+    options = arguments(__doc__, argv, smoke, ("roll",))
+    for name in options.plants:
+        bench = Bench(name, options)
+        frequency = FREQUENCY[bench.kind]
+        record = bench.grid(frequency)
+        fits = {"identified linear model": (bench.identify().model, None)}
+        for label, settings in VARIANTS.items():
+            try:
+                found = bench.fit(settings)
+                fits[label] = found.model, found.seconds
+            except pitp.ComputationFailed as trouble:
+                print(f"{label}: {trouble}")
+        in_sample, held_out = [], []
+        for label, (model, seconds) in fits.items():
+            inside, outside = errors(model, bench.train), errors(model, bench.test)
+            values = np.array(list(inside.values()))
+            in_sample.append((label, None, inside[record.name], float(np.median(values)), float(values.max()), seconds))
+            values = np.array(list(outside.values()))
+            held_out.append((label, None, float(np.median(values)), float(values.max()), *outside.values()))
+        columns = ("cell", "paper (%)", f"ours, {frequency:g} Hz (%)", "all sines, median (%)", "worst (%)", "fit (s)")
+        show(f"Fig. 11, in-sample, {name}", columns, in_sample)
+        columns = ("cell", "paper (%)", "ours, median (%)", "worst (%)", *outside)
+        show(f"held-out, {name}", columns, held_out)
+        _draw(options, name, record, frequency, {k: m for k, (m, _) in fits.items()})
+
+
+def _draw(options, name, record, frequency, models):
+    """The last periods of the trajectory, one panel per model."""
+    figure, axes = axes_grid(len(models), 1, (5.5, 0.3 + 1.2 * len(models)))
+    part = slice(max(0, record.samples - round(5 / (frequency * record.dt))), None)
+    low, high = 1e3 * record.displacement[part].min(), 1e3 * record.displacement[part].max()
+    for ax, (label, model) in zip(axes[:, 0], models.items(), strict=True):
+        run = pitp.predict(model, [record])[0].displacement[part]
+        ax.plot(record.time[part], 1e3 * record.displacement[part], color="0.6", lw=1.8)
+        ax.plot(record.time[part], 1e3 * run, color="#0072b2", lw=1.0, ls="--")
+        ax.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
+        panel(ax, label)
+        ax.label_outer()
+    _plot.finish(axes[:, 0], "time (s)", ["x (mm)"] * len(models))
+    finish(figure, options, f"fig11_comparison_{name}.png", "grey: measured, dashed blue: predicted")
+
+
+if __name__ == "__main__":
+    main(argv=sys.argv[1:])
