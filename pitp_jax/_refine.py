@@ -51,7 +51,7 @@ def _descend(model: Model, runs: Runs, dt: float, count: int, stage: str, report
     def normal(v):
         found, away = normal_equations(model, runs, dt, every, v), v - centre
         prior = Normal(_PRIOR * away @ away, _PRIOR * away, _PRIOR * np.eye(len(v)))
-        return Normal(*(a + b for a, b in zip(found, prior, strict=True)))
+        return Normal(found.cost + prior.cost, found.gradient + prior.gradient, found.hessian + prior.hessian)
 
     costs, began = [], time.monotonic()
     for k, (vector, here, done) in enumerate(steps(normal, start, np.full(len(start), np.inf))):

@@ -40,7 +40,8 @@ class Settings:
         width: hidden size of the compact encoder's nets.
         offset: whether the compact encoder has an offset token.
         memory: "fading", "elapsed" or "none".
-        memories: how many fading memories, log-spaced from 2 / omega_0 to half the longest record.
+        memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record (to half
+            of it: a 50 s record after training on 10 s drifted by 1.3 % of range, against 0.6 %).
         drive: "electrode" (a lag before the square, learned from 0.1 / omega_0 on) or "direct".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
         difference: "stencil" (8th order) or "central" (eq. 8).
@@ -175,7 +176,7 @@ def _memory(settings: Settings, nominal: Model, records):
         return ElapsedTime(horizon=float(longest))
     a = nominal.physical_coefficients
     omega = (a[0] / a[-1]) ** (1 / nominal.order)
-    tau = np.geomspace(min(2.0 / omega, longest / 20), longest / 2, settings.memories)
+    tau = np.geomspace(min(2.0 / omega, longest / 20), longest, settings.memories)
     return FadingMemory(jnp.asarray(np.log(tau), jnp.float32))
 
 
