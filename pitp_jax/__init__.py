@@ -1,6 +1,7 @@
 """pitp_jax: model, invert and diagnose dielectric elastomer actuators from recordings.
 
     records -> identify -> train -> decode / predict -> feedforward
+                          diagnose -> a model with the missing effect
 
 Names load on first use, so that `pitp --help` does not wait for JAX.
 """
@@ -13,6 +14,8 @@ if TYPE_CHECKING:  # the public list, in pipeline order, as a type checker sees 
     from ._decode import predict as predict
     from ._decode import rest_state as rest_state
     from ._decode import rollout as rollout
+    from ._diagnose.diagnosis import Diagnosis as Diagnosis
+    from ._diagnose.diagnosis import diagnose as diagnose
     from ._discrete_inverse import discrete_inverse as discrete_inverse
     from ._ensemble import Band as Band
     from ._ensemble import Ensemble as Ensemble
@@ -55,6 +58,7 @@ _HOME = {
     "feedforward": "._inverse", "Feedforward": "._inverse", "discrete_inverse": "._discrete_inverse",
     "pi_trim": "._trim", "e_rms_percent": "._metrics", "nrmse_percent": "._metrics", "rmse": "._metrics",
     "rmhe_percent": "._metrics", "save": "._file", "load": "._file",
+    "diagnose": "._diagnose.diagnosis", "Diagnosis": "._diagnose.diagnosis",
     "plant": "._plant", "simulate": "._plant", "record": "._plant", "stepper": "._plant",
     "BadInput": "._errors", "ComputationFailed": "._errors",
 }  # fmt: skip

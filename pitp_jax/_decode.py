@@ -20,6 +20,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ._between import between
+from ._effects.base import Instant
+from ._model import augment
 from ._model.model import Model
 from ._record.record import Record
 from ._rest import INITIAL_SAMPLES, first_known, starts_at_rest
@@ -41,8 +43,12 @@ def increment(
     model: Model, state: Float[Array, " state"], logits: Float[Array, " logits"], forces: tuple, h: float
 ) -> Float[Array, " state"]:
     """What one RK4 step of length h (s) adds under these logits; `state` is S then memory, scaled."""
+    return _runge_kutta(model, state, *model.tokens_from(logits), forces, h)
+
+
+def _runge_kutta(model: Model, state, tokens, offset, forces: tuple, h: float):
+    """What one RK4 step of length h (s) adds under these tokens; `state` is S then memory, scaled."""
     n = model.order
-    tokens, offset = model.tokens_from(logits)
     rates = jnp.asarray(model.scales.rates, state.dtype)
     first, middle, last = forces
 
@@ -73,6 +79,8 @@ def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple,
 
 def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " stages"], dt: float):
     """Advance one sample along its stage voltages: `substeps` RK4 steps, tokens read anew at each."""
+    if model.effects:
+        return _step_with_effects(model, state, stages, dt)
     force = scaled_force(model, stages)
     for k in range(model.substeps):
         now = (force[2 * k], force[2 * k + 1], force[2 * k + 2])
@@ -80,10 +88,31 @@ def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " sta
     return state
 
 
-def rest_state(model: Model) -> Float[Array, " state"]:
-    """The scaled state of an actuator that has been at rest for ever."""
-    dtype = model.coefficients.dtype
-    return jnp.concatenate([jnp.zeros(model.order, dtype), model.memory.initial(jnp.zeros((), dtype))])
+def _step_with_effects(model: Model, state, stages, dt: float):
+    """The same with every effect's force frozen beside the tokens, and its states moved on after each substep."""
+    size, h = model.order + model.memory.size, dt / model.substeps
+    for k in range(model.substeps):
+        core, parts = state[:size], augment.split(model, state[size:])
+        volts, parts = augment.films(model, parts, tuple(stages[2 * k : 2 * k + 3]), h)
+        seen = midpoint(model, core, h)
+        forces = augment.coupled(model, tuple(scaled_force(model, v) for v in volts), seen[0])
+        rates = jnp.asarray(model.scales.rates, state.dtype)
+        now = Instant(seen[: model.order], model.coefficients, rates, forces[1], h)
+        tokens, offset = augment.acted(model, parts, now, *model.tokens(seen))
+        after = core + _runge_kutta(model, core, tokens, offset, forces, h)
+        state = jnp.concatenate([after, *augment.moved(model, parts, core[0], after[0], h)])
+    return state
+
+
+def rest_state(model: Model, age: float = 0.0) -> Float[Array, " state"]:
+    """The scaled state of an actuator that has been at rest for ever, at an age of the session in s."""
+    zero = jnp.zeros((), model.coefficients.dtype)
+    return settled_state(model, jnp.zeros(model.order, zero.dtype), zero, zero, age)
+
+
+def settled_state(model: Model, state: Float[Array, " order"], level, voltage, age) -> Float[Array, " state"]:
+    """S, with memory and effects as after a long time at scaled displacement `level` under a voltage."""
+    return jnp.concatenate([state, model.memory.initial(level), augment.initial(model, level, voltage, age)])
 
 
 def rollout(
@@ -93,7 +122,8 @@ def rollout(
 
     A start at x = 0 without motion is rest: the film is uncharged. Any other start has it settled at u(0).
     """
-    voltage = model.drive.film(voltage, dt, ~jnp.any(start[: model.order]))
+    rest = ~jnp.any(start[: model.order])
+    voltage = model.drive.film(augment.delayed(model, voltage, dt, rest), dt, rest)
 
     def advance(state, stages):
         return step(model, state, stages, dt), state
@@ -111,6 +141,7 @@ def estimate_start(
     displacement: Float[Array, " time"],
     observed: Bool[Array, " time"],
     dt: float,
+    age: float = 0.0,
 ) -> Float[Array, " state"]:
     """Initial state of a record that starts moving, from its first samples (scaled displacement; at most 50).
 
@@ -120,12 +151,12 @@ def estimate_start(
     level = jnp.sum(jnp.where(observed, displacement, 0.0)) / jnp.maximum(jnp.sum(observed), 1)
 
     def assemble(p):
-        return jnp.concatenate([p[:-1], model.memory.initial(p[-1])])
+        return settled_state(model, p[:-1], p[-1], voltage[0], age)
 
     prior = jnp.zeros(model.order + 1, displacement.dtype).at[jnp.array([0, -1])].set(level)
 
     def residual(p):
-        x = rollout(model, voltage, dt, assemble(p))[:, 0]
+        x = augment.readings(model, rollout(model, voltage, dt, assemble(p)))
         return jnp.concatenate([jnp.where(observed, x - displacement, 0.0), 1e-3 * (p - prior)])
 
     def improve(p, _):
@@ -190,13 +221,13 @@ def _start(model: Model, record: Record):
     After a gap at the beginning the first 50 samples are those behind it: the rollout reaches them from the start.
     """
     if starts_at_rest(record, model.output.offset):
-        return rest_state(model), 0
+        return rest_state(model, record.time[0]), 0
     first = slice(0, first_known(record) + INITIAL_SAMPLES)
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
     voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
-    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt), len(x)
+    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, record.time[0]), len(x)
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:
@@ -216,8 +247,9 @@ def _prediction(model: Model, record: Record, states: np.ndarray, spent: int) ->
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < _FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
-    x[:first] = model.output.to_rig(states[:first, 0].astype(np.float64) * model.scales.state[0])
+    seen = np.asarray(augment.readings(model, states[:first]), np.float64)
+    x[:first] = model.output.to_rig(seen * model.scales.state[0])
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
-    share = 1.0 if first == 0 else outside_share(model, states[:first])
+    share = 1.0 if first == 0 else outside_share(model, states[:first, : model.order + model.memory.size])
     return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, share)

@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from ._effects import CATALOGUE, key
 from ._errors import BadInput
 from ._model.drive import DirectDrive, ElectrodeLag
 from ._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
@@ -90,7 +91,7 @@ DRIVES = {
     "direct": Part(DirectDrive, _nothing, DirectDrive),
     "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
 }
-EFFECTS: dict[str, Part] = {}  # one line per effect of the catalogue
+EFFECTS = {key(cls): Part(cls, _nothing, cls.neutral) for cls in CATALOGUE}
 
 
 def describe(model: Model) -> dict:

@@ -1,0 +1,242 @@
+"""A case: a nominal model beside real recordings, in the model's scaled coordinates, on the host.
+
+    e = x_nominal - x_measured    (free run, voltage as the model holds it)
+    S = [x, x', ..., x^(n)]       (measured, filtered zero-phase; missing samples filled from the free run)
+
+Fitted and held-out records are of different excitations as far as the set allows: what is fitted must hold on a drive
+the fit never saw, not on another part of the same one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._decode import at_rate, rollout_batch, starts
+from .._effects.base import Surroundings
+from .._errors import BadInput
+from .._model.input_map import SquareInput
+from .._model.model import Model
+from .._record.preprocess import force_band, preprocess
+from .._record.record import Record
+from .._record.sweeps import is_sweep
+
+BUDGET = 240_000  # samples in all; longer sets are cut record by record
+
+
+@dataclass(frozen=True)
+class Series:
+    """One record as the diagnosis reads it; arrays of shape (T,) unless said.
+
+    Attributes:
+        record: as given, cut to the budget.
+        fitted: whether effects are fitted on it.
+        voltage: behind the model's drive, V.
+        force: scaled nominal force.
+        motion: measured scaled [X_0 ... X_n], shape (T, n + 1).
+        tokens, offset: the nominal's along the measured motion, shapes (T, n + 1) and (T,).
+        run: scaled free run of the nominal.
+        error: scaled e, interpolated where the output is missing.
+        weight: 1e4 / (samples range^2) where the output counts, else 0: sum weight e^2 is e_rms_percent^2.
+        rest: starts at rest.
+        start: scaled decoder state of the nominal, shape (n + K,).
+        age: session clock at the first sample, s (0 where it is not known).
+        span: scaled peak to peak of the measurement.
+    """
+
+    record: Record
+    fitted: bool
+    voltage: np.ndarray
+    force: np.ndarray
+    motion: np.ndarray
+    tokens: np.ndarray
+    offset: np.ndarray
+    run: np.ndarray
+    error: np.ndarray
+    weight: np.ndarray
+    rest: bool
+    start: np.ndarray
+    age: float
+    span: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """All records of a diagnosis.
+
+    Attributes:
+        model: the nominal at the records' rate, with enough substeps for stiff contacts.
+        series: one per record, in the order given.
+        surroundings: what starts and bounds of effects are taken from.
+        session_known: records do not overlap in time, so their clock is the session's.
+    """
+
+    model: Model
+    series: tuple[Series, ...]
+    surroundings: Surroundings
+    session_known: bool
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval, s."""
+        return self.series[0].record.dt
+
+    @property
+    def fitted(self) -> tuple[Series, ...]:
+        """Records effects are fitted on."""
+        return tuple(s for s in self.series if s.fitted)
+
+    @property
+    def heldout(self) -> tuple[Series, ...]:
+        """Records they are judged on."""
+        return tuple(s for s in self.series if not s.fitted)
+
+
+def build_case(model: Model, records: Sequence[Record]) -> Case:
+    """Roll the nominal out beside every record and take what else a diagnosis needs."""
+    if not records:
+        raise BadInput("diagnose needs at least one record")
+    records = _cut(records)
+    model = _finer(at_rate(model, records[0].dt), records[0].dt)
+    known = _session_known(records)
+    begin, spent = starts(model, records)
+    fitted = split(records)
+    size = max(r.samples for r in records)
+    voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
+    dtype = model.coefficients.dtype
+    runs = np.asarray(rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, begin)[..., 0], np.float64)
+    top = force_band([_force(model, r.voltage) for r in records], records[0].dt)
+    cut = min(max(3 * top, 3 * _omega(model) / (2 * np.pi)), 0.3 / records[0].dt)
+    series = tuple(
+        _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(begin[k]), cut, known)
+        for k, r in enumerate(records)
+    )
+    return Case(model, series, _surroundings(model, series, known), known)
+
+
+def _omega(model: Model) -> float:
+    a = model.physical_coefficients
+    return float((a[0] / a[-1]) ** (1 / model.order))
+
+
+def _force(model: Model, voltage):
+    return voltage**2 if isinstance(model.input_map, SquareInput) else voltage
+
+
+def _finer(model: Model, dt: float) -> Model:
+    """Substeps of at most 0.1 / omega: stiff contacts and frozen forces need a finer step than the nominal."""
+    return replace(model, substeps=max(model.substeps, int(np.ceil(_omega(model) * dt / 0.1))))
+
+
+def _cut(records: Sequence[Record]) -> tuple[Record, ...]:
+    most = max(BUDGET // len(records), 4000)
+    spare = sum(max(most - r.samples, 0) for r in records)
+    long = max(sum(r.samples > most for r in records), 1)
+    most += spare // long
+    return tuple(
+        r
+        if r.samples <= most
+        else replace(r, time=r.time[:most], voltage=r.voltage[:most], displacement=r.displacement[:most])
+        for r in records
+    )
+
+
+def _session_known(records: Sequence[Record]) -> bool:
+    """More than one record, and none overlaps another in time."""
+    spans = sorted((r.time[0], r.time[-1]) for r in records)
+    return len(spans) > 1 and all(a[1] <= b[0] for a, b in zip(spans[:-1], spans[1:], strict=True))
+
+
+def kind(record: Record) -> str:
+    """sweep, sine (one line holds the drive), steps (it stands still mostly), or broadband."""
+    if is_sweep(record):
+        return "sweep"
+    still = np.abs(np.diff(record.voltage)) < 1e-3 * np.ptp(record.voltage)
+    if still.mean() > 0.4:
+        return "steps"
+    u = record.voltage - record.voltage.mean()
+    power = np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2
+    peak = int(np.argmax(power[1:])) + 1
+    return "sine" if power[max(peak - 3, 1) : peak + 4].sum() > 0.8 * power[1:].sum() else "broadband"
+
+
+def split(records: Sequence[Record]) -> set[str]:
+    """Names of the records to fit: about half, every kind that has several on both sides, broadband held out.
+
+    A drive of its own kind is held out where something else spans the range; sweeps and steps (the only records that
+    tell slow from fast) are fitted. Sines alternate by frequency.
+    """
+    groups: dict[str, list[Record]] = {}
+    for r in records:
+        groups.setdefault(kind(r), []).append(r)
+    fitted: set[str] = set()
+    for name, members in groups.items():
+        members = sorted(members, key=_loudest)
+        if len(members) > 1:
+            fitted |= {r.name for r in members[::2]}
+        elif name in ("sweep", "steps") or len(groups) == 1:
+            fitted.add(members[0].name)
+    if not fitted:
+        fitted.add(max(records, key=lambda r: np.ptp(r.voltage) * r.samples).name)
+    return fitted
+
+
+def _loudest(record: Record) -> tuple[float, str]:
+    """Strongest line of the drive in Hz."""
+    u = record.voltage - record.voltage.mean()
+    power = np.abs(np.fft.rfft(u * np.hanning(len(u))))
+    return float(np.argmax(power[1:]) + 1) / (len(u) * record.dt), record.name
+
+
+def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, cut: float, known: bool) -> Series:
+    n, scale = model.order, np.asarray(model.scales.state)
+    x = model.output.to_model(record.displacement) / scale[0]
+    seen = np.isfinite(x)
+    place = np.arange(record.samples)
+    if not np.isfinite(run).all():
+        raise BadInput(f"the nominal model diverges on {record.name}: it cannot be diagnosed, identify it again")
+    error = np.interp(place, place[seen], (run - x)[seen])
+    filled = (run - error) * scale[0]
+    force = _force(model, record.voltage) / model.scales.force
+    motion = preprocess(record, n, cut, force, displacement=filled).states / scale
+    motion[0, 0] = x[0] if seen[0] else motion[0, 0]
+    counts = seen.copy()
+    counts[:spent] = False
+    span = float(np.ptp(x[seen]))
+    weight = 1e4 * counts / (max(counts.sum(), 1) * span**2)
+    rest = spent == 0
+    voltage = np.asarray(model.drive.film(jnp.asarray(record.voltage, jnp.float32), record.dt, jnp.asarray(rest)))
+    memory = model.memory.trajectory(
+        jnp.asarray(motion[:, 0], jnp.float32), record.dt, model.memory.initial(jnp.asarray(motion[0, 0], jnp.float32))
+    )
+    features = jnp.concatenate([jnp.asarray(motion[:, :n], jnp.float32), memory], -1)
+    tokens, offset = jax.vmap(model.tokens)(features)
+    film = np.asarray(voltage, np.float64)
+    return Series(
+        record=record, fitted=fitted, voltage=film, force=_force(model, film) / model.scales.force, motion=motion,
+        tokens=np.asarray(tokens), offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest, start=start,
+        age=float(record.time[0]) if known else 0.0, span=span,
+    )  # fmt: skip
+
+
+def _surroundings(model: Model, series: Sequence[Series], known: bool) -> Surroundings:
+    x = np.concatenate([s.motion[s.weight > 0, 0] for s in series])
+    fastest = max(
+        float(np.quantile(np.abs(s.motion[s.weight > 0, min(2, model.order)]), 0.999)) for s in series
+    )
+    speeds = np.concatenate([s.motion[s.weight > 0, min(1, model.order)] for s in series])
+    a = np.asarray(model.coefficients, np.float64)
+    dt = series[0].record.dt
+    ends = [s.record.time[-1] for s in series]
+    return Surroundings(
+        omega=_omega(model), dt=dt, duration=max(s.record.samples for s in series) * dt,
+        session=float(max(ends) - min(s.record.time[0] for s in series)) if known else 0.0,
+        top=float(np.quantile(x, 0.9999)), bottom=float(np.quantile(x, 0.0001)),
+        speed=float(np.sqrt(np.mean(speeds**2))), acceleration=fastest,
+        voltage=max(float(np.abs(s.record.voltage).max()) for s in series),
+        slew=max(float(np.abs(np.diff(s.record.voltage)).max()) / dt for s in series),
+        stiffness=float(a[0]), inertia=float(a[2]) if model.order >= 2 else 0.0,
+        damping=float(a[1]),
+    )  # fmt: skip

@@ -1,0 +1,94 @@
+"""The noise floor: what no model could explain, from the residual where neither drive nor gap has energy.
+
+    P(f) = lower quartile over a band's bins of |E(f)|^2 / 0.2877, then the lower quartile over records
+    sigma^2 = integral of P
+
+The lower quartile (0.2877 of an exponential variable's mean) passes between the lines a periodic drive and a gap under
+it leave, and keeps a hum a gap; noise is broad in frequency and alike in all records. Only the last 60 % of a record is
+used, after its transients. Below a quarter of the resonance the level is held to at most twice what lies above: slow
+residuals are creep and drift before they are noise. The 5th difference read 0.24 of the truth for AR(0.9) noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .case import Case
+
+_QUARTILE = -np.log(0.75)
+_BINS = 24
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Sensor noise of a set of records.
+
+    Attributes:
+        sigma: standard deviation in scaled displacement.
+        spectrum: (frequency in Hz, density) of the bands, shape (bands, 2).
+        whitening: taps of the filter that makes it white, shape (p + 1,), first 1.
+        source: how it was found.
+    """
+
+    sigma: float
+    spectrum: np.ndarray
+    whitening: np.ndarray
+    source: str
+
+    def floor_percent(self, span: float) -> float:
+        """As e_rms_percent of a record with a scaled peak to peak `span`."""
+        return 100 * self.sigma / span
+
+
+def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
+    """From residuals (scaled, one per record of the case, finite)."""
+    dt = case.dt
+    fewest = min(len(e) for e in errors)
+    edges = _edges(int(0.6 * fewest), dt)
+    levels = np.array([_levels(e, s.weight > 0, dt, edges) for e, s in zip(errors, case.series, strict=True)])
+    bins = np.maximum(np.diff(edges) * 0.6 * fewest * dt, 4.0)
+    spread = 2.0 / np.sqrt(bins)  # relative standard deviation of one record's quartile
+    low = 0.67 if len(levels) > 3 else 1.0  # how many of them the quartile (the least of few) lies below the mean
+    level = np.quantile(levels, 0.25 if len(levels) > 3 else 0.0, axis=0) / (1 - low * np.minimum(spread, 0.5))
+    level = np.minimum(level, levels.mean(0))
+    middle = np.sqrt(edges[:-1] * np.maximum(edges[1:], 1e-12))
+    slow = middle < case.surroundings.omega / (2 * np.pi) / 4
+    if slow.any() and (~slow).any():
+        level[slow] = np.minimum(level[slow], 2 * level[~slow][0])
+    sigma = float(np.sqrt(np.sum(level * np.diff(edges))))
+    return Noise(sigma, np.stack([middle, level], -1), _whitening(level, edges, dt), "spectrum between the drive's lines")
+
+
+def _edges(samples: int, dt: float) -> np.ndarray:
+    """Bands of at least 24 bins and a fifth of their frequency."""
+    width, top = _BINS / (samples * dt), 0.5 / dt
+    edges = [0.0]
+    while edges[-1] + width < top:
+        edges.append(edges[-1] + max(width, 0.2 * edges[-1]))
+    edges[-1] = top
+    return np.array(edges)
+
+
+def _levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
+    """One-sided density of every band (per Hz)."""
+    tail = error[int(0.4 * len(error)) :]
+    seen = counts[int(0.4 * len(error)) :]
+    tail = tail - tail[seen].mean() if seen.any() else tail
+    window = np.hanning(len(tail)) * seen
+    power = 2 * dt * np.abs(np.fft.rfft(tail * window)) ** 2 / max(np.sum(window**2), 1e-30)
+    frequency = np.fft.rfftfreq(len(tail), dt)
+    found = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        bins = power[(frequency >= max(low, 1.5 / (len(tail) * dt))) & (frequency < high)]
+        found.append(np.quantile(bins, 0.25) / _QUARTILE if len(bins) else 0.0)
+    return np.array(found)
+
+
+def _whitening(level: np.ndarray, edges: np.ndarray, dt: float, order: int = 6) -> np.ndarray:
+    """Autoregressive taps from the autocovariance of the spectrum (Yule and Walker)."""
+    fine = np.linspace(0, 0.5 / dt, 2049)
+    density = np.interp(fine, (edges[:-1] + edges[1:]) / 2, level)
+    covariance = np.fft.irfft(density)[: order + 1]
+    matrix = covariance[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
+    taps = np.linalg.solve(matrix + 1e-9 * covariance[0] * np.eye(order), covariance[1:])
+    return np.concatenate([[1.0], -taps])

@@ -1,0 +1,60 @@
+"""The catalogue: every effect a diagnosis may name, one line per form.
+
+A new effect is one final class and one line here; it is then fitted, ranked, saved, drawn and put through the
+family's tests. Forces act in this order: velocity and friction see all that comes before them.
+"""
+
+from . import coupling, dissipation, drive, inertia, sensor, stiffness, viscoelastic
+from .base import AbstractEffect
+
+CATALOGUE: tuple[type[AbstractEffect], ...] = (
+    stiffness.CubicStiffening,
+    stiffness.PowerStiffening,
+    stiffness.GentStiffening,
+    stiffness.QuadraticSoftening,
+    stiffness.SaturatingSoftening,
+    stiffness.UpperStop,
+    stiffness.LowerStop,
+    stiffness.BothStops,
+    viscoelastic.Creep,
+    viscoelastic.SpreadCreep,
+    viscoelastic.LosingCreep,
+    viscoelastic.Relaxation,
+    viscoelastic.SpreadRelaxation,
+    viscoelastic.LosingRelaxation,
+    dissipation.PlayHysteresis,
+    dissipation.DahlHysteresis,
+    dissipation.BoucWenHysteresis,
+    sensor.SettlingDrift,
+    sensor.LinearDrift,
+    inertia.AddedMass,
+    inertia.AttachedMode,
+    stiffness.DampedStop,
+    dissipation.QuadraticDrag,
+    dissipation.CubicDrag,
+    dissipation.CoulombFriction,
+    dissipation.StribeckFriction,
+    inertia.LoadSlack,
+    inertia.HangingSlack,
+    drive.ElectrodeRC,
+    drive.ElectrodeLadder,
+    drive.SlewLimit,
+    drive.VoltageClip,
+    drive.RoundedClip,
+    drive.VoltageOffset,
+    drive.Delay,
+    drive.ChargeLeak,
+    coupling.StretchCoupling,
+    coupling.SquaredCoupling,
+    coupling.DielectricSaturation,
+    coupling.TanhSaturation,
+    sensor.SensorGain,
+    sensor.SensorLag,
+    sensor.SensorFilter,
+    inertia.MountedMode,
+)
+
+
+def key(effect: type[AbstractEffect] | AbstractEffect) -> str:
+    """How a form is named in files and tables: name, then form."""
+    return f"{effect.name}: {effect.form}"

@@ -1,0 +1,82 @@
+"""What the film makes of its voltage at the square (port SQ).
+
+stretch_coupling        F (1 + b x)          F (1 + b x / 2)^2        thinner film, larger area: more force as it stretches
+dielectric_saturation   F / (1 + |F| / F_s)  F_s tanh(F / F_s)        the permittivity falls at high field
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .base import AbstractCouplingEffect, Parameter, Surroundings, bounded
+
+
+class StretchCoupling(AbstractCouplingEffect):
+    """F (1 + b x)."""
+
+    name, form, family, port = "stretch_coupling", "linear", "coupling", "SQ"
+    PARAMETERS = (Parameter("b", "1/x", length=-1, positive=False, neutral=0.0),)
+    b: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Either sign."""
+        most = 0.95 / s.reach
+        return [bounded((sign * 0.1 / s.reach,), (-most,), (4 * most,)) for sign in (1, -1)]
+
+    def couple(self, force, x):
+        """Never a push."""
+        return force * jnp.maximum(1 + self.b * x, 0.05)
+
+
+class SquaredCoupling(AbstractCouplingEffect):
+    """F (1 + b x / 2)^2."""
+
+    name, form, family, port = "stretch_coupling", "quadratic", "coupling", "SQ"
+    PARAMETERS = StretchCoupling.PARAMETERS
+    b: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Either sign."""
+        most = 1.0 / s.reach
+        return [bounded((sign * 0.1 / s.reach,), (-most,), (3 * most,)) for sign in (1, -1)]
+
+    def couple(self, force, x):
+        """Never a push."""
+        return force * jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
+
+
+class DielectricSaturation(AbstractCouplingEffect):
+    """F / (1 + |F| / F_s); `inverse` is 1 / F_s."""
+
+    name, form, family, port = "dielectric_saturation", "rational", "coupling", "SQ"
+    PARAMETERS = (Parameter("inverse", "1/V^2", force=-1, neutral=0.0),)
+    inverse: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A tenth and a half of the force at the largest voltage."""
+        return [bounded((share,), (1e-4,), (20.0,)) for share in (0.1, 0.5)]
+
+    def couple(self, force, x):
+        """What the field still makes."""
+        return force / (1 + self.inverse * jnp.abs(force))
+
+
+class TanhSaturation(AbstractCouplingEffect):
+    """F_s tanh(F / F_s)."""
+
+    name, form, family, port = "dielectric_saturation", "tanh", "coupling", "SQ"
+    PARAMETERS = DielectricSaturation.PARAMETERS
+    inverse: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Half of the force at the largest voltage."""
+        return [bounded((0.5,), (1e-2,), (10.0,))]
+
+    def couple(self, force, x):
+        """What the field still makes."""
+        r = self.inverse * force
+        small = jnp.abs(r) < 0.03
+        return force * jnp.where(small, 1 - r**2 / 3, jnp.tanh(r) / jnp.where(small, 1.0, r))

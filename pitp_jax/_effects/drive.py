@@ -1,0 +1,209 @@
+"""What the amplifier and the electrodes do before the square (port IN): u to the film's V.
+
+electrode_rc    tau V' = u - V, once or three times in a row        slew_limit      |V'| <= s
+voltage_clip    V = min(max(u, -u_max), u_max), hard or rounded     voltage_offset  V = u + V_0
+charge_leak     V = u - kappa q,  q' = (u - q) / tau                delay           V(t) = u(t - T)
+
+u runs linearly between samples; lags are exact for it. A record that rests starts uncharged.
+"""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .base import AbstractDriveEffect, AbstractEffect, Parameter, Surroundings, bounded, lagged, nothing
+
+
+class _Static(AbstractDriveEffect):
+    """No states."""
+
+    family, port = "drive", "IN"
+
+    def initial(self, voltage):
+        """None."""
+        return nothing()
+
+    def advance(self, states, before, after, h):
+        """None."""
+        return states
+
+
+class VoltageClip(_Static):
+    """V = u up to u_max; `inverse` is 1 / u_max, so that zero is no clip."""
+
+    name, form = "voltage_clip", "hard"
+    PARAMETERS = (Parameter("inverse", "1/V", neutral=0.0),)
+    inverse: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A little below the largest voltage."""
+        low, high = 1.0 / s.voltage, 4.0 / s.voltage
+        return [bounded((share / s.voltage,), (low,), (high,)) for share in (1.08, 1.3)]
+
+    def film(self, states, voltage):
+        """The cut voltage."""
+        top = 1.0 / jnp.maximum(self.inverse, 1e-30)
+        return jnp.clip(voltage, -top, top)
+
+
+class RoundedClip(_Static):
+    """V = u / (1 + (|u| / u_max)^8)^(1/8)."""
+
+    name, form = "voltage_clip", "rounded"
+    PARAMETERS = VoltageClip.PARAMETERS
+    inverse: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A little below the largest voltage."""
+        return [bounded((1.1 / s.voltage,), (0.8 / s.voltage,), (4.0 / s.voltage,))]
+
+    def film(self, states, voltage):
+        """The rounded voltage."""
+        return voltage * (1 + (self.inverse * voltage) ** 8) ** (-1 / 8)
+
+
+class VoltageOffset(_Static):
+    """V = u + V_0."""
+
+    name, form = "voltage_offset", "constant"
+    PARAMETERS = (Parameter("offset", "V", positive=False, neutral=0.0),)
+    offset: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Either sign."""
+        return [bounded((sign * 0.03 * s.voltage,), (-0.5 * s.voltage,), (0.5 * s.voltage,)) for sign in (1, -1)]
+
+    def film(self, states, voltage):
+        """The shifted voltage."""
+        return voltage + self.offset
+
+
+class _Lag(AbstractDriveEffect):
+    """Lags in a row."""
+
+    name, family, port = "electrode_rc", "drive", "IN"
+    PARAMETERS = (Parameter("tau", "s", neutral=0.0),)
+    sections: ClassVar[tuple[float, ...]]
+    tau: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Around and below the time scale of the resonance."""
+        low, high = min(0.2 * s.dt, 0.003 / s.omega), 5.0 / s.omega
+        return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.5)]
+
+    def initial(self, voltage):
+        """Settled at the voltage before the record."""
+        return jnp.full((len(self.sections),), voltage)
+
+    def advance(self, states, before, after, h):
+        """Exact for the first lag; its output is taken as linear for the next."""
+        found = []
+        for k, share in enumerate(self.sections):
+            tau = jnp.maximum(share * self.tau, 1e-9)
+            later = lagged(states[k], before, after, tau, h)
+            found.append(later)
+            before, after = states[k], later
+        return jnp.stack(found)
+
+    def film(self, states, voltage):
+        """The last lag's output."""
+        return jnp.where(self.tau > 0, states[-1], voltage)
+
+
+class ElectrodeRC(_Lag):
+    """Sheet resistance and film capacitance, lumped."""
+
+    form, states, sections = "one lag", 1, (1.0,)
+
+
+class ElectrodeLadder(_Lag):
+    """A resistive electrode charges from its edge inwards: three lags of a diffusion line."""
+
+    form, states, sections = "ladder", 3, (0.8, 0.15, 0.05)
+
+
+class SlewLimit(AbstractDriveEffect):
+    """|V'| <= 1 / `inverse`."""
+
+    name, form, family, port, states = "slew_limit", "rate limit", "drive", "IN", 1
+    PARAMETERS = (Parameter("inverse", "s/V", neutral=0.0),)
+    inverse: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Below the fastest slew of the drive (steps aside), down to a slow amplifier."""
+        fast = min(s.slew, 2 * s.omega * s.voltage)
+        return [bounded((1 / (share * fast),), (0.5 / s.slew,), (200 / fast,)) for share in (0.6, 0.25, 0.1)]
+
+    def initial(self, voltage):
+        """Settled at the voltage before the record."""
+        return jnp.reshape(voltage, (1,))
+
+    def advance(self, states, before, after, h):
+        """As far towards u as the amplifier gets."""
+        most = h / jnp.maximum(self.inverse, 1e-30)
+        return states + jnp.clip(after - states, -most, most)
+
+    def film(self, states, voltage):
+        """The limited voltage."""
+        return jnp.where(self.inverse > 0, states[0], voltage)
+
+
+class ChargeLeak(AbstractDriveEffect):
+    """V = u - kappa q: charge creeps into traps and screens the field."""
+
+    name, form, family, port, states = "charge_leak", "one trap", "drive", "IN", 1
+    PARAMETERS = (Parameter("kappa", neutral=0.0), Parameter("tau", "s"))
+    kappa: Float[Array, ""]
+    tau: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Slower than the resonance, down to the longest record."""
+        low, high = 1.0 / s.omega, 3 * s.duration
+        return [
+            bounded((0.15, tau), (1e-4, low), (0.9, high))
+            for tau in np.geomspace(max(8 / s.omega, s.duration / 100), s.duration / 3, 3)
+        ]
+
+    def initial(self, voltage):
+        """Settled at the voltage before the record."""
+        return jnp.reshape(voltage, (1,))
+
+    def advance(self, states, before, after, h):
+        """Exact for u linear."""
+        return lagged(states, before, after, self.tau, h)
+
+    def film(self, states, voltage):
+        """What the traps leave."""
+        return voltage - self.kappa * states[0]
+
+
+class Delay(AbstractEffect):
+    """V(t) = u(t - T): a shift of the whole record, so it is no step but a map of the array."""
+
+    name, form, family, port = "delay", "pure", "drive", "IN"
+    PARAMETERS = (Parameter("time", "s", neutral=0.0),)
+    time: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A part of a sample to a part of a period."""
+        low, high = 0.02 * s.dt, max(1.5 / s.omega, 4 * s.dt)
+        return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.4)]
+
+    def shifted(self, voltage: Float[Array, " time"], dt, before):
+        """U a time T earlier, linear between samples; `before` the first one."""
+        at = jnp.arange(voltage.shape[0]) - self.time / dt
+        index = jnp.floor(at)
+        share = (at - index).astype(voltage.dtype)
+        index = index.astype(int)
+        padded = jnp.concatenate([jnp.reshape(before, (1,)), voltage])
+        left, right = (padded[jnp.clip(index + k, 0, voltage.shape[0])] for k in (1, 2))
+        return left + share * (right - left)

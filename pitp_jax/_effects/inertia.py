@@ -1,0 +1,154 @@
+"""Masses the nominal does not have (port M).
+
+added_mass    d a_2 x''
+second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'            a mass carried along by a spring
+              y = x + g (z - x)                                                or standing between film and sensor
+slack         x'' >= -g: a load that is only pulled falls freely once the film lets go
+"""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .base import AbstractForceEffect, AbstractSensorEffect, Instant, Parameter, Surroundings, bounded, nothing
+
+
+class AddedMass(AbstractForceEffect):
+    """A share d more mass."""
+
+    name, form, family, port = "added_mass", "share", "inertia", "M"
+    PARAMETERS = (Parameter("d", positive=False, neutral=0.0),)
+    d: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """More or less; an order-1 nominal has no mass."""
+        return [bounded((d,), (-0.8,), (5.0,)) for d in (0.15, -0.15)] if s.inertia > 0 else []
+
+    def initial(self, x, age):
+        """None."""
+        return nothing()
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The coefficient of x'', or of x^(n) below order 2."""
+        place = min(2, tokens.shape[0] - 1)
+        return tokens.at[place].add(self.d * now.coefficients[place]), offset
+
+    def advance(self, states, x, after, h):
+        """None."""
+        return states
+
+
+def _oscillate(states, x, w, zeta, h):
+    """(z, z' in 1/s) after h of z'' = w^2 (X - z) - 2 zeta w z', by the implicit midpoint rule."""
+    middle = (states[1] + h / 2 * w**2 * (x - states[0])) / (1 + (h * w / 2) ** 2 + h * zeta * w)
+    return jnp.stack([states[0] + h * middle, 2 * middle - states[1]])
+
+
+def _mode_starts(s: Surroundings, strength):
+    """Resonances below and above the nominal's, within reach of the sampling."""
+    high = min(20 * s.omega, 1.5 / s.dt)
+    bounds = (1e-4, 0.2 * s.omega, 1e-3), (20.0, high, 0.7)
+    return [bounded((strength, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in (0.6, 1.6, 2.5, 4.5)]
+
+
+class AttachedMode(AbstractForceEffect):
+    """A mass carried along by a spring."""
+
+    name, form, family, port, states = "second_mode", "attached", "inertia", "M", 2
+    PARAMETERS = (Parameter("kappa", neutral=0.0), Parameter("omega", "rad/s"), Parameter("zeta"))
+    kappa: Float[Array, ""]
+    omega: Float[Array, ""]
+    zeta: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Over the band."""
+        return _mode_starts(s, 0.2)
+
+    def initial(self, x, age):
+        """At rest beside X."""
+        return jnp.stack([jnp.asarray(x), jnp.zeros_like(x)])
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The spring's pull, half a step on."""
+        return tokens, offset + now.coefficients[0] * self.kappa * (
+            now.state[0] - states[0] - now.h / 2 * states[1]
+        )
+
+    def advance(self, states, x, after, h):
+        """By the mean displacement of the step."""
+        return _oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
+
+
+class MountedMode(AbstractSensorEffect):
+    """A mass between film and sensor."""
+
+    name, form, family, port, states = "second_mode", "between film and sensor", "inertia", "OUT", 2
+    PARAMETERS = (Parameter("gain", neutral=0.0), Parameter("omega", "rad/s"), Parameter("zeta"))
+    gain: Float[Array, ""]
+    omega: Float[Array, ""]
+    zeta: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Over the band."""
+        return _mode_starts(s, 0.3)
+
+    def initial(self, x):
+        """At rest on X."""
+        return jnp.stack([jnp.asarray(x), jnp.zeros_like(x)])
+
+    def advance(self, states, x, after, h):
+        """By the mean displacement of the step."""
+        return _oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
+
+    def reading(self, states, x):
+        """A share g of the relative motion is seen."""
+        return x + self.gain * (states[0] - x)
+
+
+class Slack(AbstractForceEffect):
+    """No acceleration below -g (order 2); `inverse` is 1 / g."""
+
+    name, family, port = "slack", "stiffness", "M"
+    PARAMETERS = (Parameter("inverse", "s^2/x", acceleration=-1, neutral=0.0),)
+    sign: ClassVar[float]
+    inverse: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Within the accelerations reached."""
+        if s.inertia <= 0 or s.acceleration <= 0:
+            return []
+        unit = 1 / s.acceleration
+        return [bounded((share * unit,), (0.7 * unit,), (50 * unit,)) for share in (1.3, 2.5)]
+
+    def initial(self, x, age):
+        """None."""
+        return nothing()
+
+    def act(self, states, now: Instant, tokens, offset):
+        """As much push as is missing."""
+        if now.state.shape[0] != 2:
+            return tokens, offset
+        free = self.sign * now.highest(tokens, offset)
+        missing = jnp.maximum(-1 / jnp.maximum(self.inverse, 1e-30) - free, 0.0)
+        return tokens, offset - self.sign * tokens[2] * missing
+
+    def advance(self, states, x, after, h):
+        """None."""
+        return states
+
+
+class LoadSlack(Slack):
+    """The load falls."""
+
+    form, sign = "free fall", 1.0
+
+
+class HangingSlack(Slack):
+    """The load falls in the direction of motion."""
+
+    form, sign = "free fall, hanging", -1.0

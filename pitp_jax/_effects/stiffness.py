@@ -1,0 +1,219 @@
+"""Restoring forces beside the nominal's k x (port K), k = sigma_0 of the nominal.
+
+stiffening   k c x^3          k c x |x|^p            k x (1 / (1 - (x/L)^2) - 1)          the spring hardens
+softening   -k c x^2          k (L tanh(x/L) - x)                                         the spring gives way
+end stop     k kappa max(x - x_s, 0)   above, below, on both sides, or (1 + lambda x') times that (Hunt and Crossley)
+
+A Gent-like spring fitted by a cubic alone lost to an end stop, hence several forms under one name.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .base import AbstractForceEffect, Instant, Parameter, Surroundings, bounded, nothing
+
+_LIMIT = 0.97  # of the Gent-like spring's length; beyond, it goes on linearly
+
+
+class _Memoryless(AbstractForceEffect):
+    """A force of x and x' of the same instant."""
+
+    def initial(self, x, age):
+        """None."""
+        return nothing()
+
+    def advance(self, states, x, after, h):
+        """None."""
+        return states
+
+
+class CubicStiffening(_Memoryless):
+    """f = k c x^3 (Duffing)."""
+
+    name, form, family, port = "stiffening", "cubic", "stiffness", "K"
+    PARAMETERS = (Parameter("c", "1/x^2", length=-2, neutral=0.0),)
+    c: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A third of the linear force at the largest displacement."""
+        unit = 1 / s.reach**2
+        return [bounded((0.2 * unit,), (1e-4 * unit,), (30 * unit,))]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The extra force."""
+        return tokens, offset + now.coefficients[0] * self.c * now.state[0] ** 3
+
+
+class PowerStiffening(_Memoryless):
+    """f = k c x |x|^p."""
+
+    name, form, family, port = "stiffening", "power", "stiffness", "K"
+    PARAMETERS = (Parameter("c", "1", neutral=0.0), Parameter("p"), Parameter("reach", "x", length=1))
+    c: Float[Array, ""]
+    p: Float[Array, ""]
+    reach: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """C at the largest displacement; exponents between a square and a wall."""
+        return [bounded((0.3, p, s.reach), (1e-4, 0.7, s.reach), (30, 10, s.reach)) for p in (1.5, 4.0)]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The extra force."""
+        x = now.state[0]
+        grown = jnp.exp(self.p * jnp.log(jnp.abs(x / self.reach) + 1e-9))
+        return tokens, offset + now.coefficients[0] * self.c * x * jnp.minimum(grown, 1e3)
+
+
+class GentStiffening(_Memoryless):
+    """f = k x (1 / (1 - r^2) - 1), r = |x| / L: the chain can be stretched no further than L."""
+
+    name, form, family, port = "stiffening", "limited chain", "stiffness", "K"
+    PARAMETERS = (Parameter("curvature", "1/x", length=-1, neutral=0.0),)
+    curvature: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """1 / L, L just beyond and far beyond what was reached."""
+        return [bounded((share / s.reach,), (0.02 / s.reach,), (1.02 / s.reach,)) for share in (0.5, 0.85)]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The extra force."""
+        x = now.state[0]
+        square = (self.curvature * x) ** 2
+        top = _LIMIT**2
+        extra = jnp.where(
+            square < top, square / (1 - jnp.minimum(square, top)), top / (1 - top) + (square - top) / (1 - top) ** 2
+        )
+        return tokens, offset + now.coefficients[0] * x * extra
+
+
+class QuadraticSoftening(_Memoryless):
+    """f = -k c x^2, no further than where the spring's slope is a tenth of k."""
+
+    name, form, family, port = "softening", "quadratic", "stiffness", "K"
+    PARAMETERS = (Parameter("c", "1/x", length=-1, neutral=0.0),)
+    c: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A tenth of the linear force."""
+        return [bounded((0.1 / s.reach,), (1e-4 / s.reach,), (3 / s.reach,))]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The missing force."""
+        x, c = now.state[0], self.c
+        turn = 0.45 / jnp.maximum(c, 1e-9)
+        x = jnp.where(x > turn, turn + 0 * x, x)
+        beyond = jnp.maximum(now.state[0] - turn, 0.0)
+        return tokens, offset - now.coefficients[0] * (c * x**2 + 0.9 * beyond * (c > 0))
+
+
+class SaturatingSoftening(_Memoryless):
+    """f = k (L tanh(x / L) - x)."""
+
+    name, form, family, port = "softening", "saturating", "stiffness", "K"
+    PARAMETERS = (Parameter("curvature", "1/x", length=-1, neutral=0.0),)
+    curvature: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """1 / L."""
+        return [bounded((0.6 / s.reach,), (0.02 / s.reach,), (4 / s.reach,))]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The missing force; a tenth of the spring always stays."""
+        x = now.state[0]
+        r = self.curvature * x
+        share = jnp.where(jnp.abs(r) < 0.03, -(r**2) / 3, jnp.tanh(r) / jnp.where(jnp.abs(r) < 0.03, 1.0, r) - 1)
+        return tokens, offset + 0.97 * now.coefficients[0] * x * share
+
+
+def _stop_starts(s: Surroundings, far: float, parameters: int):
+    """Thresholds inside what was reached; hard and soft."""
+    if far <= 0.05 * s.reach:
+        return []
+    hardest = (1.0 / (s.dt * s.omega)) ** 2 + 1
+    rest, low, high = (0.3,) * (parameters - 2), (1e-3,) * (parameters - 2), (30.0,) * (parameters - 2)
+    return [
+        bounded((kappa, share * far, *rest), (1e-2, 0.1 * far, *low), (hardest, 0.999 * far, *high))
+        for kappa, share in ((3.0, 0.85), (min(15.0, hardest), 0.6), (3.0, 0.4))
+    ]
+
+
+class UpperStop(_Memoryless):
+    """f = k kappa max(x - x_s, 0)."""
+
+    name, form, family, port = "end_stop", "above", "stiffness", "K"
+    PARAMETERS = (Parameter("kappa", neutral=0.0), Parameter("place", "x", length=1))
+    kappa: Float[Array, ""]
+    place: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """From the highest displacement."""
+        return _stop_starts(s, s.top, 2)
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The contact force."""
+        return tokens, offset + now.coefficients[0] * self.kappa * jnp.maximum(now.state[0] - self.place, 0.0)
+
+
+class LowerStop(_Memoryless):
+    """f = -k kappa max(-x - x_s, 0)."""
+
+    name, form, family, port = "end_stop", "below", "stiffness", "K"
+    PARAMETERS = UpperStop.PARAMETERS
+    kappa: Float[Array, ""]
+    place: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """From the lowest displacement."""
+        return _stop_starts(s, -s.bottom, 2)
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The contact force."""
+        return tokens, offset - now.coefficients[0] * self.kappa * jnp.maximum(-now.state[0] - self.place, 0.0)
+
+
+class DampedStop(_Memoryless):
+    """f = k kappa max(x - x_s, 0) max(1 + lambda x', 0): a bumper that takes energy."""
+
+    name, form, family, port = "end_stop", "above, damped", "stiffness", "K"
+    PARAMETERS = (*UpperStop.PARAMETERS, Parameter("loss", "s/x", speed=-1))
+    kappa: Float[Array, ""]
+    place: Float[Array, ""]
+    loss: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """From the highest displacement."""
+        return _stop_starts(s, s.top, 3)[:2]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The contact force, never a pull."""
+        deep = jnp.maximum(now.state[0] - self.place, 0.0)
+        speed = now.velocity(tokens, offset)
+        return tokens, offset + now.coefficients[0] * self.kappa * deep * jnp.clip(1 + self.loss * speed, 0.0, 10.0)
+
+
+class BothStops(_Memoryless):
+    """f = k kappa (max(x - x_s, 0) - max(-x - x_s, 0))."""
+
+    name, form, family, port = "end_stop", "both sides", "stiffness", "K"
+    PARAMETERS = UpperStop.PARAMETERS
+    kappa: Float[Array, ""]
+    place: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """From the nearer end of what was reached."""
+        return _stop_starts(s, min(s.top, -s.bottom), 2)[:2]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The contact force."""
+        x = now.state[0]
+        deep = jnp.maximum(x - self.place, 0.0) - jnp.maximum(-x - self.place, 0.0)
+        return tokens, offset + now.coefficients[0] * self.kappa * deep

@@ -1,0 +1,106 @@
+"""A model's effects within one decoder step: where each port enters, and what its states become.
+
+    u --IN--> V --map--> F --SQ--> coupled force;   tokens, offset --K, C, M, T--> frozen equation;   x --OUT--> y
+
+States of all effects lie behind S and memory in the decoder's state, in the order of `model.effects`.
+"""
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._effects.base import (
+    AbstractCouplingEffect,
+    AbstractDriveEffect,
+    AbstractForceEffect,
+    AbstractSensorEffect,
+    Instant,
+)
+from .._effects.drive import Delay
+
+if TYPE_CHECKING:
+    from .model import Model
+
+
+def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, " own"]]:
+    """Every effect's own states."""
+    found, first = [], 0
+    for effect in model.effects:
+        found.append(states[first : first + effect.states])
+        first += effect.states
+    return found
+
+
+def initial(model: "Model", x, voltage, age) -> Float[Array, " states"]:
+    """All effects' states of an actuator held at X under `voltage` (0 where it rests), at that age of the session."""
+    parts = [jnp.zeros((0,), jnp.result_type(x))]
+    for effect in model.effects:
+        if isinstance(effect, AbstractDriveEffect):
+            parts.append(effect.initial(voltage))
+        elif isinstance(effect, AbstractForceEffect):
+            parts.append(effect.initial(x, age))
+        elif isinstance(effect, AbstractSensorEffect):
+            parts.append(effect.initial(x))
+    return jnp.concatenate([p.astype(parts[0].dtype) for p in parts])
+
+
+def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:
+    """The voltage behind all delays."""
+    for effect in model.effects:
+        if isinstance(effect, Delay):
+            voltage = effect.shifted(voltage, dt, jnp.where(rest, 0.0, voltage[0]))
+    return voltage
+
+
+def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, list]:
+    """Film voltages at the three stages of a step of length h, and the parts with the drive's states moved on."""
+    parts = list(parts)
+    for k, effect in enumerate(model.effects):
+        if isinstance(effect, AbstractDriveEffect):
+            states, found = parts[k], [effect.film(parts[k], stages[0])]
+            for before, after in zip(stages[:-1], stages[1:], strict=True):
+                states = effect.advance(states, before, after, h / 2)
+                found.append(effect.film(states, after))
+            parts[k], stages = states, tuple(found)
+    return stages, parts
+
+
+def coupled(model: "Model", forces: tuple, x) -> tuple:
+    """What the structure feels of the stages' forces at X."""
+    for effect in model.effects:
+        if isinstance(effect, AbstractCouplingEffect):
+            forces = tuple(effect.couple(f, x) for f in forces)
+    return forces
+
+
+def acted(model: "Model", parts: list, now: Instant, tokens, offset):
+    """Tokens and offset with every force effect in them."""
+    for effect, states in zip(model.effects, parts, strict=True):
+        if isinstance(effect, AbstractForceEffect):
+            tokens, offset = effect.act(states, now, tokens, offset)
+    return tokens, offset
+
+
+def moved(model: "Model", parts: list, x, after, h) -> list:
+    """The states of force and sensor effects after X ran from `x` to `after`."""
+    return [
+        e.advance(p, x, after, h) if isinstance(e, (AbstractForceEffect, AbstractSensorEffect)) else p
+        for e, p in zip(model.effects, parts, strict=True)
+    ]
+
+
+def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
+    """The scaled output the sensor reads at a decoder state."""
+    y = state[0]
+    parts = split(model, state[model.order + model.memory.size :])
+    for effect, states in zip(model.effects, parts, strict=True):
+        if isinstance(effect, AbstractSensorEffect):
+            y = effect.reading(states, y)
+    return y
+
+
+def readings(model: "Model", states: Float[Array, "time state"]) -> Float[Array, " time"]:
+    """The same along a rollout."""
+    return jax.vmap(lambda s: reading(model, s))(states) if model.effects else states[:, 0]
