@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from ._decode import at_rate, outside_share, rest_state, rollout
 from ._errors import BadInput
 from ._metrics import e_rms_percent
+from ._model import augment
 from ._model.model import Model
 from ._path import Path, derivatives, extend, limit_slew, rough_share
 from ._record.reading import Target
@@ -25,6 +26,7 @@ from ._residual import equation_force
 
 _SHOTS = 6
 _ROUNDING = 1e-6  # of the largest force
+_HUGE = 1e3  # of the training force: what stands for a force no field makes
 
 
 def equation_inverse(
@@ -40,16 +42,20 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float):
     """Scaled force, voltage before limits (V) and features along a path that starts at rest; vmap for a batch."""
     start = model.memory.initial(jnp.zeros((), equation.dtype))
     memory = model.memory.trajectory(equation[:, 0], dt, start)
-    force = equation_inverse(model, equation, memory)
-    film = model.input_map.voltage(force * model.scales.force)
-    voltage = model.drive.lead(film, dt)
-    return force, voltage, jnp.concatenate([equation[:, :-1], memory], -1)
+    features = jnp.concatenate([equation[:, :-1], memory], -1)
+    if model.effects:
+        force = augment.required(model, equation, features, dt)
+        force = jnp.where(jnp.isfinite(force), force, jnp.inf)
+    else:
+        force = equation_inverse(model, equation, memory)
+    film = model.input_map.voltage(jnp.clip(force, -_HUGE, _HUGE) * model.scales.force)
+    return force, augment.played(model, film, dt), features
 
 
 @eqx.filter_jit
 def _run(model: Model, voltage: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """Scaled displacement from rest."""
-    return rollout(model, voltage, dt, rest_state(model))[:, 0]
+    """Scaled output from rest."""
+    return augment.readings(model, rollout(model, voltage, dt, rest_state(model)))
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,9 @@ def feedforward(
     voltage, saturated = best.voltage, best.saturated
     slack = _ROUNDING * np.abs(best.force).max()  # an actuator at rest asks for a force of zero, give or take a bit
     infeasible = np.asarray(model.input_map.infeasible(jnp.asarray(best.force + slack)))
+    if model.effects:
+        film = model.input_map.voltage(jnp.asarray(best.force) * model.scales.force)
+        infeasible = infeasible | np.asarray(augment.beyond(model, film, target.dt))
     infeasible = np.append(infeasible, np.zeros(len(voltage) - len(infeasible), bool))
     share = outside_share(model, best.features[first:last])
     if share > 0.01:
@@ -195,7 +204,10 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int) -> _
     wanted = path.displacement
     reference, best = wanted.copy(), None
     for _ in range(max(shots, 0) + 1):
-        equation = derivatives(reference, dt, model.order) / np.asarray(model.scales.state)
+        motion = reference
+        if model.effects:
+            motion = np.asarray(augment.moves(model, jnp.asarray(reference / scale), dt), np.float64) * scale
+        equation = derivatives(motion, dt, model.order) / np.asarray(model.scales.state)
         force, voltage, features = invert_path(model, jnp.asarray(equation, dtype), dt)
         u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
         x = np.asarray(_run(model, jnp.asarray(u, dtype), dt), np.float64) * scale

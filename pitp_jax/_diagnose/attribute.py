@@ -179,8 +179,8 @@ def _second(case: Case, catalogue, lanes: Lanes, first: Judged, base: Judged, no
         case,
         series=tuple(replace(s, error=e, run=s.run - s.error + e) for s, e in zip(case.series, errors, strict=True)),
     )
-    others = tuple(c for c in catalogue if c.name != first.names[0])
-    screened = screen(beside, others, refit=refit, extra=_slopes(lanes, first.candidate))
+    slopes = _slopes(lanes, first.candidate)
+    screened = screen(beside, catalogue, refit=refit, extra=slopes, skip=first.names)
     chosen = finalists(screened)[:7]
     both = Lanes(case, _in_order(catalogue, [first.candidate.forms[0], *[s.effect for s in chosen]]))
     c = first.candidate

@@ -8,7 +8,9 @@ a refit, on the nominal's coefficients, whose columns are -G[a_i x^(i)]). Noise 
 0.3 % of range; the few forms that are left go on to whole rollouts (`fit`).
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -24,14 +26,15 @@ from .._effects.base import (
     AbstractEffect,
     AbstractForceEffect,
     AbstractSensorEffect,
-    Instant,
+    Known,
     Start,
 )
 from .._effects.drive import Delay
 from .._model.model import Model
 from .case import Case, Series
 
-POINTS = 20  # grid points of a form, at most
+POINTS, LANES = 20, 24  # grid points of a form besides its starts, and in all
+CHUNK, TARGETS = 2500, 8  # samples of a compiled pass; e and nuisance columns
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ def grid(effect: type[AbstractEffect], starts: list[Start], count: int = POINTS)
         axes[widest] = [axes[widest][i] for i in keep]
         many = int(np.prod([len(a) for a in axes]))
     points = [tuple(float(v) for v in p) for p in np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(axes))]
-    return [(p, first) for p in points] + [(s.values, s) for s in starts]
+    return ([(s.values, s) for s in starts] + [(p, first) for p in points])[:LANES]
 
 
 class _Filter(NamedTuple):
@@ -128,7 +131,7 @@ class Columns(NamedTuple):
     tokens: np.ndarray  # (T, n + 1)
     offset: np.ndarray  # (T,)
     voltage: np.ndarray  # (T,)
-    free: np.ndarray  # (T,) scaled displacement of the nominal's free run
+    run: np.ndarray  # (T,) scaled displacement of the nominal's free run
     targets: np.ndarray  # (T, 1 + Q): e, then nuisance columns
     weight: np.ndarray  # (T,)
 
@@ -141,50 +144,65 @@ def nuisance(case: Case, series: Series, refit: bool) -> np.ndarray:
     return responses(case.model, case.dt, -a * series.motion)
 
 
-def screen(case: Case, catalogue, *, refit: bool, extra: list[np.ndarray] | None = None) -> list[Screened]:
+def screen(
+    case: Case, catalogue, *, refit: bool, extra: list[np.ndarray] | None = None, skip: tuple[str, ...] = ()
+) -> list[Screened]:
     """Every form of `catalogue` at its grid, best first by the error on fitted records.
 
-    `extra`: per record columns (T, Q) that may be regressed along (the effects already found).
+    `extra`: per record columns (T, Q) that may be regressed along (the effects already found). `skip`: names left out.
+    The same catalogue compiles once, whatever is skipped.
     """
     catalogue = tuple(c for c in catalogue if c.starts(case.surroundings))
     grids = [grid(c, c.starts(case.surroundings)) for c in catalogue]
-    lanes = max(len(g) for g in grids)
-    effects = tuple(c.neutral() for c in catalogue)
-    rows = np.zeros((lanes, sum(len(c.PARAMETERS) for c in catalogue)), np.float32)
+    rows = np.zeros((LANES, sum(len(c.PARAMETERS) for c in catalogue)), np.float32)
     first = 0
     for c, g in zip(catalogue, grids, strict=True):
-        for k in range(lanes):
+        for k in range(LANES):
             rows[k, first : first + len(c.PARAMETERS)] = g[min(k, len(g) - 1)][0]
         first += len(c.PARAMETERS)
     shared = [
         np.concatenate([nuisance(case, s, refit), *([extra[k]] if extra else [])], -1)
         for k, s in enumerate(case.series)
     ]
-    sums = _sums(case, effects, rows, shared)
-    return _ranked(case, catalogue, grids, sums, shared)
+    sums = _sums(case, tuple(c.neutral() for c in catalogue), rows, shared)
+    kept = [k for k, c in enumerate(catalogue) if c.name not in skip]
+    return _ranked(case, catalogue, grids, kept, sums, shared)
 
 
 def _sums(case: Case, effects, rows, shared) -> list[tuple[np.ndarray, np.ndarray]]:
     """Per record: sum w g g (lanes, forms) and sum w g (e, c) (lanes, forms, 1 + Q)."""
-    filt = nominal_filter(case.model, case.dt)
-    delays = [k for k, e in enumerate(effects) if isinstance(e, Delay)]
-    found = []
-    sizes = sorted({-(-s.record.samples // 1000) * 1000 for s in case.series})
-    for s, c in zip(case.series, shared, strict=True):
-        size = next(v for v in sizes if v >= s.record.samples)
-        pad = lambda v, mode="edge", size=size: np.pad(  # noqa: E731
-            v, [(0, size - len(v))] + [(0, 0)] * (v.ndim - 1), mode=mode
-        ).astype(np.float32)
-        columns = Columns(
-            pad(s.motion), pad(s.tokens), pad(s.offset), pad(s.voltage), pad(s.run),
-            pad(np.concatenate([s.error[:, None], c], -1)), pad(s.weight, "constant"),
-        )  # fmt: skip
+    begin, advance = _compiled(case.model, effects)
+    model, delays = case.model, [k for k, e in enumerate(effects) if isinstance(e, Delay)]
+    filt = jax.tree.map(lambda v: np.asarray(v, np.float32), nominal_filter(model, case.dt))
+    a = model.physical_coefficients
+    nominal = Nominal(
+        np.asarray(model.coefficients), np.asarray(model.scales.rates, np.float32), np.float32(model.scales.force),
+        np.float32(0.1 / (a[0] / a[-1]) ** (1 / model.order)), filt, np.float32(case.dt),
+    )  # fmt: skip
+
+    def one(s: Series, c: np.ndarray):
+        targets = np.zeros((len(s.error), TARGETS))
+        targets[:, : 1 + c.shape[1]] = np.concatenate([s.error[:, None], c], -1)
+        columns = Columns(*(
+            v.astype(np.float32) for v in (s.motion, s.tokens, s.offset, s.voltage, s.run, targets, s.weight)
+        ))  # fmt: skip
         late = _delayed(columns.voltage, rows, effects, delays, s.rest, case.dt)
-        start = (s.motion[0, 0] if not s.rest else 0.0, 0.0 if s.rest else s.voltage[0], s.age)
-        gg, ge = _pass(case.model, effects, rows, columns, late, np.asarray(start, np.float32),
-                       jax.tree.map(lambda v: v.astype(np.float32), filt), case.dt)  # fmt: skip
-        found.append((np.asarray(gg, np.float64), np.asarray(ge, np.float64)))
-    return found
+        start = (0.0 if s.rest else s.motion[0, 0], 0.0 if s.rest else s.voltage[0], s.age)
+        carry = begin(rows, jax.tree.map(lambda v: v[0], columns), late[0], np.asarray(start, np.float32), nominal)
+        for first in range(0, len(s.error), CHUNK):
+            now, then = (jax.tree.map(lambda v, k=k: _window(v, first + k, CHUNK), columns) for k in (0, 1))
+            now = now._replace(weight=np.where(first + np.arange(CHUNK) < len(s.error), now.weight, 0.0).astype(np.float32))
+            carry = advance(rows, carry, now, then, _window(late, first, CHUNK), nominal)
+        gg, ge = (np.asarray(v, np.float64) for v in carry[-2:])
+        return gg, ge[..., : 1 + c.shape[1]]
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(one, case.series, shared))
+
+
+def _window(values: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Samples first ... first + count, the last one repeated beyond the end."""
+    return values[np.minimum(np.arange(first, first + count), len(values) - 1)]
 
 
 def _delayed(voltage, rows, effects, delays, rest, dt) -> np.ndarray:
@@ -198,28 +216,32 @@ def _delayed(voltage, rows, effects, delays, rest, dt) -> np.ndarray:
     return late
 
 
-def _pass(model: Model, effects, rows, columns: Columns, late, start, filt: _Filter, dt: float):
-    return _compiled(model, effects)(rows, columns, late, start, filt, dt)
+class Nominal(NamedTuple):
+    """What of the nominal a pass needs, as arrays: no recompilation between cases."""
+
+    coefficients: np.ndarray
+    rates: np.ndarray
+    force: np.ndarray
+    blunt: np.ndarray
+    filter: _Filter
+    dt: np.ndarray
 
 
-_CACHE: dict = {}
+@lru_cache(maxsize=4)
+def _compiled_for(types: tuple, order: int, input_map: type):
+    effects = tuple(t.neutral() for t in types)
+    begin, advance = _passes(effects, order, input_map())
+    return jax.jit(begin), jax.jit(advance)
 
 
 def _compiled(model: Model, effects):
     """One compiled pass per set of forms, order and input map."""
-    key = (tuple(type(e) for e in effects), model.order, type(model.input_map), model.scales)
-    if key not in _CACHE:
-        _CACHE.clear()
-        _CACHE[key] = jax.jit(_make_pass(model, effects))
-    return _CACHE[key]
+    return _compiled_for(tuple(type(e) for e in effects), model.order, type(model.input_map))
 
 
-def _make_pass(model: Model, effects):
+def _passes(effects, n: int, input_map):
+    """(begin, advance): the carry at a record's first sample, and the carry a chunk of samples later."""
     unravel = ravel_pytree(effects)[1]
-    rates = np.asarray(model.scales.rates, np.float32)
-    n = model.order
-    coefficients = model.coefficients
-    blunt = 0.1 / float((model.physical_coefficients[0] / model.physical_coefficients[-1]) ** (1 / n))
 
     def lane_start(row, start):
         x, voltage, age = start
@@ -235,19 +257,22 @@ def _make_pass(model: Model, effects):
                 states.append(jnp.zeros((0,)))
         return states
 
-    def lane(row, states, now, then, late_now, dt):
+    def lane(row, states, now, then, late, nominal):
         """Forces of all forms at this sample (filtered later), direct output columns, and the next states."""
-        force_of = lambda v: model.input_map.force(v) / model.scales.force  # noqa: E731
-        force, direct, after = [], [], []
+        force, direct, after, dt = [], [], [], nominal.dt
+
+        def force_of(volts):
+            return input_map.force(volts) / nominal.force
+
         base = force_of(now.voltage)
-        instant = Measured(now.motion[:n], coefficients, rates, base, blunt, now.motion[n])
+        instant = Known(now.motion[:n], nominal.coefficients, nominal.rates, base, nominal.blunt, now.motion[n])
         for e, z in zip(unravel(row), states, strict=True):
             f, g = jnp.zeros(()), jnp.zeros(())
             if isinstance(e, AbstractDriveEffect):
                 f = base - force_of(e.film(z, now.voltage))
                 z = e.advance(z, now.voltage, then.voltage, dt)
             elif isinstance(e, Delay):
-                f = base - force_of(late_now)
+                f = base - force_of(late)
             elif isinstance(e, AbstractCouplingEffect):
                 f = base - e.couple(base, now.motion[0])
             elif isinstance(e, AbstractForceEffect):
@@ -255,58 +280,43 @@ def _make_pass(model: Model, effects):
                 f = (tokens - now.tokens) @ now.motion + offset - now.offset
                 z = e.advance(z, now.motion[0], then.motion[0], dt)
             elif isinstance(e, AbstractSensorEffect):
-                g = now.free - e.reading(z, now.free)
-                z = e.advance(z, now.free, then.free, dt)
+                g = now.run - e.reading(z, now.run)
+                z = e.advance(z, now.run, then.run, dt)
             force.append(f)
             direct.append(g)
             after.append(z)
         return jnp.stack(force), jnp.stack(direct), after
 
-    def run(rows, columns, late, start, filt, dt):
-        states = jax.vmap(lane_start, (0, None))(rows, start)
-        lanes, forms = rows.shape[0], len(effects)
-        y = jnp.zeros((n, lanes, forms))
+    lanes = jax.vmap(lane, (0, 0, None, None, 0, None))
 
-        def advance(carry, item):
+    def begin(rows, first, late, start, nominal):
+        """The filter stands where one step under a force that was always f_0 leads to rest: f sets in at once."""
+        states = jax.vmap(lane_start, (0, None))(rows, start)
+        force = lanes(rows, states, first, first, late, nominal)[0]
+        f = nominal.filter
+        before = -jnp.linalg.solve(f.a, f.b + f.c)[:, None, None] * force[None]
+        zero = jnp.zeros(force.shape)
+        return states, before, force, zero, jnp.zeros((*force.shape, first.targets.shape[-1]))
+
+    def advance(rows, carry, now, then, late, nominal):
+        filt = nominal.filter
+
+        def sample(carry, item):
             states, y, before, gg, ge = carry
-            now, then, late_now = item
-            force, direct, states = jax.vmap(lane, (0, 0, None, None, 0, None))(rows, states, now, then, late_now, dt)
+            here, there, delayed = item
+            force, direct, states = lanes(rows, states, here, there, delayed, nominal)
             y = jnp.tensordot(filt.a, y, 1) + filt.b[:, None, None] * before + filt.c[:, None, None] * force
             g = y[0] + direct
-            gg = gg + now.weight * g * g
-            ge = ge + now.weight * g[..., None] * now.targets
+            gg = gg + here.weight * g * g
+            ge = ge + here.weight * g[..., None] * here.targets
             return (states, y, force, gg, ge), None
 
-        now = Columns(*(jnp.asarray(c) for c in columns))
-        then = Columns(*(jnp.concatenate([c[1:], c[-1:]]) for c in now))
-        zero = jnp.zeros((lanes, forms))
-        first = jax.vmap(lane, (0, 0, None, None, 0, None))(
-            rows, states, Columns(*(c[0] for c in now)), Columns(*(c[0] for c in now)), late[0], dt
-        )[0]
-        carry = (states, y, first, zero, jnp.zeros((lanes, forms, now.targets.shape[-1])))
-        # the first sample starts from rest: its filter step is undone by starting at -(b + c) f_0
-        carry = (states, jnp.zeros_like(y) - _undo(filt, first), first, zero, carry[4])
-        (_, _, _, gg, ge), _ = jax.lax.scan(advance, carry, (now, then, jnp.asarray(late)))
-        return gg, ge
+        return jax.lax.scan(sample, carry, (now, then, late))[0]
 
-    def _undo(filt, first):
-        settle = jnp.linalg.solve(filt.a, (filt.b + filt.c)[:, None])[:, 0]
-        return settle[:, None, None] * first[None]
-
-    return run
+    return begin, advance
 
 
-class Measured(Instant):
-    """An instant whose motion is known; `h` only says how sharply friction sets in."""
-
-    known: jax.Array
-
-    def velocity(self, tokens, offset):
-        """Measured."""
-        return self.state[1] if self.state.shape[0] > 1 else self.known
-
-
-def _ranked(case: Case, catalogue, grids, sums, shared) -> list[Screened]:
+def _ranked(case: Case, catalogue, grids, kept, sums, shared) -> list[Screened]:
     """Regress every form's strength on the fitted records; the error it leaves there and on the held-out ones."""
     q = shared[0].shape[-1]
     squares = []
@@ -315,8 +325,8 @@ def _ranked(case: Case, catalogue, grids, sums, shared) -> list[Screened]:
         squares.append((block * s.weight[:, None]).T @ block)
     fitted = np.array([s.fitted for s in case.series])
     found = []
-    for j, (form, points) in enumerate(zip(catalogue, grids, strict=True)):
-        rows = []
+    for j in kept:
+        form, points, rows = catalogue[j], grids[j], []
         for k, (values, start) in enumerate(points):
             per = [_gram(squares[r], sums[r][0][k, j], sums[r][1][k, j]) for r in range(len(sums))]
             fit = sum(p for p, f in zip(per, fitted, strict=True) if f) / fitted.sum()

@@ -157,6 +157,14 @@ class AbstractDriveEffect(AbstractEffect):
     def film(self, states, voltage):
         """V at an instant."""
 
+    @abstractmethod
+    def undo(self, film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+        """The u whose film voltage is V, for a smooth V of a record that starts at rest; V itself where none is."""
+
+    @abstractmethod
+    def passes(self, film: Float[Array, " time"], dt: float) -> Array:
+        """True where some u gives this V."""
+
 
 class AbstractCouplingEffect(AbstractEffect):
     """At the square (SQ): what the film's force becomes at a displacement X."""
@@ -164,6 +172,10 @@ class AbstractCouplingEffect(AbstractEffect):
     @abstractmethod
     def couple(self, force, x):
         """Scaled force on the structure from the scaled force `force`."""
+
+    @abstractmethod
+    def uncouple(self, force, x):
+        """The film's force behind a force on the structure; infinite where no field makes it."""
 
 
 class AbstractForceEffect(AbstractEffect):
@@ -197,12 +209,44 @@ class AbstractSensorEffect(AbstractEffect):
     def reading(self, states, x):
         """What the sensor reads."""
 
+    @abstractmethod
+    def undo(self, y: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+        """The X behind a smooth reading; the reading itself where that is not known."""
+
 
 def lagged(state, x, after, tau, h):
     """The first-order lag z' = (x - z) / tau after h, exact for x linear in between."""
     fraction = h / tau
     settle = -jnp.expm1(-fraction)
     return state + settle * (x - state) + (1 - settle / fraction) * (after - x)
+
+
+class Known(Instant):
+    """An instant whose motion is given (measured, or wanted); `h` only says how sharply friction sets in.
+
+    Attributes:
+        last: scaled x^(n).
+    """
+
+    last: Float[Array, ""]
+
+    def velocity(self, tokens, offset):
+        """As given."""
+        return self.state[1] if self.state.shape[0] > 1 else self.last
+
+
+class Wanted(Known):
+    """A known motion whose force is what is asked for: x^(n) is not the force's to decide."""
+
+    def highest(self, tokens, offset):
+        """As given."""
+        return self.last
+
+
+def slope(values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+    """First derivative by central differences of 4th order (2nd next to the ends, 1st at them)."""
+    inner = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12 * dt)
+    return jnp.asarray(jnp.gradient(values, dt)).at[2:-2].set(inner)
 
 
 def bounded(values, low, high) -> Start:

@@ -27,6 +27,10 @@ class StretchCoupling(AbstractCouplingEffect):
         """Never a push."""
         return force * jnp.maximum(1 + self.b * x, 0.05)
 
+    def uncouple(self, force, x):
+        """By division."""
+        return force / jnp.maximum(1 + self.b * x, 0.05)
+
 
 class SquaredCoupling(AbstractCouplingEffect):
     """F (1 + b x / 2)^2."""
@@ -45,6 +49,10 @@ class SquaredCoupling(AbstractCouplingEffect):
         """Never a push."""
         return force * jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
 
+    def uncouple(self, force, x):
+        """By division."""
+        return force / jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
+
 
 class DielectricSaturation(AbstractCouplingEffect):
     """F / (1 + |F| / F_s); `inverse` is 1 / F_s."""
@@ -61,6 +69,11 @@ class DielectricSaturation(AbstractCouplingEffect):
     def couple(self, force, x):
         """What the field still makes."""
         return force / (1 + self.inverse * jnp.abs(force))
+
+    def uncouple(self, force, x):
+        """In closed form below F_s."""
+        left = 1 - self.inverse * jnp.abs(force)
+        return jnp.where(left > 0, force / jnp.where(left > 0, left, 1.0), jnp.inf)
 
 
 class TanhSaturation(AbstractCouplingEffect):
@@ -80,3 +93,11 @@ class TanhSaturation(AbstractCouplingEffect):
         r = self.inverse * force
         small = jnp.abs(r) < 0.03
         return force * jnp.where(small, 1 - r**2 / 3, jnp.tanh(r) / jnp.where(small, 1.0, r))
+
+    def uncouple(self, force, x):
+        """In closed form below F_s."""
+        r = self.inverse * force
+        inside = jnp.abs(r) < 1
+        small = jnp.abs(r) < 0.03
+        grown = jnp.arctanh(jnp.where(inside, r, 0.0)) / jnp.where(small, 1.0, r)
+        return jnp.where(inside, force * jnp.where(small, 1 + r**2 / 3, grown), jnp.inf)

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .base import AbstractDriveEffect, AbstractEffect, Parameter, Surroundings, bounded, lagged, nothing
+from .._recurrence import first_order_lags
+from .base import AbstractDriveEffect, AbstractEffect, Parameter, Surroundings, bounded, lagged, nothing, slope
 
 
 class _Static(AbstractDriveEffect):
@@ -48,6 +49,14 @@ class VoltageClip(_Static):
         top = 1.0 / jnp.maximum(self.inverse, 1e-30)
         return jnp.clip(voltage, -top, top)
 
+    def undo(self, film, dt):
+        """Below the limit u is V."""
+        return film
+
+    def passes(self, film, dt):
+        """Up to u_max."""
+        return jnp.abs(film) * self.inverse <= 1.0
+
 
 class RoundedClip(_Static):
     """V = u / (1 + (|u| / u_max)^8)^(1/8)."""
@@ -65,6 +74,15 @@ class RoundedClip(_Static):
         """The rounded voltage."""
         return voltage * (1 + (self.inverse * voltage) ** 8) ** (-1 / 8)
 
+    def undo(self, film, dt):
+        """In closed form, as far as 99 % of u_max."""
+        r = jnp.clip(jnp.abs(self.inverse * film), 0.0, 0.99)
+        return film * (1 - r**8) ** (-1 / 8)
+
+    def passes(self, film, dt):
+        """Up to u_max."""
+        return jnp.abs(film) * self.inverse <= 0.99
+
 
 class VoltageOffset(_Static):
     """V = u + V_0."""
@@ -81,6 +99,14 @@ class VoltageOffset(_Static):
     def film(self, states, voltage):
         """The shifted voltage."""
         return voltage + self.offset
+
+    def undo(self, film, dt):
+        """By algebra."""
+        return film - self.offset
+
+    def passes(self, film, dt):
+        """Always."""
+        return jnp.ones(film.shape, bool)
 
 
 class _Lag(AbstractDriveEffect):
@@ -114,6 +140,16 @@ class _Lag(AbstractDriveEffect):
     def film(self, states, voltage):
         """The last lag's output."""
         return jnp.where(self.tau > 0, states[-1], voltage)
+
+    def undo(self, film, dt):
+        """By lead, lag by lag."""
+        for share in self.sections:
+            film = film + share * self.tau * slope(film, dt)
+        return film
+
+    def passes(self, film, dt):
+        """Always."""
+        return jnp.ones(film.shape, bool)
 
 
 class ElectrodeRC(_Lag):
@@ -154,6 +190,14 @@ class SlewLimit(AbstractDriveEffect):
         """The limited voltage."""
         return jnp.where(self.inverse > 0, states[0], voltage)
 
+    def undo(self, film, dt):
+        """Below the limit u is V."""
+        return film
+
+    def passes(self, film, dt):
+        """As fast as the amplifier gets."""
+        return jnp.abs(slope(film, dt)) * self.inverse <= 1.0
+
 
 class ChargeLeak(AbstractDriveEffect):
     """V = u - kappa q: charge creeps into traps and screens the field."""
@@ -184,6 +228,16 @@ class ChargeLeak(AbstractDriveEffect):
         """What the traps leave."""
         return voltage - self.kappa * states[0]
 
+    def undo(self, film, dt):
+        """u = V + kappa q with q' = (V - (1 - kappa) q) / tau: the trap's own lag, slower by 1 / (1 - kappa)."""
+        tau = self.tau / (1 - self.kappa)
+        level = first_order_lags(film / (1 - self.kappa), tau[None], dt, jnp.zeros((1,), film.dtype))[:, 0]
+        return film + self.kappa * level
+
+    def passes(self, film, dt):
+        """Always."""
+        return jnp.ones(film.shape, bool)
+
 
 class Delay(AbstractEffect):
     """V(t) = u(t - T): a shift of the whole record, so it is no step but a map of the array."""
@@ -207,3 +261,8 @@ class Delay(AbstractEffect):
         padded = jnp.concatenate([jnp.reshape(before, (1,)), voltage])
         left, right = (padded[jnp.clip(index + k, 0, voltage.shape[0])] for k in (1, 2))
         return left + share * (right - left)
+
+    def ahead(self, film: Float[Array, " time"], dt) -> Float[Array, " time"]:
+        """V a time T later: what must be played now. The last T repeats the last value."""
+        place = jnp.arange(film.shape[0], dtype=film.dtype)
+        return jnp.interp(place + self.time / dt, place, film)

@@ -108,6 +108,10 @@ class MountedMode(AbstractSensorEffect):
         """A share g of the relative motion is seen."""
         return x + self.gain * (states[0] - x)
 
+    def undo(self, y, dt):
+        """Not known: left to the shooting on the rollout."""
+        return y
+
 
 class Slack(AbstractForceEffect):
     """No acceleration below -g (order 2); `inverse` is 1 / g."""

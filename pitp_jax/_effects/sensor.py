@@ -19,6 +19,7 @@ from .base import (
     bounded,
     lagged,
     nothing,
+    slope,
 )
 
 
@@ -45,6 +46,10 @@ class SensorGain(AbstractSensorEffect):
     def reading(self, states, x):
         """Scaled."""
         return (1 + self.d) * x
+
+    def undo(self, y, dt):
+        """By division."""
+        return y / (1 + self.d)
 
 
 class _SensorLag(AbstractSensorEffect):
@@ -77,6 +82,12 @@ class _SensorLag(AbstractSensorEffect):
     def reading(self, states, x):
         """The last lag's output."""
         return jnp.where(self.tau > 0, states[-1], x)
+
+    def undo(self, y, dt):
+        """By lead, lag by lag."""
+        for share in self.sections:
+            y = y + share * self.tau * slope(y, dt)
+        return y
 
 
 class SensorLag(_SensorLag):

@@ -17,6 +17,7 @@ from .._effects.base import (
     AbstractForceEffect,
     AbstractSensorEffect,
     Instant,
+    Wanted,
 )
 from .._effects.drive import Delay
 
@@ -104,3 +105,62 @@ def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
 def readings(model: "Model", states: Float[Array, "time state"]) -> Float[Array, " time"]:
     """The same along a rollout."""
     return jax.vmap(lambda s: reading(model, s))(states) if model.effects else states[:, 0]
+
+
+def required(
+    model: "Model", equation: Float[Array, "time tokens"], features: Float[Array, "time features"], dt: float
+) -> Float[Array, " time"]:
+    """Eq. 13 with effects: the scaled force of the film along a wanted motion that starts at rest.
+
+    Every state of a force effect follows x alone, so it is known along the way; then couplings are divided out.
+    """
+    n = model.order
+    rates = jnp.asarray(model.scales.rates, equation.dtype)
+    blunt = 0.1 / (rates[0] if n == 1 else jnp.sqrt(rates[0] * rates[-1]))
+    x = equation[:, 0]
+    start = split(model, initial(model, x[0], jnp.zeros_like(x[0]), 0.0))
+
+    def advance(parts, ends):
+        return moved(model, parts, ends[0], ends[1], dt), parts
+
+    along = jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
+
+    def force(parts, row, seen):
+        now = Wanted(row[:n], model.coefficients, rates, jnp.zeros(()), blunt, row[n])
+        tokens, offset = acted(model, parts, now, *model.tokens(seen))
+        return tokens @ row + offset
+
+    needed = jax.vmap(force)(along, equation, features)
+    for effect in reversed(model.effects):
+        if isinstance(effect, AbstractCouplingEffect):
+            needed = effect.uncouple(needed, x)
+    return needed
+
+
+def played(model: "Model", film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+    """The drive u for a smooth film voltage, through all drive effects, the model's own lag and delays."""
+    for effect in reversed(model.effects):
+        if isinstance(effect, AbstractDriveEffect):
+            film = effect.undo(film, dt)
+    film = model.drive.lead(film, dt)
+    for effect in model.effects:
+        if isinstance(effect, Delay):
+            film = effect.ahead(film, dt)
+    return film
+
+
+def moves(model: "Model", reading: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+    """The scaled motion behind a wanted reading."""
+    for effect in reversed(model.effects):
+        if isinstance(effect, AbstractSensorEffect):
+            reading = effect.undo(reading, dt)
+    return reading
+
+
+def beyond(model: "Model", film: Float[Array, " time"], dt: float) -> Array:
+    """True where a drive effect lets no such film voltage pass."""
+    out = ~jnp.isfinite(film)
+    for effect in model.effects:
+        if isinstance(effect, AbstractDriveEffect):
+            out = out | ~effect.passes(film, dt)
+    return out
