@@ -1,0 +1,89 @@
+"""Between the commanded voltage and the force: electrode, amplifier, leakage, coupling.
+
+    electrode   three RC sections in a row, V = sqrt(mean V_i^2): the film's far end is charged late
+    amplifier   V' = s tanh(e/s) or e/(1 + |e/s|^3)^(1/3), e = (u - V)/tau, tau w0 = 0.02;
+                V = u + V_0;   V = u(t - T);   V = u - w log(1 + exp((u - u_m)/w))
+    leakage     V = u - p (q_1 + k q_2), q_i' = (u - q_i)/tau_i: two kinds of traps
+    coupling    V^2 (1 + b x/4)^4 (capacitance grows with the square of the area) or V^2 (1 + b x/2)^2
+    saturation  u_s^2 tanh(V^2/u_s^2) or V^2/(1 + (V/u_s)^4)^(1/2)
+
+Films are uncharged at the beginning of a record, as the actuator is at rest then whatever u(0).
+"""
+
+import jax.numpy as jnp
+
+from .form import Form
+
+
+# drive ----------------------------------------------------------------------------------------------------------------
+def _ladder_rate(p, c, u, x, v, s):
+    """Three equal sections of resistance and capacitance, far end open; time constant p of the whole film."""
+    a, b, d = s
+    rate = 9.0 / (2.0 * p)
+    return (rate * (u - 2.0 * a + b), rate * (a - 2.0 * b + d), rate * (b - d))
+
+
+def _slew_draw(rng, stats):
+    return {"fast": stats.slew, "tau": 0.02}
+
+
+def _slew(p, c, u, x, v, s):
+    limit = c["fast"] / p
+    return (limit * jnp.tanh((u - s[0]) / (limit * c["tau"])),)
+
+
+def _algebraic_slew(p, c, u, x, v, s):
+    limit, error = c["fast"] / p, (u - s[0]) / c["tau"]
+    return (error / (1.0 + jnp.abs(error / limit) ** 3) ** (1.0 / 3.0),)
+
+
+def _clip(p, c, u, s):
+    return u - c["w"] * jnp.logaddexp(0.0, (u - (1.0 - p) * c["level"]) / c["w"])
+
+
+def _trap_draw(rng, stats):
+    record = 6.283 * stats.f0 * stats.length
+    return {
+        "tau0": rng.uniform(0.02, 0.05) * record,
+        "tau1": rng.uniform(0.15, 0.4) * record,
+        "k": rng.uniform(0.4, 1.0),
+    }
+
+
+def _traps(p, c, u, x, v, s):
+    return ((u - s[0]) / c["tau0"], (u - s[1]) / c["tau1"])
+
+
+def _sign(rng, stats):
+    return {"sign": rng.choice([-1.0, 1.0])}
+
+
+ELECTRODE_RC = (
+    Form("ladder", (0.06, 5.0), states=3, stiff=100.0, rates=_ladder_rate,
+         drive=lambda p, c, u, s: jnp.sqrt((s[0] ** 2 + s[1] ** 2 + s[2] ** 2) / 3.0)),
+)  # fmt: skip
+SLEW_LIMIT = (
+    Form("tanh", (0.8, 60.0), draw=_slew_draw, states=1, stiff=60.0, rates=_slew, drive=lambda p, c, u, s: s[0]),
+    Form("algebraic", (0.8, 60.0), draw=_slew_draw, states=1, stiff=60.0, rates=_algebraic_slew,
+         drive=lambda p, c, u, s: s[0]),
+)  # fmt: skip
+VOLTAGE_CLIP = (
+    Form("soft", (0.02, 0.7), drive=_clip,
+         draw=lambda rng, stats: {"level": stats.level, "w": rng.uniform(0.005, 0.02) * stats.level}),
+)  # fmt: skip
+VOLTAGE_OFFSET = (Form("constant", (5e-3, 0.5), draw=_sign, drive=lambda p, c, u, s: u + c["sign"] * p),)
+DELAY = (Form("exact", (0.02, 3.0), stiff=60.0, delay=lambda p, c: p),)
+CHARGE_LEAK = (
+    Form("two_traps", (5e-3, 0.6), draw=_trap_draw, states=2, rates=_traps,
+         drive=lambda p, c, u, s: u - p * (s[0] + c["k"] * s[1])),
+)  # fmt: skip
+
+# coupling -------------------------------------------------------------------------------------------------------------
+STRETCH_COUPLING = (
+    Form("area_squared", (0.02, 2.0), coupling=lambda p, c, force, x: force * (1.0 + p * x / 4.0) ** 4),
+    Form("stretch_squared", (0.02, 2.0), coupling=lambda p, c, force, x: force * (1.0 + p * x / 2.0) ** 2),
+)
+DIELECTRIC_SATURATION = (
+    Form("tanh", (0.05, 6.0), coupling=lambda p, c, force, x: jnp.tanh(p * force) / p),
+    Form("root", (0.05, 8.0), coupling=lambda p, c, force, x: force / jnp.sqrt(1.0 + (p * force) ** 2)),
+)

@@ -1,0 +1,114 @@
+"""Verdicts against truth.
+
+    right   no_gap for none; the name first for one effect; both names for two; unknown if outside or left out
+    tie     the name first, or among at most three declared equivalent
+    closed  1 - e_after / e_before on the noise-free outputs of the held-out records, e^2 = mean (rms / range)^2
+
+In a refit the nominal absorbs `added_mass`, `sensor_gain` and `parameter_change`: no_gap is right there too.
+"""
+
+from collections import Counter
+
+import numpy as np
+
+import pitp_jax as pitp
+
+from .case import Case
+from .outside import OUTSIDE
+
+ABSORBED = ("added_mass", "sensor_gain", "parameter_change")
+_MOST_TIED = 3
+
+
+def runs(model, case: Case, names) -> dict[str, np.ndarray]:
+    """Free runs of a model on the records of those names, in m; nan from where one diverged."""
+    return {run.name: run.displacement for run in pitp.predict(model, [r for r in case.real if r.name in names])}
+
+
+def pooled(outputs: dict[str, np.ndarray], case: Case, names) -> float:
+    """Error of outputs in % of range, pooled over records, against noise-free ones; inf where a run diverged."""
+    shares = [np.mean((outputs[n] - case.true[n]) ** 2) / np.ptp(case.true[n]) ** 2 for n in names]
+    return 100 * float(np.nan_to_num(np.sqrt(np.mean(shares)), nan=np.inf))
+
+
+def true_closed(result, nominal, case: Case, names) -> float | None:
+    """The closed fraction without noise on the records of those names.
+
+    Before is the nominal's run in the result's `traces` (the refitted one in a refit) where it has them, else a run of
+    the nominal given; after is always a run of `result.model`.
+    """
+    if not names:
+        return None
+    traces = {t.name: t.nominal for t in getattr(result, "traces", ())}
+    before = traces if set(names) <= set(traces) else runs(nominal, case, names)
+    share = 1 - pooled(runs(result.model, case, names), case, names) / pooled(before, case, names)
+    return share if np.isfinite(share) else None
+
+
+def expected(label: str, left_out: bool) -> str:
+    """Verdict that is right: explained, no_gap or unknown."""
+    if label == "none":
+        return "no_gap"
+    return "unknown" if left_out or set(label.split("+")) & set(OUTSIDE) else "explained"
+
+
+def right(label: str, row: dict, *, refit: bool, left_out: bool, ties: bool = False) -> bool:
+    """Whether a row (`verdict`, `effects`, `equivalent`) says what is true; `ties` lets declared ties count."""
+    want, names = expected(label, left_out), label.split("+")
+    if refit and label in ABSORBED and not left_out and row["verdict"] == "no_gap":
+        return True
+    if row["verdict"] != want or want != "explained":
+        return row["verdict"] == want
+    if len(names) > 1:
+        return set(names) <= set(row["effects"])
+    tied = row["equivalent"] if ties and len(row["equivalent"]) <= _MOST_TIED else []
+    return names[0] in (*row["effects"][:1], *tied)
+
+
+def wrong_ones(labels: dict, rows: list[dict], **how) -> list[tuple]:
+    """(truth, said, how often) of every wrong verdict, most frequent first."""
+    said = Counter(
+        (labels[r["key"]], "+".join(r["effects"]) if r["verdict"] == "explained" else r["verdict"])
+        for r in rows
+        if not right(labels[r["key"]], r, **how)
+    )
+    return [(truth, what, n) for (truth, what), n in said.most_common()]
+
+
+def _rate(flags) -> str:
+    flags = list(flags)
+    return f"{sum(flags)}/{len(flags)}" if flags else "-"
+
+
+def _median(values) -> float | None:
+    values = [v for v in values if v is not None]
+    return float(np.median(values)) if values else None
+
+
+def summary(labels: dict, rows: list[dict], *, refit: bool, left_out: bool) -> list[tuple]:
+    """(figure, value) of a whole run."""
+    how = {"refit": refit, "left_out": left_out}
+    parts = {"none": [], "single": [], "pair": [], "outside": []}
+    for row in rows:
+        label = labels[row["key"]]
+        outside = set(label.split("+")) & set(OUTSIDE)
+        part = "none" if label == "none" else "outside" if outside else "pair" if "+" in label else "single"
+        parts[part].append((label, row))
+    single = parts["single"]
+    tie = {"ties": not left_out}
+    covered = [r["covered"] for r in rows if r.get("covered") is not None]
+    return [
+        ("left out: unknown" if left_out else "top-1", _rate(right(n, r, **how) for n, r in single)),
+        ("name or declared tie", _rate(right(n, r, **how, **tie) for n, r in single)),
+        ("no gap: false alarms", _rate(r["verdict"] != "no_gap" for _, r in parts["none"])),
+        ("effects called no gap", _rate(r["verdict"] == "no_gap" for _, r in single + parts["pair"])),
+        ("outside: unknown", _rate(r["verdict"] == "unknown" for _, r in parts["outside"])),
+        ("pairs: both named", _rate(right(n, r, **how) for n, r in parts["pair"])),
+        ("pairs: one named or more", _rate(bool(set(n.split("+")) & set(r["effects"])) for n, r in parts["pair"])),
+        ("failed", _rate(r["verdict"] == "failed" for r in rows)),
+        ("closed fraction, median said", _median(r["closed_fraction"] for r in rows)),
+        ("closed fraction, median true", _median(r["true_closed"] for r in rows)),
+        ("ci95 covers the true one", _rate(covered)),
+        ("where: F1, median", _median(r.get("f1") for r in rows)),
+        ("seconds a case, median", _median(r["seconds"] for r in rows)),
+    ]
