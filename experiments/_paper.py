@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._demo import PREDICTION_PAPER, SCALES, SEED, TRACKING_PAPER, Track, kind, measure
+from pitp_jax._demo import PREDICTION_PAPER, SCALES, SEED, TRACKING_PAPER, Track, kind, measure, play, swing
 from pitp_jax._train import PRESETS
 
 ACTUATORS = ("cone100", "cone122", "cone150", "roll")
@@ -100,8 +100,7 @@ class Bench:
 
     def swing(self, frequency: float) -> tuple[float, float]:
         """Amplitude and mean (m) of a target: half the range reached at the nearest training sine, about its mean."""
-        settled = self.grid(frequency).displacement[self.grid(frequency).samples // 2 :]
-        return 0.25 * float(np.ptp(settled)), float(settled.mean())
+        return swing(self.grid(frequency))
 
     def sine(self, frequency: float, seconds: float | None = None):
         """A sine target from rest: time (s) and displacement (m)."""
@@ -111,14 +110,10 @@ class Bench:
 
     def play(self, model, target, frequency: float = np.nan) -> Track:
         """The feedforward for a target (time, displacement), played on the noise-free plant."""
-        clock, wanted = target
-        found = pitp.feedforward(model, pitp.Target(clock, wanted, source=self.name))
-        for line in found.warnings:
+        track = play(self.actuator, model, pitp.Target(*target, source=self.name), frequency)
+        for line in track.warnings:
             print(f"  {self.name}, {frequency:g} Hz: {line}")
-        seconds = np.arange(len(found.time)) / self.actuator.rate_hz
-        x = pitp.simulate(self.actuator, seconds, found.voltage, hold="zoh" if model.hold == "zoh" else "foh")
-        asked = np.asarray(found.target)
-        return Track(frequency, clock, wanted, x[asked], found.voltage[asked], found.self_check_e_rms_percent)
+        return track
 
 
 @cache

@@ -8,6 +8,8 @@ import numpy as np
 from _paper import ACTUATORS
 from matplotlib.figure import Figure
 
+from pitp_jax._plot_lines import MEASURED, PREDICTED, over
+
 
 def arguments(doc: str, argv, smoke: bool, plants=("cone100",)):
     """Command line of a script; `plants` are those it runs by default (one in smoke)."""
@@ -52,15 +54,21 @@ def axes_grid(rows: int, columns: int, size: tuple[float, float], heights=None):
 
 
 def panel(ax, text: str) -> None:
-    """Name a panel; its own legend goes, the figure's title explains the colours."""
+    """Name a panel; its own legend goes, the figure has one."""
     if ax.get_legend():
         ax.get_legend().remove()
     ax.set_title(text, fontsize=8, loc="left")
 
 
-def finish(figure, options, name: str, colours: str = "") -> None:
-    """Write the figure, under a line that explains its colours, and say where."""
-    if colours:
-        figure.suptitle(colours, fontsize=8)
-    figure.savefig(options.out / name, dpi=110)
+def overlay(ax, time, measured, predicted) -> None:
+    """A measured displacement (m) and a predicted one over it, in mm."""
+    ax.plot(time, 1e3 * measured, color=MEASURED, lw=2.4, label="measured")
+    ax.plot(time, 1e3 * predicted, color=PREDICTED, lw=1.0, label="predicted", **over(predicted))
+
+
+def finish(figure, options, name: str, key, names=None) -> None:
+    """Write the figure and say where; one legend above it for the lines of the axes `key`, or other names for them."""
+    lines, texts = key.get_legend_handles_labels()
+    figure.legend(lines, names or texts, loc="outside upper center", ncols=len(lines), frameon=False, fontsize=8)
+    figure.savefig(options.out / name, dpi=200)
     print(f"figure: {options.out / name}", flush=True)

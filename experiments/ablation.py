@@ -13,6 +13,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from _paper import errors
 from coverage import records_of
 
 import pitp_jax as pitp
@@ -36,13 +37,6 @@ VARIANTS = {
 }
 
 
-def errors(model, records) -> np.ndarray:
-    """Free-run e_rms % of every record; infinite where it diverged."""
-    runs = pitp.predict(model, records)
-    found = [pitp.e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]
-    return np.nan_to_num(found, nan=np.inf)
-
-
 def main(smoke: bool = False, argv=None):
     """Fit every variant and print its row as soon as it is there."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -51,8 +45,10 @@ def main(smoke: bool = False, argv=None):
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared")
     parser.add_argument("--smoke", action="store_true")
-    options = parser.parse_args(["cone100", "--only", "default,no memory"] if smoke else argv)
-    short = {"stages": 1, "epochs": 1, "refine_steps": 1} if smoke or options.smoke else {}
+    options, short = parser.parse_args([] if smoke else argv), {}
+    if smoke or options.smoke:
+        options.cases, options.only = ["cone100"], ["default", "no memory"]
+        short = {"stages": 1, "epochs": 1, "refine_steps": 1}
     for case in options.cases:
         sweep, train, test = records_of(case, options.data)
         nominal = pitp.identify(sweep).model
@@ -64,7 +60,7 @@ def main(smoke: bool = False, argv=None):
                 began = time.perf_counter()
                 model = pitp.train(nominal, train, settings=settings, key=jax.random.key(seed)).model
                 seconds = time.perf_counter() - began
-                held, own = errors(model, test), errors(model, train)
+                held, own = (np.array(list(errors(model, part).values())) for part in (test, train))
                 print(
                     f"{name:22s} {seed:4d} {np.median(held):7.3f} {held.max():7.3f} "
                     f"{np.median(own):7.3f} {own.max():7.3f}  {seconds:.0f} s",

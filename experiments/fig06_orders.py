@@ -48,7 +48,7 @@ def main(smoke: bool = False, argv=()):
     )
     columns = ("cell", "paper", "ours, median e_rms (%)", "worst (%)", "sweep, in-sample (%)", "identified in")
     show("Held-out: the chosen linear model on all sines, a triangle, a complex and a long record", columns, held_out)
-    finish(figure, options, "fig06_orders.png", "grey: measured, blue: envelope of the identified model")
+    finish(figure, options, "fig06_orders.png", axes[0, 0])
 
 
 def _cells(name, found):

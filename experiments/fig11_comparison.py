@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from _paper import PRESETS, Bench, errors
-from _show import arguments, axes_grid, finish, panel, show
+from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
 from pitp_jax import _plot
@@ -60,15 +60,14 @@ def _draw(options, name, record, frequency, models):
     figure, axes = axes_grid(len(models), 1, (5.5, 0.3 + 1.2 * len(models)))
     part = slice(max(0, record.samples - round(5 / (frequency * record.dt))), None)
     low, high = 1e3 * record.displacement[part].min(), 1e3 * record.displacement[part].max()
-    for ax, (label, model) in zip(axes[:, 0], models.items(), strict=True):
+    for ax, model in zip(axes[:, 0], models.values(), strict=True):
         run = pitp.predict(model, [record])[0].displacement[part]
-        ax.plot(record.time[part], 1e3 * record.displacement[part], color="0.6", lw=1.8)
-        ax.plot(record.time[part], 1e3 * run, color="#0072b2", lw=1.0, ls="--")
+        overlay(ax, record.time[part], record.displacement[part], run)
         ax.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
-        panel(ax, label)
-        ax.label_outer()
     _plot.finish(axes[:, 0], "time (s)", ["x (mm)"] * len(models))
-    finish(figure, options, f"fig11_comparison_{name}.png", "grey: measured, dashed blue: predicted")
+    for ax, label in zip(axes[:, 0], models, strict=True):
+        panel(ax, label)
+    finish(figure, options, f"fig11_comparison_{name}.png", axes[0, 0])
 
 
 if __name__ == "__main__":

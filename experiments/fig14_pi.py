@@ -71,11 +71,10 @@ def _draw(options, name, track, pair):
     for column, (x, u), label in zip(axes.T, pair, ("feedforward alone", "with PI"), strict=True):
         _plot.tracking(track.time, track.target, x, u, column)
         panel(column[0], f"{name}, 3 % softer, {track.frequency:g} Hz: {label}")
-    span = [min(a.get_ylim()[0] for a in axes[1]), max(a.get_ylim()[1] for a in axes[1])]
-    for ax in axes[1]:
-        ax.set_ylim(span)
+    for row in axes:
+        row[0].sharey(row[1])
     figure.align_ylabels(axes[:, 0])
-    finish(figure, options, "fig14_pi.png", "grey: target, blue: achieved")
+    finish(figure, options, f"fig14_pi_{name}.png", axes[0, 0])
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
 from pitp_jax import _plot
+from pitp_jax._plot_lines import CYCLE
 
 LOADS = ("cone100", "cone122", "cone150", "roll")
 HELD_OUT = {"roll": (48.0,), "cone": (5.5,)}  # Hz
@@ -27,23 +28,28 @@ def main(smoke: bool = False, argv=()):
     for column, name in zip(axes.T, options.plants, strict=True):
         bench = Bench(name, options)
         model = bench.fit().model
-        for f in (*TABLE_2[name], *HELD_OUT[bench.kind]):
+        for f in sorted((*TABLE_2[name], *HELD_OUT[bench.kind])):
             track = bench.play(model, bench.sine(f), f)
             rows = in_sample if f in TABLE_2[name] else held_out
             cycle = round(bench.actuator.rate_hz / f)
             loop = pitp.rmhe_percent(track.target, track.achieved, cycle)
-            static = pitp.rmhe_percent(track.target, quasi_static(bench, model, track), cycle)
+            alone = quasi_static(bench, model, track)
+            static = pitp.rmhe_percent(track.target, alone, cycle)
             rows.append((f"{name}, {f:g} Hz", TABLE_2[name].get(f), track.e_rms, None, loop, static))
-            _loop(column[2], track, cycle, f"{f:g} Hz: {loop:.2f} %")
+            color = CYCLE[len(column[2].lines) // 2]
+            _loop(column[2], track.target, alone, cycle, color=color, lw=0.8, ls=":")
+            _loop(column[2], track.target, track.achieved, cycle, color=color, lw=1.2, label=f"{f:g} Hz: {loop:.2f} %")
             if f == SHOWN_HZ[bench.kind]:
                 _track(column[:2], name, track)
         _plot.finish(column[2:], "achieved (of the target's range)", ["target (of its range)"], 1)
-        column[2].legend(fontsize=7, frameon=False)
-        column[2].set_title("one cycle, RMHE", fontsize=8, loc="left")
+        column[2].legend(
+            loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, fontsize=7, handlelength=1,
+            columnspacing=1, title="RMHE of one cycle (dotted: quasi-static)", title_fontsize=8, alignment="left",
+        )  # fmt: skip
     header = ("cell", "paper e_rms (%)", "ours e_rms (%)", "paper RMHE", "ours RMHE (%)", "quasi-static RMHE (%)")
     show("Figs. 15-16, frequencies in-sample", header, in_sample)
     show("frequencies held-out", header, held_out)
-    finish(figure, options, "fig15_loads.png", "above: grey: target, dashed blue: achieved")
+    finish(figure, options, "fig15_loads.png", axes[0, 0], ("target", "achieved"))
 
 
 def quasi_static(bench, model, track):
@@ -60,10 +66,10 @@ def _track(axes, name, track):
     panel(axes[0], f"{name}, {track.frequency:g} Hz")
 
 
-def _loop(ax, track, cycle: int, label: str):
+def _loop(ax, target, achieved, cycle: int, **style):
     """Fig. 16: target over motion in the last cycle, both over the target's range."""
-    low, width = track.target[-cycle:].min(), np.ptp(track.target[-cycle:])
-    ax.plot((track.achieved[-cycle:] - low) / width, (track.target[-cycle:] - low) / width, lw=1.0, label=label)
+    low, width = target[-cycle:].min(), np.ptp(target[-cycle:])
+    ax.plot((achieved[-cycle:] - low) / width, (target[-cycle:] - low) / width, **style)
 
 
 if __name__ == "__main__":

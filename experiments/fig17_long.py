@@ -9,10 +9,11 @@ import sys
 
 import numpy as np
 from _paper import PRESETS, Bench
-from _show import arguments, axes_grid, finish, show
+from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
 from pitp_jax import _plot
+from pitp_jax._plot_lines import CYCLE
 
 SECONDS, FREQUENCY = 50.0, 0.5
 
@@ -24,7 +25,7 @@ def main(smoke: bool = False, argv=()):
         bench = Bench(name, options)
         figure, axes = axes_grid(4, 1, (6.5, 6.0), (2, 1, 1, 1.4))
         seconds = {}
-        for label in ("default", "paper"):
+        for label, color in zip(("default", "paper"), CYCLE, strict=False):
             try:
                 track = bench.play(bench.fit(PRESETS[label]).model, bench.sine(FREQUENCY, SECONDS), FREQUENCY)
             except pitp.ComputationFailed as trouble:
@@ -34,8 +35,10 @@ def main(smoke: bool = False, argv=()):
             _report(label, track, seconds[label])
             if label == "default":
                 _plot.tracking(track.time, track.target, track.achieved, track.voltage, axes[:3, 0])
-            axes[3, 0].plot(np.arange(len(seconds[label])) + 0.5, seconds[label], marker=".", lw=0.8, label=label)
-        _plot.finish(axes[3:, 0], "time (s)", ["e_rms per second (%)"])
+                panel(axes[0, 0], f"{name}, {label} preset")
+            clock = np.arange(len(seconds[label])) + 0.5
+            axes[3, 0].plot(clock, seconds[label], marker=".", lw=0.8, color=color, label=f"{label} preset")
+        _plot.finish(axes[3:, 0], "time (s)", ["error of each\nsecond (%)"])
         axes[3, 0].set_ylim(bottom=0)
         figure.align_ylabels(axes[:, 0])
         rows = [
@@ -43,7 +46,7 @@ def main(smoke: bool = False, argv=()):
             for k in range(len(next(iter(seconds.values()))))
         ]
         show(f"Fig. 17, held-out, {name}", ("cell", "paper (%)", *(f"ours, {k} (%)" for k in seconds)), rows)
-        finish(figure, options, "fig17_long.png")
+        finish(figure, options, f"fig17_long_{name}.png", axes[0, 0])
 
 
 def per_second(track) -> np.ndarray:

@@ -11,10 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 from _paper import PRESETS, Bench, errors
-from _show import arguments, axes_grid, finish, panel, show
+from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
 from pitp_jax import _plot
+from pitp_jax._plot_lines import CYCLE
 
 PAPER = PRESETS["paper"]
 SHOWN_HZ = {"roll": (10, 100), "cone": (3, 5)}
@@ -59,24 +60,25 @@ def main(smoke: bool = False, argv=()):
 def _draw(options, bench, fits):
     """Fig. 19 above, Figs. 20 and 21 below: one row per variant, one column per frequency."""
     figure, axes = axes_grid(1 + len(fits), 2, (7.5, 2.2 + 1.2 * len(fits)), (2.2, *[1.2] * len(fits)))
-    for label, fit in fits.items():
-        losses = [total for _, total, _ in fit.losses]
-        axes[0, 0].semilogy(np.arange(1, len(losses) + 1), losses, lw=1.0, marker="." if options.smoke else "")
-        axes[0, 1].semilogy(np.arange(1, len(losses) + 1), [b for _, _, b in fit.losses], lw=1.0, label=label)
+    for (label, fit), color in zip(fits.items(), CYCLE, strict=False):
+        _, losses, best = zip(*fit.losses, strict=True)
+        style = {"color": color, "lw": 1.0, "marker": "." if options.smoke else ""}
+        axes[0, 0].semilogy(np.arange(1, len(losses) + 1), losses, **style)
+        axes[0, 1].semilogy(np.arange(1, len(losses) + 1), best, label=label, **style)
     _plot.finish(axes[0, :1], "epoch", ["training loss"])
     _plot.finish(axes[0, 1:], "epoch", ["best physics loss"], 1)
     axes[0, 1].get_legend().set(loc="upper right", bbox_to_anchor=(1, 1))
     for column, frequency in zip(axes[1:].T, SHOWN_HZ[bench.kind], strict=True):
         record = bench.grid(frequency)
         low, high = 1e3 * record.displacement.min(), 1e3 * record.displacement.max()
-        for ax, (label, fit) in zip(column, fits.items(), strict=True):
+        for ax, fit in zip(column, fits.values(), strict=True):
             run = pitp.predict(fit.model, [record])[0].displacement
-            ax.plot(record.time, 1e3 * record.displacement, color="0.6", lw=1.2)
-            ax.plot(record.time, 1e3 * run, color="#0072b2", lw=0.8)
+            overlay(ax, record.time, record.displacement, run)
             ax.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
-            panel(ax, f"{label}, {frequency} Hz")
         _plot.finish(column, "time (s)", ["x (mm)"] * len(column))
-    finish(figure, options, "fig19_ablations.png", "below: grey: measured, blue: predicted")
+        for ax, label in zip(column, fits, strict=True):
+            panel(ax, f"{label}, {frequency} Hz")
+    finish(figure, options, f"fig19_ablations_{bench.name}.png", axes[1, 0])
 
 
 if __name__ == "__main__":

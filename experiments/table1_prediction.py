@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 from _paper import ACTUATORS, TABLE_1, Bench, errors
-from _show import arguments, axes_grid, finish, panel, show
+from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
 from pitp_jax import _plot
@@ -39,7 +39,7 @@ def main(smoke: bool = False, argv=()):
             show(f"{name}, {title}", header, summary + (rows if part is bench.test else []))
         _draw(column, bench, fit.model)
     figure.align_ylabels(axes[:, 0])
-    finish(figure, options, "table1_prediction.png", "solid: measured, dashed: predicted")
+    finish(figure, options, "table1_prediction.png", axes[0, 0])
 
 
 _HOWS = (np.median, np.max)
@@ -67,16 +67,17 @@ def _draw(column, bench, model):
     for record, run in zip(records, pitp.predict(model, records), strict=True):
         part = _last(record, f, 3)
         clock = record.time[part] - record.time[part][0]
-        column[4].plot(clock, 1e3 * record.displacement[part], color="0.6", lw=1.8)
-        column[4].plot(clock, 1e3 * run.displacement[part], color="#0072b2", lw=1.0, ls="--")
+        overlay(column[4], clock, record.displacement[part], run.displacement[part])
     _plot.finish(column[4:5], "time (s)", ["displacement (mm)"])
-    panel(column[4], f"{bench.name}, {f} Hz, three amplitudes")
+    panel(column[4], f"{bench.name}, {f} Hz, {len(records)} amplitudes")
     for f in FIG_10_HZ[bench.kind]:
         record = bench.grid(f)
         run, part = pitp.predict(model, [record])[0].displacement, _last(record, f, 1)
         signals = record.voltage[part], record.displacement[part], run[part]
-        _plot.hysteresis_loops(*signals, column[5])
-    panel(column[5], ", ".join(map(str, FIG_10_HZ[bench.kind])) + " Hz: blue, orange, green")
+        _plot.hysteresis_loops(*signals, column[5], label=f"{f} Hz")
+    solid = [loop for loop in column[5].lines if loop.get_label().endswith("Hz")]
+    style = {"loc": "lower left", "bbox_to_anchor": (0, 1), "frameon": False, "fontsize": 8}
+    column[5].legend(handles=solid, ncols=len(solid), handlelength=1, columnspacing=1, borderpad=0, **style)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ def main(smoke: bool = False, argv=()):
         for k, f in enumerate((min(papers), max(papers))):
             _draw(column[3 * k : 3 * k + 3], name, tracks[f])
     figure.align_ylabels(axes[:, 0])
-    finish(figure, options, "table2_tracking.png", "grey: target, dashed blue: achieved")
+    finish(figure, options, "table2_tracking.png", axes[0, 0])
 
 
 def _draw(axes, name, track):

@@ -21,6 +21,7 @@ import optax
 
 import pitp_jax as pitp
 from pitp_jax._decode import rest_state, rollout, rollout_batch
+from pitp_jax._demo import run
 
 
 def random_voltages(rng, count: int, samples: int, low: float, high: float) -> np.ndarray:
@@ -104,11 +105,7 @@ def main(smoke: bool = False, argv=None):
 
 def virtual():
     """A quick model of the built-in cone."""
-    import tempfile
-
-    from pitp_jax._demo import run
-
-    return run("cone100", quick=True, out=Path(tempfile.mkdtemp())).training.model
+    return run("cone100", quick=True).training.model
 
 
 if __name__ == "__main__":

@@ -13,10 +13,13 @@ import numpy as np
 from ._errors import BadInput
 from ._model.input_map import SquareInput
 from ._model.model import Model, Scales
+from ._record.derivative import DIFFERENCES
 from ._record.preprocess import StateRecord, cutoff, force_band, preprocess
 from ._record.record import Record
 from ._residual import EquationData
 from ._rest import starts_at_rest
+
+SCALINGS = ("rms", "paper")
 
 
 @dataclass(frozen=True)
@@ -28,18 +31,14 @@ class Dataset:
         equation: valid samples of all records, flat.
         features: per record the scaled state and memory at every sample, shape (T, n + K).
         valid: per record, samples whose filtered state may be trusted, shape (T,).
-        rarity: per record the weight of every valid sample (`spread_weights`).
         region: lowest and highest value of every feature over valid samples.
-        cutoff_hz: of the filter.
     """
 
     model: Model
     equation: EquationData
     features: tuple[np.ndarray, ...]
     valid: tuple[np.ndarray, ...]
-    rarity: tuple[np.ndarray, ...]
     region: tuple[tuple[float, float], ...]
-    cutoff_hz: float
 
 
 def build_dataset(
@@ -50,7 +49,14 @@ def build_dataset(
     difference: str,
     memory: Callable[[], eqx.Module],
 ) -> Dataset:
-    """Filter, differentiate, scale and remember."""
+    """Filter, differentiate, scale and remember.
+
+    Raises:
+        BadInput: unknown scaling or difference, or no usable sample left after filtering.
+    """
+    for name, asked, known in (("scaling", scaling, SCALINGS), ("difference", difference, DIFFERENCES)):
+        if asked not in known:
+            raise BadInput(f"unknown {name} {asked!r}: use one of {', '.join(known)}")
     dt = records[0].dt
     forces = [_force(nominal, r.voltage) for r in records]
     f_max = force_band(forces, dt)
@@ -82,18 +88,9 @@ def build_dataset(
     flat = [jnp.asarray(np.concatenate(part), jnp.float32) for part in zip(*equation, strict=True)]
     everything = np.concatenate([f[s.valid] for f, s in zip(features, states, strict=True)])
     region = tuple((float(a), float(b)) for a, b in zip(everything.min(0), everything.max(0), strict=True))
-    rarity = spread_weights(everything[:, : nominal.order])
-    data = EquationData(*flat, weight=jnp.asarray(rarity, jnp.float32))
-    bounds = np.cumsum([s.valid.sum() for s in states])[:-1]
-    return Dataset(
-        model,
-        data,
-        tuple(features),
-        tuple(s.valid for s in states),
-        tuple(np.split(rarity, bounds)),
-        region,
-        cut,
-    )
+    weight = jnp.asarray(spread_weights(everything[:, : nominal.order]), jnp.float32)
+    data = EquationData(*flat, weight=weight)
+    return Dataset(model, data, tuple(features), tuple(s.valid for s in states), region)
 
 
 def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np.ndarray:
@@ -127,11 +124,6 @@ def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: floa
     if scaling == "paper":
         rms = rms[n // 2] * (2 * np.pi * f_max) ** ((np.arange(n + 1) - n // 2) / 2)
     force = max(float(np.abs(f).max()) for f in forces)
-    coefficients = nominal.physical_coefficients * rms / force
-    voltages = nominal.provenance
-    model = replace(
-        nominal,
-        scales=Scales(tuple(float(v) for v in rms), force, nominal.scales.sections),
-        provenance=replace(voltages),
-    )
-    return eqx.tree_at(lambda m: m.coefficients, model, jnp.asarray(coefficients, jnp.float32))
+    coefficients = jnp.asarray(nominal.physical_coefficients * rms / force, jnp.float32)
+    scales = Scales(tuple(float(v) for v in rms), force, nominal.scales.sections)
+    return replace(nominal, coefficients=coefficients, scales=scales)

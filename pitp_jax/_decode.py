@@ -247,7 +247,7 @@ def _prediction(model: Model, record: Record, states: np.ndarray, spent: int) ->
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < _FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
-    seen = np.asarray(augment.readings(model, states[:first]), np.float64)
+    seen = np.asarray(augment.readings(model, jnp.asarray(states[:first])), np.float64)
     x[:first] = model.output.to_rig(seen * model.scales.state[0])
     scored = np.ones(record.samples, bool)
     scored[:spent] = False

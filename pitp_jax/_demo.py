@@ -76,7 +76,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Track:
-    """One tracked sine: target, what the plant did, and its voltage, over the samples of the target."""
+    """One tracked target, what the plant did, its voltage, over the samples of the target; the inverse's warnings."""
 
     frequency: float
     time: np.ndarray
@@ -84,6 +84,7 @@ class Track:
     achieved: np.ndarray
     voltage: np.ndarray
     self_check: float
+    warnings: tuple[str, ...] = ()
 
     @property
     def e_rms(self) -> float:
@@ -182,21 +183,29 @@ def nearest(records: Sequence[Record], name: str, frequency: float) -> Record:
 
 
 def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> Track:
-    """Invert a sine of half the range the plant reaches at this drive frequency, and play it on the plant.
-
-    The target rises smoothly from rest to swing about the mean of the training sine's second half.
-    """
+    """Invert a sine of half the range the plant reaches at this drive frequency, and play it on the plant."""
     scale = SCALES[kind(actuator.name)]
-    training = nearest(train, actuator.name, frequency)
+    amplitude, mean = swing(nearest(train, actuator.name, frequency))
+    time, wanted = sine(frequency, scale.track_s, actuator.rate_hz, amplitude, mean, rise=scale.rise_s)
+    return play(actuator, model, Target(time, wanted, source=f"sine at {frequency:g} Hz"), frequency)
+
+
+def swing(training: Record) -> tuple[float, float]:
+    """Amplitude and mean (m) of a target: half the range reached in a training sine's second half, about its mean."""
     settled = training.displacement[training.samples // 2 :]
-    swing, mean = 0.25 * float(np.ptp(settled)), float(settled.mean())
-    time, wanted = sine(frequency, scale.track_s, actuator.rate_hz, swing, mean, rise=scale.rise_s)
-    found = _inverse.feedforward(model, Target(time, wanted, source=f"sine at {frequency:g} Hz"))
-    dt = 1.0 / actuator.rate_hz
-    clock = np.arange(len(found.time)) * dt
-    achieved = simulate(actuator, clock, found.voltage, hold="zoh" if model.hold == "zoh" else "foh")
+    return 0.25 * float(np.ptp(settled)), float(settled.mean())
+
+
+def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> Track:
+    """The feedforward for a target, played on the noise-free plant."""
+    found = _inverse.feedforward(model, target)
+    clock = np.arange(len(found.time)) / actuator.rate_hz
+    x = simulate(actuator, clock, found.voltage, hold="zoh" if model.hold == "zoh" else "foh")
     asked = np.asarray(found.target)
-    return Track(frequency, time, wanted, achieved[asked], found.voltage[asked], found.self_check_e_rms_percent)
+    return Track(
+        frequency, target.time, target.displacement, x[asked], found.voltage[asked],
+        found.self_check_e_rms_percent, found.warnings,
+    )  # fmt: skip
 
 
 def error(demo: Demo, name: str, *, linear: bool = False) -> float:

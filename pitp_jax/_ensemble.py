@@ -28,10 +28,17 @@ class Ensemble:
     Attributes:
         models: K models, each usable alone.
         error: rms error of the mean on the training records, over the range of each.
+
+    Raises:
+        ValueError: fewer than 2 members.
     """
 
     models: tuple[Model, ...]
     error: float
+
+    def __post_init__(self):
+        """One member has no spread."""
+        _enough(len(self.models))
 
 
 @dataclass(frozen=True)
@@ -50,8 +57,7 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
     Raises:
         ValueError: fewer than 2 members.
     """
-    if members < 2:
-        raise ValueError(f"an ensemble needs at least 2 members, got {members}")
+    _enough(members)
     models = tuple(train(nominal, records, key=k, **options).model for k in jax.random.split(key, members))
     found = predict_band(Ensemble(models, 0.0), records)
     errors = [_relative(b, r) for b, r in zip(found, records, strict=True)]
@@ -59,7 +65,13 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
 
 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
-    """Mean and band of every record, all members at once; `level` is the share of samples the band should cover."""
+    """Mean and band of every record, all members at once; `level` is the share of samples the band should cover.
+
+    Raises:
+        ValueError: a level that is no share between 0 and 1.
+    """
+    if not 0 < level < 1:
+        raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
     stack = _stacked([at_rate(m, records[0].dt) for m in ensemble.models])
     quantile = float(student.ppf(0.5 + level / 2, len(ensemble.models) - 1))
     bands = []
@@ -73,6 +85,11 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         scored = np.arange(r.samples) >= spent[0][0]
         bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, scored))
     return tuple(bands)
+
+
+def _enough(members: int) -> None:
+    if members < 2:
+        raise ValueError(f"an ensemble needs at least 2 members, got {members}")
 
 
 def _stacked(models: Sequence[Model]) -> Model:

@@ -15,7 +15,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ._effects import CATALOGUE, key
+from ._effects import CATALOGUE
+from ._effects import key as form_key
 from ._errors import BadInput
 from ._model.drive import DirectDrive, ElectrodeLag
 from ._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
@@ -91,7 +92,7 @@ DRIVES = {
     "direct": Part(DirectDrive, _nothing, DirectDrive),
     "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
 }
-EFFECTS = {key(cls): Part(cls, _nothing, cls.neutral) for cls in CATALOGUE}
+EFFECTS = {form_key(cls): Part(cls, _nothing, cls.neutral) for cls in CATALOGUE}
 
 
 def describe(model: Model) -> dict:

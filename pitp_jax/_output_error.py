@@ -25,7 +25,7 @@ from ._record.checks import MIN_SAMPLES
 from ._record.preprocess import force_band
 from ._record.record import Record
 from ._recurrence import pieces
-from ._rest import _rest_level, first_known, initial_rest
+from ._rest import first_known, initial_rest, rest_level
 
 _BLOCKS = 64
 # A ridge per sample on the logarithms gives directions the data do not see (a pole far above the band) a minimum; it
@@ -89,7 +89,7 @@ def _offset_std(records: Sequence[Record], rest: np.ndarray) -> float:
     A level comes from the longest beginning whose misfit hides in the noise. What hides can still bend the level by
     about a standard error (measured: rms 1 to 2, as the window happens to stop), so the errors are widened by half.
     """
-    levels = np.array([_rest_level(r) for r, at_rest in zip(records, rest, strict=True) if at_rest])
+    levels = np.array([rest_level(r) for r, at_rest in zip(records, rest, strict=True) if at_rest])
     if not len(levels):
         return 0.0
     weights = 1 / (levels[:, 1] ** 2 + 1e-30)
@@ -99,8 +99,9 @@ def _offset_std(records: Sequence[Record], rest: np.ndarray) -> float:
 
 def _from(record: Record, first: int) -> Record:
     """The record without its first samples."""
-    kept = (v[first:] for v in (record.time, record.voltage, record.displacement))
-    return replace(record, **dict(zip(("time", "voltage", "displacement"), kept, strict=True))) if first else record
+    return replace(
+        record, time=record.time[first:], voltage=record.voltage[first:], displacement=record.displacement[first:]
+    )
 
 
 def terms(

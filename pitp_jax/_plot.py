@@ -14,10 +14,11 @@ from ._plot_lines import (
     ERROR,
     MEASURED,
     PREDICTED,
-    extremes,
+    envelope,
+    error_shown,
     finish,
-    labels,
     line,
+    output_label,
     over,
     own_axes,
     same_length,
@@ -44,18 +45,18 @@ def sweep_response(time, measured, predicted, ax: Axes | None = None, *, sweep_h
         The axes: the measured line, then the largest and the smallest prediction in each of 300 stretches.
     """
     measured, predicted = shown(unit, measured, predicted)
-    across, label = np.asarray(time, dtype=np.float64), _TIME
+    across, name = np.asarray(time, dtype=np.float64), _TIME
     same_length(across, measured)
     if sweep_hz is not None:
         first, last = sweep_hz
         across = first + (last - first) * (across - across[0]) / (across[-1] - across[0])
-        label = "drive frequency (Hz)"
+        name = "drive frequency (Hz)"
     axes = own_axes(ax, 1, (5.0, 2.4))
-    line(axes[0], across, measured, color=MEASURED, alpha=0.5, lw=0.6, label="measured")
-    low, high = extremes(predicted, BINS // 4)
+    line(axes[0], across, measured, color=MEASURED, lw=0.6, label="measured")
+    low, high = envelope(predicted, BINS // 4)
     axes[0].plot(across[high], predicted[high], color=PREDICTED, lw=1.1, label="model, envelope")
     axes[0].plot(across[low], predicted[low], color=PREDICTED, lw=1.1)
-    finish(axes, label, labels(unit)[:1])
+    finish(axes, name, [output_label(unit)])
     return axes[0]
 
 
@@ -76,10 +77,11 @@ def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.n
     time = np.asarray(time, dtype=np.float64)
     same_length(time, measured)
     axes = own_axes(axes, 2, (5.0, 3.2), (2.4, 1.0))
-    line(axes[0], time, measured, color=MEASURED, alpha=0.6, lw=1.8, label="measured")
-    line(axes[0], time, predicted, color=PREDICTED, lw=1.0, label="predicted", **over(time))
-    line(axes[1], time, predicted - measured, color=ERROR, lw=0.8)
-    finish(axes, _TIME, labels(unit))
+    error, error_label = error_shown(unit, predicted - measured)
+    line(axes[0], time, measured, color=MEASURED, lw=2.4, label="measured")
+    line(axes[0], time, predicted, color=PREDICTED, lw=1.0, label="predicted", **over(predicted))
+    line(axes[1], time, error, color=ERROR, lw=0.8)
+    finish(axes, _TIME, [output_label(unit), error_label])
     return axes
 
 
@@ -106,7 +108,7 @@ def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, la
     axes[0].plot(voltage[kept], measured[kept], color=color, alpha=0.6, lw=1.8, label=label or "measured")
     kept, once = thin(predicted), "_again" if drawn else "predicted"  # one entry explains all dashed lines
     axes[0].plot(voltage[kept], predicted[kept], color=color, lw=1.0, ls="--", label=once)
-    finish(axes, symbol, labels(unit)[:1], legend_columns=3)
+    finish(axes, symbol, [output_label(unit)], legend_columns=3)
     return axes[0]
 
 
@@ -151,9 +153,10 @@ def tracking(time, target, achieved, voltage, axes=None, *, unit: str = "m") -> 
     voltage, symbol = volts(voltage)
     same_length(time, target, voltage)
     axes = own_axes(axes, 3, (5.0, 4.2), (2.0, 1.0, 1.2))
-    line(axes[0], time, target, color=MEASURED, alpha=0.6, lw=1.8, label="target")
-    line(axes[0], time, achieved, color=PREDICTED, lw=1.0, label="achieved", **over(time))
-    line(axes[1], time, achieved - target, color=ERROR, lw=0.8)
+    error, error_label = error_shown(unit, achieved - target)
+    line(axes[0], time, target, color=MEASURED, lw=2.4, label="target")
+    line(axes[0], time, achieved, color=PREDICTED, lw=1.0, label="achieved", **over(achieved))
+    line(axes[1], time, error, color=ERROR, lw=0.8)
     line(axes[2], time, voltage, color=DRIVE, lw=1.0)
-    finish(axes, _TIME, (*labels(unit), symbol))
+    finish(axes, _TIME, [output_label(unit), error_label, symbol])
     return axes

@@ -8,16 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-MEASURED, PREDICTED, ERROR, DRIVE = (
-    "#4d4d4d",
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-)  # grey; Okabe and Ito's palette
+MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 BINS = 1200
 _SMALL = 8.0  # points: ticks and legends; labels are one point larger
-_UNITS = {"m": (1e3, "displacement (mm)", "error (mm)"), "V": (1.0, "output (V)", "error (V)")}
+_UNITS = {"m": (1e3, "displacement (mm)"), "V": (1.0, "output (V)")}
+_ERRORS = {"m": ("error (mm)", "error (µm)"), "V": ("error (V)", "error (mV)")}
 
 
 def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
@@ -30,9 +26,29 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Indices of the smallest and of the largest samples, shape (bins,) each.
     """
-    edges = np.linspace(0, len(values), min(bins, len(values)) + 1).astype(int)
+    edges = _edges(values, bins)
+    return _least_and_most(values, edges[:-1], edges[1:])
+
+
+def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `extremes`, over stretches widened to whole oscillations: nothing of the motion itself is left in it.
+
+    A stretch runs from the trough before its bin to the trough behind it.
+    """
+    edges = _edges(values, bins)
+    troughs = 1 + np.flatnonzero((values[1:-1] < values[:-2]) & (values[1:-1] <= values[2:]))
+    troughs = np.concatenate([[0], troughs, [len(values)]])
+    first = troughs[np.searchsorted(troughs, edges[:-1], side="right") - 1]
+    return _least_and_most(values, first, troughs[np.searchsorted(troughs, edges[1:])])
+
+
+def _edges(values: np.ndarray, bins: int) -> np.ndarray:
+    return np.linspace(0, len(values), min(bins, len(values)) + 1).astype(int)
+
+
+def _least_and_most(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     least, most = np.where(np.isnan(values), np.inf, values), np.where(np.isnan(values), -np.inf, values)
-    pairs = list(zip(edges[:-1], edges[1:], strict=True))
+    pairs = list(zip(first, last, strict=True))
     low = np.array([a + np.argmin(least[a:b]) for a, b in pairs])
     return low, np.array([a + np.argmax(most[a:b]) for a, b in pairs])
 
@@ -51,9 +67,10 @@ def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
     ax.plot(across[kept], values[kept], **style)
 
 
-def over(across: np.ndarray) -> dict:
-    """Style of a line that lies over another: dashed, or see-through where thinning leaves a filled band."""
-    return {"ls": "--"} if len(across) <= 4 * BINS else {"alpha": 0.6}
+def over(values: np.ndarray) -> dict:
+    """Style of a line over another: dashed while its dashes can be told apart, see-through where it fills a band."""
+    turns = np.count_nonzero(np.diff(np.diff(values) > 0))
+    return {"ls": "--"} if turns < 25 else {"alpha": 0.6} if turns > 200 else {}
 
 
 def shown(unit: str, *signals) -> list[np.ndarray]:
@@ -65,9 +82,15 @@ def shown(unit: str, *signals) -> list[np.ndarray]:
     return arrays
 
 
-def labels(unit: str) -> tuple[str, str]:
-    """Axis labels of the output and of its error."""
-    return _UNITS[unit][1:]
+def output_label(unit: str) -> str:
+    """Axis label of the output."""
+    return _UNITS[unit][1]
+
+
+def error_shown(unit: str, error: np.ndarray) -> tuple[np.ndarray, str]:
+    """An error (mm or V) as it is shown, in µm or mV where it stays below 0.05, and its axis label."""
+    small = np.nanmax(np.abs(error), initial=0.0) < 0.05
+    return error * (1e3 if small else 1.0), _ERRORS[unit][int(small)]
 
 
 def same_length(*arrays: np.ndarray) -> None:
@@ -98,13 +121,17 @@ def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.nda
 
 
 def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> None:
-    """Labels, ticks, a light grid, and the legend above the first axes, where it covers no data."""
+    """Labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
+
+    Axes under each other share `across`: the lowest alone numbers it.
+    """
     for ax, label in zip(axes, upward, strict=True):
         ax.set_ylabel(label, fontsize=_SMALL + 1)
         ax.tick_params(labelsize=_SMALL)
         ax.grid(visible=True, color="0.9", lw=0.6)
         ax.set_axisbelow(True)
         ax.spines[["top", "right"]].set_visible(False)
+        ax.tick_params(labelbottom=ax is axes[-1])
     axes[-1].set_xlabel(across, fontsize=_SMALL + 1)
     if axes[0].get_legend_handles_labels()[0]:
         axes[0].legend(

@@ -97,3 +97,9 @@ def first_order_lags(
     starts = jax.lax.scan(chain, start, forced[-1])[1]
     states = forced.swapaxes(0, 1) + decay[None] * starts[:, None]
     return jnp.concatenate([start[None], states.reshape(blocks * length, -1)[: steps - 1]])
+
+
+def lag_after(start: Array, before: Array, now: Array, tau: Array, dt: float) -> Array:
+    """Lags with time constants tau one sample of dt (s) on, x linear from `before` to `now`: `first_order_lags`'s step."""
+    settle = -jnp.expm1(-dt / tau)
+    return start + settle * (before - start) + (1 - settle * tau / dt) * (now - before)

@@ -36,8 +36,9 @@ def refine(model: Model, data: Dataset, records: Sequence[Record], count: int, r
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records."""
     dt = records[0].dt
     short = _windows(model, data, records)
-    for model, entry in _descend(_tamed(model, short, dt), short, dt, _SHORT_STEPS, "short runs", report):  # noqa: B020
-        yield model, entry
+    for found, entry in _descend(_tamed(model, short, dt), short, dt, _SHORT_STEPS, "short runs", report):
+        model = found
+        yield found, entry
     whole = _whole(model, records)
     yield from _descend(_tamed(model, whole, dt), whole, dt, count, "free runs", report)
 
@@ -45,7 +46,6 @@ def refine(model: Model, data: Dataset, records: Sequence[Record], count: int, r
 def _descend(model: Model, runs: Runs, dt: float, count: int, stage: str, report) -> Iterator[tuple[Model, dict]]:
     start, sizes = parameters(model)
     every = _thinning(model, dt)
-
     centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near where they began
 
     def normal(v):
@@ -69,16 +69,18 @@ def _descend(model: Model, runs: Runs, dt: float, count: int, stage: str, report
 
 def _thinning(model: Model, dt: float) -> int:
     """Every how many samples the error is taken: ten to a period of the resonance, at most every eighth."""
+    return int(np.clip(_period(model) / dt / 10, 1, 8))
+
+
+def _period(model: Model) -> float:
+    """Of the nominal's resonance, s."""
     a = model.physical_coefficients
-    period = 2 * np.pi / (a[0] / a[-1]) ** (1 / model.order)
-    return int(np.clip(period / dt / 10, 1, 8))
+    return float(2 * np.pi / (a[0] / a[-1]) ** (1 / model.order))
 
 
 def _windows(model: Model, data: Dataset, records: Sequence[Record]) -> Runs:
     """Windows of a few periods, side by side, each from its filtered state: no run can leave the data far behind."""
-    dt, a = records[0].dt, model.physical_coefficients
-    period = 2 * np.pi / (a[0] / a[-1]) ** (1 / model.order)
-    size = int(np.clip(_PERIODS * period / dt, 64, min(r.samples for r in records)))
+    size = int(np.clip(_PERIODS * _period(model) / records[0].dt, 64, min(r.samples for r in records)))
     places = [
         (k, first)
         for k, valid in enumerate(data.valid)

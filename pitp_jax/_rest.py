@@ -86,7 +86,7 @@ def initial_rest(records: Sequence[Record], input_map: str = "square") -> tuple[
 
     A vote counts less the more of a force would be needed to hold the actuator there (`_held`), and nothing where it
     is no rest at all. Among the records at rest the offset is averaged over their longest quiet beginnings
-    (`_rest_level`). If none is at rest it is the median first value: a start for the fit, not a measurement.
+    (`rest_level`). If none is at rest it is the median first value: a start for the fit, not a measurement.
 
     Args:
         records: one that begins with a long gap (`first_known`) is never at rest: its first state is unknown.
@@ -105,7 +105,7 @@ def initial_rest(records: Sequence[Record], input_map: str = "square") -> tuple[
         first = [v[-1] if np.isfinite(v[-1]) else m for m, (_, v, _) in zip(middle, found, strict=True)]
         return np.zeros(len(records), bool), float(np.median(first))
     near = np.flatnonzero(np.abs(value - value[int(np.argmax(support))]) <= tolerance)
-    levels, errors = zip(*[_rest_level(records[int(k)]) for k in near], strict=True)
+    levels, errors = zip(*[rest_level(records[int(k)]) for k in near], strict=True)
     offset = float(np.average(levels, weights=1 / (np.array(errors) ** 2 + 1e-30)))
     return np.array([starts_at_rest(r, offset) for r in records]), offset
 
@@ -145,7 +145,7 @@ def _held(records: Sequence[Record], input_map: str, values: np.ndarray) -> np.n
     return np.array([min(held(c, 1), held(c, 3)) if np.isfinite(c) else 0.0 for c in values])
 
 
-def _rest_level(record: Record) -> tuple[float, float]:
+def rest_level(record: Record) -> tuple[float, float]:
     """First value of a record known to start at rest, and its standard error.
 
     Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window, from 12 samples doubled as often as the

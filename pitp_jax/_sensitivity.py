@@ -64,12 +64,12 @@ def with_parameters(model: Model, vector: np.ndarray) -> Model:
 
 def normal_equations(model: Model, runs: Runs, dt: float, every: int, vector: np.ndarray) -> Normal:
     """C, J'we and J'WJ at `vector`, from every `every`-th sample; in float32, summed up in blocks."""
-    cost, gradient, hessian = _sums(with_parameters(model, vector), runs, dt, every)
+    cost, gradient, hessian = normal_sums(with_parameters(model, vector), runs, dt, every)
     return Normal(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
 
 
 @eqx.filter_jit
-def _sums(model: Model, runs: Runs, dt: float, every: int):
+def normal_sums(model: Model, runs: Runs, dt: float, every: int):
     params, static = eqx.partition(model, trainable(model))
     encoder, build_encoder = ravel_pytree(params.encoder)
     memory, build_memory = ravel_pytree(params.memory)

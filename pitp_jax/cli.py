@@ -100,7 +100,9 @@ def _positive(text: str) -> float:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="pitp", description="Model and invert dielectric elastomer actuators.", allow_abbrev=False)
+    parser = _Parser(
+        prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False
+    )
     parser.add_argument(
         "--version", action=_ShowVersion, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
     )
@@ -119,6 +121,7 @@ def _parser() -> argparse.ArgumentParser:
     _fit_arguments(command("fit", "train a model on records, from an identified one"))
     _predict_arguments(command("predict", "run a model under the voltage of records and score it"))
     _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
+    _diagnose_arguments(command("diagnose", "where a model and records disagree, which missing effect causes it"))
     info = command("info", "what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
@@ -179,3 +182,14 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest trained on")
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the counts for machines")
     _columns(parser, target=True)
+
+
+def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--nominal", required=True, metavar="MODEL", help="identified or trained model")
+    parser.add_argument(
+        "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
+    )
+    parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
+    _columns(parser)

@@ -1,5 +1,6 @@
 """Shapes and types of pitp_jax are checked while its tests run; models and data that several files use."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -112,3 +113,20 @@ def nonlinear(linear, shake):
         return eqx.tree_at(lambda m: (m.encoder, m.memory), model, parts)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def bounded():
+    """fn(model, voltage range, slew, region): the model as if trained within those limits."""
+
+    def make(model, low=0.0, high=2000.0, slew=5e4, region=()):
+        known = model.provenance.with_(voltage_range=(low, high), slew=slew, region=region)
+        return replace(model, provenance=known)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def actuator(linear, bounded):
+    """F = u^2, 5 Hz, damping 0.1, 1 mm at 1000 V; trained up to 2000 V and 50 kV/s, sampled at 1 kHz."""
+    return bounded(linear(2))

@@ -11,11 +11,11 @@ SCRIPTS = {
     "table1_prediction": "table1_prediction.png",
     "fig11_comparison": "fig11_comparison_roll.png",
     "table2_tracking": "table2_tracking.png",
-    "fig14_pi": "fig14_pi.png",
+    "fig14_pi": "fig14_pi_cone100.png",
     "fig15_loads": "fig15_loads.png",
-    "fig17_long": "fig17_long.png",
+    "fig17_long": "fig17_long_cone100.png",
     "fig18_complex": "fig18_complex.png",
-    "fig19_ablations": "fig19_ablations.png",
+    "fig19_ablations": "fig19_ablations_cone100.png",
 }
 
 

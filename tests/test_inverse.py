@@ -1,13 +1,11 @@
-"""The feedforward against closed forms, an independent integration, and every promise it makes about limits."""
-
-from dataclasses import replace
+"""The feedforward against closed forms and an independent integration."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from motions import DT, SAMPLES, TIME, hump, respond, swing, swing_force
 
 from pitp_jax._decode import rest_state, rollout
 from pitp_jax._errors import BadInput
@@ -16,62 +14,6 @@ from pitp_jax._metrics import e_rms_percent
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._path import derivatives
 from pitp_jax._record.reading import Target
-
-DT, SAMPLES = 1e-3, 1000
-TIME = np.arange(SAMPLES) * DT
-HIGH, SLEW = 2000.0, 5e4
-
-
-@pytest.fixture(scope="module")
-def bounded():
-    """fn(model, voltage range, slew, region): the model as if trained within those limits."""
-
-    def make(model, low=0.0, high=HIGH, slew=SLEW, region=()):
-        known = model.provenance.with_(voltage_range=(low, high), slew=slew, region=region)
-        return replace(model, provenance=known)
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def actuator(linear, bounded):
-    """F = u^2, 5 Hz, damping 0.1, 1 mm at 1000 V; trained up to 2000 V and 50 kV/s, sampled at 1 kHz."""
-    return bounded(linear(2))
-
-
-def swing(mid, amplitude, hz, phase=0.0, time=TIME):
-    return mid + amplitude * np.sin(2 * np.pi * hz * time + phase)
-
-
-def swing_force(model, mid, amplitude, hz, phase=0.0):
-    """Force of `swing` in V^2, in closed form: a_0 mid + Im(amplitude sum_i a_i (j w)^i e^(j(w t + phase)))."""
-    a, w = model.physical_coefficients, 2 * np.pi * hz
-    return a[0] * mid + amplitude * np.imag(np.polyval(a[::-1], 1j * w) * np.exp(1j * (w * TIME + phase)))
-
-
-def hump(dt=DT, top=1e-3, hz=2.0, seconds=1.0):
-    """Humps of sin^4: three derivatives start at zero."""
-    time = np.arange(round(seconds / dt) + 1) * dt
-    return Target(time, top * np.sin(np.pi * hz * time) ** 4)
-
-
-def respond(model, voltage, dt=DT, finer=8):
-    """States [x, x'] of the linear ODE of order 2 from rest: exact steps of dt / 8 under the linear voltage."""
-    a0, a1, a2 = model.physical_coefficients
-    chained = np.array([[0, 1, 0, 0], [-a0 / a2, -a1 / a2, 1 / a2, 0], [0, 0, 0, finer / dt], [0, 0, 0, 0]])
-    exact = expm(chained * dt / finer)
-    fine = np.interp(np.arange((len(voltage) - 1) * finer + 1) / finer, np.arange(len(voltage)), voltage)
-    force = np.asarray(model.input_map.force(fine))
-    states = np.zeros((len(force), 2))
-    for k in range(len(force) - 1):
-        now = np.array([*states[k], force[k], force[k + 1] - force[k]])
-        states[k + 1] = exact[:2] @ now
-    return states[::finer]
-
-
-def slew_of(found, dt=DT):
-    return np.abs(np.diff(found.voltage)).max() / dt
-
 
 # ---- eq. 13 ----
 
@@ -181,141 +123,6 @@ def test_the_linear_map_pulls_both_ways(linear, bounded):
     np.testing.assert_allclose(found.voltage[found.target][20:-20], force[20:-20], atol=2e-3 * force.max())
     assert found.voltage.min() < -0.9 * np.abs(force).max()
     assert e_rms_percent(respond(model, found.voltage)[found.target, 0], target.displacement) < 2e-3
-
-
-# ---- limits ----
-
-
-def test_a_voltage_limit_is_kept_and_flagged(actuator):
-    x = swing(2e-3, 1e-3, 2.0)
-    found = feedforward(actuator, Target(TIME, x), max_voltage=1500.0, max_slew=1e9, shots=0)
-    free = feedforward(actuator, Target(TIME, x), max_slew=1e9, shots=0)
-    assert free.voltage.max() > 1600
-    assert not free.saturated.any()
-    assert found.voltage.max() <= 1500.0
-    assert found.voltage.min() >= 0.0
-    wanted = np.sqrt(swing_force(actuator, 2e-3, 1e-3, 2.0))
-    sure = np.abs(wanted - 1500.0) > 1.0
-    np.testing.assert_array_equal(found.saturated[found.target][sure], wanted[sure] > 1500.0)
-    assert found.warnings == ()
-
-
-def test_the_linear_maps_limit_holds_both_ways(linear, bounded):
-    model = bounded(linear(2, input_map=LinearInput()), -2e6, 2e6, 1e9)
-    found = feedforward(model, Target(TIME, swing(0.0, 2e-3, 2.0)), max_voltage=1e6)
-    assert np.abs(found.voltage).max() <= 1e6
-    assert found.voltage.min() == -1e6
-    assert 0.1 < found.saturated[found.target].mean() < 0.9
-
-
-@pytest.mark.parametrize("slew", [5e4, 1e4, 5e3, 1e3, 200.0])
-@pytest.mark.parametrize("kind", ["moving", "resonant", "hump", "corners"])
-def test_every_sample_keeps_the_slew_limit(actuator, kind, slew):
-    targets = {
-        "moving": swing(1e-3, 9e-4, 2.0),
-        "resonant": swing(3e-4, 1e-3, 5.0, -np.pi / 2),
-        "hump": hump(seconds=SAMPLES * DT - DT).displacement,
-        "corners": 1e-3 * np.abs(2 * ((2 * TIME) % 1) - 1),
-    }
-    found = feedforward(actuator, Target(TIME, targets[kind]), max_slew=slew)
-    assert slew_of(found) <= slew * (1 + 1e-6)
-    assert found.voltage[-1] == 0
-    assert found.voltage.max() <= HIGH
-    if slew <= 1e3:  # all of these need more: the flags must say so
-        assert found.saturated.any()
-
-
-def test_a_higher_voltage_than_trained_warns(actuator):
-    target = Target(TIME, swing(2e-3, 1e-3, 2.0))
-    (line,) = feedforward(actuator, target, max_voltage=2500.0).warnings
-    assert "2500 V" in line
-    assert "2000 V" in line
-    assert feedforward(actuator, target, max_voltage=HIGH).warnings == ()
-
-
-@pytest.mark.parametrize("name", ["max_voltage", "max_slew"])
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-def test_a_limit_that_is_not_positive_is_refused(actuator, name, value):
-    with pytest.raises(BadInput, match=name.replace("_", "-")):
-        feedforward(actuator, hump(), **{name: value})
-
-
-def test_an_endless_voltage_is_refused(actuator):
-    with pytest.raises(BadInput, match="finite"):
-        feedforward(actuator, hump(), max_voltage=float("inf"))
-
-
-# ---- the way in and out ----
-
-
-@pytest.mark.parametrize(
-    ("mid", "amplitude", "hz", "phase"),
-    [(1e-3, 5e-4, 2.0, 0.0), (1e-3, 5e-4, 5.0, -np.pi / 2), (3e-4, 1e-3, 5.0, -np.pi / 2)],
-)
-def test_the_lead_in_swings_from_rest_to_the_targets_first_state(actuator, mid, amplitude, hz, phase):
-    found = feedforward(actuator, Target(TIME, swing(mid, amplitude, hz, phase)))
-    first = int(np.argmax(found.target))
-    assert found.voltage[0] <= SLEW * DT
-    assert found.voltage[-1] == 0
-    assert not found.infeasible.any()
-    assert not found.saturated.any()
-    state = respond(actuator, found.voltage[: first + 1])[-1]
-    w = 2 * np.pi * hz
-    wanted = mid + amplitude * np.sin(phase), amplitude * w * np.cos(phase)
-    assert state[0] == pytest.approx(wanted[0], abs=2e-4 * amplitude)
-    assert state[1] == pytest.approx(wanted[1], abs=1e-3 * amplitude * w)  # the last one starts below zero
-
-
-def test_a_target_at_rest_has_no_lead_in_and_its_own_clock(actuator):
-    target = hump()
-    found = feedforward(actuator, target)
-    assert found.target[0]
-    assert found.target.sum() == len(target.time)
-    assert found.voltage[-1] == 0
-    np.testing.assert_allclose(found.time[found.target], target.time, atol=1e-12)
-
-
-def test_the_clock_runs_back_into_the_lead_in(actuator):
-    found = feedforward(actuator, Target(TIME + 7.0, swing(1e-3, 5e-4, 2.0)))
-    np.testing.assert_allclose(found.time[found.target], TIME + 7.0, atol=1e-9)
-    np.testing.assert_allclose(np.diff(found.time), DT, rtol=1e-6)
-    assert found.time[0] < 7.0 - DT
-    assert {len(v) for v in (found.time, found.voltage, found.infeasible, found.saturated)} == {len(found.target)}
-
-
-# ---- advice ----
-
-
-def test_corners_warn_and_a_smooth_target_does_not(actuator):
-    triangle = 1e-3 + 5e-4 * (2 * np.abs(2 * ((2 * TIME) % 1) - 1) - 1)
-    assert any("not smooth enough" in line for line in feedforward(actuator, Target(TIME, triangle)).warnings)
-    assert feedforward(actuator, Target(TIME, swing(1e-3, 5e-4, 2.0))).warnings == ()
-
-
-def test_a_coarser_target_warns_and_is_still_inverted(actuator):
-    time = np.arange(500) * 2e-3
-    target = Target(time, swing(1e-3, 5e-4, 2.0, time=time))
-    found = feedforward(actuator, target)
-    (line,) = found.warnings
-    assert "coarser" in line
-    x = respond(actuator, found.voltage, dt=2e-3)[found.target, 0]
-    assert e_rms_percent(x, target.displacement) < 0.01
-
-
-def test_a_target_outside_the_trained_region_warns_with_the_share(linear, bounded):
-    speed = 2 * np.pi * 5 * 1e-3  # scale of x'
-    region = ((0.0, 1.2), (-1.0, 1.0))  # in mm, and in units of that
-    model = bounded(linear(2), region=region)
-    x = swing(1e-3, 5e-4, 2.0)
-    velocity = 5e-4 * 2 * np.pi * 2 * np.cos(2 * np.pi * 2 * TIME)
-    assert np.abs(velocity / speed).max() < 1
-    found = feedforward(model, Target(TIME, x), shots=0)
-    outside = float((x * 1e3 > 1.2 + 0.05 * 1.2).mean())
-    assert 0.3 < outside < 0.4
-    assert found.outside_training_share == pytest.approx(outside, abs=2e-3)
-    (line,) = found.warnings
-    assert f"{100 * found.outside_training_share:.0f} %" in line
-    assert feedforward(model, Target(TIME, swing(6e-4, 2e-4, 2.0))).outside_training_share == 0
 
 
 # ---- the user's coordinates ----

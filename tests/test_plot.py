@@ -8,7 +8,7 @@ from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 from pitp_jax import _plot as plot
-from pitp_jax._plot_lines import BINS, extremes, thin
+from pitp_jax._plot_lines import BINS, envelope, error_shown, extremes, over, thin
 
 T = np.arange(500) / 1e3
 X = 1e-3 * np.sin(2 * np.pi * 5 * T)
@@ -80,6 +80,34 @@ def test_sweep_shows_frequency_and_the_models_envelope():
     assert drawn(ax, 2)[1][240:].max() < -1.9
     assert ax.get_xlabel() == "drive frequency (Hz)"
     assert plot.sweep_response(time, x, x).get_xlabel() == "time (s)"
+
+
+def test_the_envelope_has_nothing_of_the_motion_left():
+    """Slower than its bins, which alone would see one flank each; a signal without troughs is one stretch."""
+    time = np.arange(20_000) / 1e3
+    x = (1 + 0.02 * time) * np.cos(2 * np.pi * 0.5 * time)
+    low, high = envelope(x, 300)
+    inside = (time[high] > 2) & (time[high] < 18)
+    np.testing.assert_allclose(x[high][inside], 1 + 0.02 * time[high][inside], atol=1e-3)
+    np.testing.assert_allclose(x[low][inside], -1 - 0.02 * time[low][inside], atol=1e-3)
+    assert x[extremes(x, 300)[1]].min() < -0.9  # what bins alone would draw
+    assert set(envelope(time, 10)[1]) == {19_999}
+
+
+def test_small_errors_are_shown_in_smaller_units():
+    error, name = error_shown("m", np.array([0.02, np.nan, -0.04]))
+    np.testing.assert_allclose(error, [20, np.nan, -40])
+    assert name == "error (µm)"
+    assert error_shown("m", np.array([0.06]))[1] == "error (mm)"
+    assert error_shown("V", np.array([1e-3]))[1] == "error (mV)"
+    axes = plot.tracking(T, X, X + 2e-6, U)
+    np.testing.assert_allclose(drawn(axes[1], 0)[1], 2.0)
+    assert axes[1].get_ylabel() == "error (µm)"
+
+
+def test_a_line_over_another_can_be_told_from_it():
+    few, many, filled = (np.sin(np.linspace(0, turns * np.pi, 10_000)) for turns in (8, 80, 800))
+    assert [over(v) for v in (few, many, filled)] == [{"ls": "--"}, {}, {"alpha": 0.6}]
 
 
 def test_given_axes_are_used_and_counted():

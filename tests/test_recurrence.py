@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lsim
 
-from pitp_jax._recurrence import first_order_lags, linear_recurrence, pieces, times
+from pitp_jax._recurrence import first_order_lags, lag_after, linear_recurrence, pieces, times
 
 LENGTHS = (1, 2, 3, 5, 16, 17, 97)
 
@@ -72,3 +72,12 @@ def test_slow_lags_survive_float32():
         run.append(first_order_lags(jnp.asarray(x), jnp.asarray([25.0]), 1e-3, jnp.asarray([0.0])))
     assert np.ptp(run[1]) > 0.2
     np.testing.assert_allclose(*run, rtol=0, atol=3e-5)
+
+
+def test_one_sample_is_one_step_of_many():
+    rng, dt, tau = np.random.default_rng(2), 3e-3, np.array([1e-3, 0.2, 40.0])
+    x, start = rng.standard_normal(2), rng.standard_normal(3)
+    with jax.enable_x64(True):
+        truth = first_order_lags(jnp.asarray(x), jnp.asarray(tau), dt, jnp.asarray(start))[1]
+        found = lag_after(jnp.asarray(start), *jnp.asarray(x), jnp.asarray(tau), dt)
+    np.testing.assert_allclose(found, truth, rtol=1e-13)

@@ -60,3 +60,34 @@ class ProgressBar:
         bar = f"[{'#' * done}{'.' * (20 - done)}] {text}"
         bar = bar[: shutil.get_terminal_size().columns - 1]
         print(f"\r\x1b[K{bar}", end="\n" if ends else "", file=sys.stderr, flush=True)
+
+
+class StatusLine:
+    """Progress of work whose length is not known: the last step in place on a terminal, now and then elsewhere.
+
+    A line `stage: step ...` is a step of its stage; any other line is an event, and always shown.
+    """
+
+    def __init__(self):
+        self._tty, self._last, self._stage = sys.stderr.isatty(), -1e9, None
+
+    def update(self, line: str) -> None:
+        """Show one line."""
+        stage, colon, _ = line.partition(":")
+        if not colon:
+            say(line)
+            return
+        now = time.monotonic()
+        if stage == self._stage and now - self._last < (_REDRAW_S if self._tty else _EVERY_S):
+            return
+        self._last, self._stage = now, stage
+        if self._tty:
+            text = line[: shutil.get_terminal_size().columns - 1]
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+        else:
+            say(line)
+
+    def close(self) -> None:
+        """Leave the terminal's line clear for what follows."""
+        if self._tty:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

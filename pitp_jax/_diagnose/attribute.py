@@ -10,19 +10,23 @@ difference holds zero, or where neither reaches the floor and both stay equally 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._effects import CATALOGUE
 from .._effects.viscoelastic import BORDER
-from .case import Case
-from .fit import Candidate, fit, mean_square, nudged, residuals
+from .case import Case, build_case
+from .fit import Candidate, fit, mean_square, residuals
 from .lanes import Lanes
 from .noise import Noise, estimate
-from .screen import Screened, screen
+from .screen import Screened, pairs, screen, singles
 
-_NAMES, _FORMS = 5, 10  # finalists
+_NAMES, _FORMS = 5, 12  # finalists
 _CLOSE = 1.03
-_SECOND_LEFT, _SECOND_SHARE = 0.8, 0.01  # a second effect leaves at most that much, and removes that share of the gap
+_PAIRS = 8
+# a second effect must remove at least that share of the gap's energy, and leave little of what one left (or less than
+# it, where the share is large)
+_LEAST, _LITTLE, _LESS, _MUCH = 0.005, 0.35, 0.7, 0.1
 _BLOCKS, _DRAWS = 20, 400
 
 
@@ -92,39 +96,57 @@ def attribute(
     catalogue = tuple(c for c in CATALOGUE if c.name not in exclude)
     noise = estimate(case, [s.error for s in case.series])
     ones = np.ones(case.model.order + 1)
-    nothing = Candidate((), (), (), ones, False)
     progress("screening every form")
-    screened = screen(case, catalogue, refit=refit)
-    chosen = finalists(screened)
-    lanes = Lanes(case, _in_order(catalogue, [s.effect for s in chosen]))
-    singles = [Candidate((s.effect,), (s.values,), (s.start,), ones, refit) for s in chosen]
-    changed = Candidate((), (), (), ones, True)
-    progress(f"fitting {len(singles)} forms of {len({s.effect.name for s in chosen})} effects")
-    fitted = fit(lanes, [*singles, changed], progress=lambda k, b: progress(f"fit: step {k}, {np.sqrt(b):.3f} %"))
-    given, *judged = judge(lanes, [nothing, *fitted])
-    base = judged[-1] if refit else given
-    rivals = judged[:-1] if refit else judged
-    rivals = [r for r in rivals if "parameter_change" not in exclude or r.candidate.forms]
+    screening = screen(case, catalogue, refit=refit)
+    screened = singles(screening)
+    bare = [Candidate((), (), (), ones, False), Candidate((), (), (), ones, True)]
+    given, changed, *rivals = _tried(case, catalogue, finalists(screened), ones, refit, bare, progress)
+    base = changed if refit else given
+    least = min([changed, *rivals], key=lambda r: r.train)
+    if refit and least.train > 1.15 * floor(case, noise, sides(case)[0]):
+        progress("screening again from the refitted nominal")
+        factors = least.candidate.factors
+        screening = screen(moved(case, factors), catalogue, refit=True)
+        screened = singles(screening)
+        rivals += _tried(case, catalogue, finalists(screened), factors, True, [], progress)
+    if not refit and "parameter_change" not in exclude:
+        rivals.append(changed)
     best = parsimonious(rivals, noise, case)
     noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
-    pairs = _second(case, catalogue, lanes, best, base, noise, refit, progress)
-    if pairs:
-        best = pairs
     _, held = sides(case)
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: j.heldout))
-    equal = equivalents(case, best, rivals, noise, held, singles_only=len(best.candidate.forms) < 2)
+    factors = best.candidate.factors
+    pair = _second(case, catalogue, screening, best, base, noise, refit, factors, progress)
+    if pair:
+        best, rivals = pair[0], [r for r in pair[1] if pair[0].names[1] in r.names]
+    equal = equivalents(case, best, rivals, noise, held)
     return Attribution(given, base, ranking, tuple(screened), best, equal, noise)
 
 
+def _tried(case: Case, catalogue, chosen, factors, refit, bare, progress) -> list[Judged]:
+    """The bare candidates and the chosen forms, fitted and judged."""
+    lanes = Lanes(case, _in_order(catalogue, [s.forms[0] for s in chosen]))
+    alone = [Candidate(s.forms, s.values, s.starts, factors, refit) for s in chosen]
+    progress(f"fitting {len(alone)} forms of {len({s.names for s in chosen})} effects")
+    fitted = fit(lanes, [*bare, *alone], progress=lambda k, b: progress(f"fit: step {k}, {np.sqrt(b):.3f} %"))
+    return judge(lanes, fitted)
+
+
+def moved(case: Case, factors: np.ndarray) -> Case:
+    """The case around a nominal with other coefficients: a filter far from the plant misleads the screening."""
+    coefficients = jnp.asarray(np.asarray(case.model.coefficients, np.float64) * factors, jnp.float32)
+    return build_case(replace(case.model, coefficients=coefficients), [s.record for s in case.series])
+
+
 def finalists(screened: list[Screened]) -> list[Screened]:
-    """The forms worth a rollout: of the best names, those not far behind their name's best."""
+    """The forms worth a rollout: up to three of each of the best names."""
     names, found = [], []
     for s in screened:
-        if s.effect.name not in names:
-            names.append(s.effect.name)
+        if s.names[0] not in names:
+            names.append(s.names[0])
     for name in names[:_NAMES]:
-        forms = [s for s in screened if s.effect.name == name]
-        found += [s for s in forms if s.train < 6 * forms[0].train][:3]
+        forms = [s for s in screened if s.names[0] == name]
+        found += forms[:3]  # all of them: the true form of a pure lag screened at three times the error of a ladder
     return sorted(found, key=lambda s: s.train)[:_FORMS]
 
 
@@ -167,69 +189,69 @@ def _lower(first: Noise, second: Noise) -> Noise:
     return second if 0 < second.sigma < first.sigma else first
 
 
-def _second(case: Case, catalogue, lanes: Lanes, first: Judged, base: Judged, noise: Noise, refit, progress):
-    """The best pair, if it pays; else None."""
+def _second(case: Case, catalogue, screening, first, base: Judged, noise: Noise, refit, factors, progress):
+    """The best pair and its rivals, if it pays, else None; screened as pairs, for one may hide the other."""
     _, held = sides(case)
     low = floor(case, noise, held)
-    if not first.candidate.forms or first.heldout <= 1.1 * low or not np.isfinite(first.heldout):
+    if first.heldout <= 1.15 * low or base.heldout <= 1.1 * low:
         return None
-    progress(f"a second effect beside {first.names[0]}")
-    errors = _scaled_errors(case, first)
-    beside = replace(
-        case,
-        series=tuple(replace(s, error=e, run=s.run - s.error + e) for s, e in zip(case.series, errors, strict=True)),
-    )
-    slopes = _slopes(lanes, first.candidate)
-    screened = screen(beside, catalogue, refit=refit, extra=slopes, skip=first.names)
-    chosen = finalists(screened)[:7]
-    both = Lanes(case, _in_order(catalogue, [first.candidate.forms[0], *[s.effect for s in chosen]]))
-    c = first.candidate
-    pairs = [
-        Candidate((*c.forms, s.effect), (*c.values, s.values), (*c.starts, s.start), c.factors, refit) for s in chosen
-    ]
-    fitted = fit(both, pairs, progress=lambda k, b: progress(f"pairs: step {k}, {np.sqrt(b):.3f} %"))
-    best = parsimonious(judge(both, fitted), noise, case)
-    left = max(best.heldout**2 - low**2, 0.0) / max(first.heldout**2 - low**2, 1e-30)
+    chosen = pairs(screening, _PAIRS)
+    if not chosen:
+        return None
+    progress(f"fitting {len(chosen)} pairs of effects")
+    lanes = Lanes(case, _in_order(catalogue, [f for s in chosen for f in s.forms]))
+    tried = [Candidate(s.forms, s.values, s.starts, factors, refit) for s in chosen]
+    fitted = fit(lanes, tried, progress=lambda k, b: progress(f"pairs: step {k}, {np.sqrt(b):.3f} %"))
+    judged = judge(lanes, fitted)
+    best = parsimonious(judged, noise, case)
+    left = np.sqrt(max(best.heldout**2 - low**2, 0.0) / max(first.heldout**2 - low**2, 1e-30))
     share = (first.heldout**2 - best.heldout**2) / max(base.heldout**2 - low**2, 1e-30)
-    pays = left <= _SECOND_LEFT**2 and share >= _SECOND_SHARE and best.train < first.train
-    return best if pays else None
+    said = " and ".join(best.names)
+    progress(f"{said}: leaves {100 * left:.0f} % of what one left, removes {100 * share:.2g} % of the gap")
+    pays = share >= _LEAST and (left <= _LITTLE or (left <= _LESS and share >= _MUCH)) and best.train < first.train
+    return (_foremost_first(lanes, best), judged) if pays else None
 
 
-def _slopes(lanes: Lanes, candidate: Candidate) -> list[np.ndarray]:
-    """Per record the scaled response to the first effect's own numbers, shape (T, Q)."""
-    which = range(len(lanes.case.series))
-    near = [nudged(candidate, k) for k in range(candidate.size - (len(candidate.factors) if candidate.refit else 0))]
-    here, *others = residuals(lanes, [candidate, *[c for c, _ in near]], which)
-    return [
-        np.stack(
-            [(o[k] - here[k]) / step * lanes.case.series[k].span / 100 for o, (_, step) in zip(others, near, strict=True)],
-            -1,
-        )
-        for k in which
+def _foremost_first(lanes: Lanes, pair: Judged) -> Judged:
+    """The pair with the effect first that leaves more behind when it is taken away."""
+    c = pair.candidate
+    alone = [
+        replace(c, forms=(f,), values=(v,), starts=(s,)) for f, v, s in zip(c.forms, c.values, c.starts, strict=True)
     ]
+    left = [j.heldout for j in judge(lanes, alone)]
+    if left[0] <= left[1]:
+        return pair
+    free = [sum(h > low for low, h in zip(s.low, s.high, strict=True)) for s in c.starts]
+    order = np.r_[free[0] : free[0] + free[1], : free[0], free[0] + free[1] : len(c.covariance)]
+    turned = replace(
+        c,
+        forms=c.forms[::-1],
+        values=c.values[::-1],
+        starts=c.starts[::-1],
+        covariance=c.covariance[np.ix_(order, order)],
+    )
+    return replace(pair, candidate=turned)
 
 
-def equivalents(case: Case, best: Judged, rivals: Sequence[Judged], noise: Noise, held, *, singles_only: bool):
-    """Names whose best form is tied with the first effect of `best`."""
-    if not singles_only:
-        return ()
+def equivalents(case: Case, best: Judged, rivals: Sequence[Judged], noise: Noise, held) -> tuple[str, ...]:
+    """Names whose best form is tied with the first effect of `best` (beside the same second one)."""
     low, found = floor(case, noise, held), []
     for r in _by_name(rivals):
-        if r.names == best.names or r.candidate.size > best.candidate.size + 1:
+        if set(r.names) == set(best.names) or r.candidate.size > best.candidate.size + 1:
             continue  # what takes more numbers to say the same is no rival: they win by parsimony, or not at all
         difference = bootstrap(case, held, lambda k, r=r: r.errors[k] ** 2 - best.errors[k] ** 2)
         excess = max(best.heldout**2 - low**2, (0.1 * low) ** 2)
         near = r.heldout**2 - low**2 < 1.3**2 * excess and best.heldout > 1.1 * low
         if np.quantile(difference, 0.025) <= 0 or near or _same_family_border(case, best, r, low):
-            found.append((r.heldout, r.names[0]))
+            found.append((r.heldout, next(n for n in r.names if n not in best.names[1:])))
     return tuple(name for _, name in sorted(found))
 
 
 def _same_family_border(case: Case, best: Judged, other: Judged, low: float) -> bool:
     """Creep and relaxation within 30 % of the border between them."""
-    if {best.names[0], other.names[0]} != {"creep", "relaxation"}:
+    if len(best.names) > 1 or {best.names[0], other.names[0]} != {"creep", "relaxation"}:
         return False
-    tau = best.candidate.values[0][1] * case.surroundings.omega
+    tau = list(best.candidate.values)[0][1] * case.surroundings.omega
     return abs(np.log(tau / BORDER)) < np.log(1.3) and other.heldout < 2 * max(best.heldout, low)
 
 

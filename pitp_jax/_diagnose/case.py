@@ -216,16 +216,14 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     film = np.asarray(voltage, np.float64)
     return Series(
         record=record, fitted=fitted, voltage=film, force=_force(model, film) / model.scales.force, motion=motion,
-        tokens=np.asarray(tokens), offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest, start=start,
-        age=float(record.time[0]) if known else 0.0, span=span,
+        tokens=np.asarray(tokens), offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest,
+        start=start, age=float(record.time[0]) if known else 0.0, span=span,
     )  # fmt: skip
 
 
 def _surroundings(model: Model, series: Sequence[Series], known: bool) -> Surroundings:
     x = np.concatenate([s.motion[s.weight > 0, 0] for s in series])
-    fastest = max(
-        float(np.quantile(np.abs(s.motion[s.weight > 0, min(2, model.order)]), 0.999)) for s in series
-    )
+    fastest = max(float(np.quantile(np.abs(s.motion[s.weight > 0, min(2, model.order)]), 0.999)) for s in series)
     speeds = np.concatenate([s.motion[s.weight > 0, min(1, model.order)] for s in series])
     a = np.asarray(model.coefficients, np.float64)
     dt = series[0].record.dt

@@ -1,8 +1,8 @@
 """The diagnosis: where the gap lies, which effect causes it, how far it shrinks (CONTRACT.md).
 
-    closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   held-out, pooled over records
-    no_gap      before <= 1.1 floor
-    unknown     after > 1.5 floor and less than 80 % closed, or more than three names tied
+closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   held-out, pooled over records
+no_gap      before <= 1.1 floor, or <= 1.4 floor where no effect closes a fifth (the floor itself is an estimate)
+unknown     less than half closed, less than 80 % where after > 1.5 floor, or more than three names tied
 """
 
 from collections.abc import Callable, Sequence
@@ -22,6 +22,8 @@ from .next import Experiment, separate
 from .where import locate
 
 _GAP, _FAR, _CLOSED, _TIES = 1.1, 1.5, 0.8, 3
+_DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
+_HALF = 0.5  # what closes less explains nothing, however high the floor
 _HELPS = 0.2  # a best candidate that closes less explains nothing, and what is tied with it neither
 _FLOOR_DOUBT = 0.03  # relative standard deviation of the noise floor's estimate
 
@@ -63,6 +65,15 @@ class Ranked:
 
 
 @dataclass(frozen=True)
+class Added:
+    """One effect of the augmented model: name, form, and parameters as in `Ranked`."""
+
+    effect: str
+    form: str
+    parameters: dict
+
+
+@dataclass(frozen=True)
 class Trace:
     """One record in rig units: time (s), voltage (V), measured, nominal and augmented output; held out or fitted."""
 
@@ -83,6 +94,7 @@ class Diagnosis:
         verdict: "explained", "no_gap" or "unknown".
         effects: added, most important first; empty unless explained.
         equivalent: names these data cannot tell from effects[0].
+        added: the same effects with form and parameters, as the augmented model carries them.
         gap, ranking, where, next_experiment: as CONTRACT.md names them.
         fitted, heldout: record names.
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
@@ -93,6 +105,7 @@ class Diagnosis:
     verdict: str
     effects: tuple[str, ...]
     equivalent: tuple[str, ...]
+    added: tuple[Added, ...]
     gap: Gap
     ranking: tuple[Ranked, ...]
     where: dict
@@ -115,6 +128,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "effects": list(self.effects),
             "equivalent": list(self.equivalent),
+            "added": [vars(a) for a in self.added],
             "gap": vars(self.gap) | {"ci95": list(self.gap.ci95) if self.gap.ci95 else None},
             "ranking": [vars(r) | {"ci95": list(r.ci95) if r.ci95 else None} for r in self.ranking],
             "where": self.where,
@@ -131,10 +145,11 @@ class Diagnosis:
         lines = [f"verdict: {self.verdict}" + (f" by {' and '.join(self.effects)}" if self.effects else "")]
         if self.equivalent:
             lines.append(f"cannot be told from: {', '.join(self.equivalent)}")
-        closed = "" if g.closed_fraction is None else f", {100 * g.closed_fraction:.0f} % of the gap closed"
+        closed = "" if g.closed_fraction is None else f", {abs(100 * g.closed_fraction):.0f} % of the gap closed"
         known = "unknown" if g.noise_floor is None else f"{g.noise_floor:.2f} %"
         lines.append(f"held-out error {g.before:.2f} -> {g.after:.2f} % of range (noise floor {known}){closed}")
-        lines.append(self.where["summary"])
+        if self.verdict != "no_gap":
+            lines.append(self.where["summary"])
         return "\n".join(lines)
 
 
@@ -177,6 +192,7 @@ def diagnose(
         verdict=verdict,
         effects=effects,
         equivalent=tied,
+        added=_added(case, found.best) if effects else (),
         gap=gap,
         ranking=_ranking(case, found, low, held),
         where=where,
@@ -191,9 +207,10 @@ def diagnose(
 
 def _verdict(gap: Gap, found: Attribution) -> str:
     low = gap.noise_floor or 0.0
-    if gap.before <= _GAP * low:
+    share = gap.closed_fraction or 0.0
+    if gap.before <= _GAP * low or (gap.before <= _DOUBT * low and share < _HELPS):
         return "no_gap"
-    if (gap.after > _FAR * low and (gap.closed_fraction or 0.0) < _CLOSED) or len(found.equivalent) > _TIES:
+    if share < _HALF or (gap.after > _FAR * low and share < _CLOSED) or len(found.equivalent) > _TIES:
         return "unknown"
     return "explained"
 
@@ -238,10 +255,12 @@ def physical(case: Case, p: Parameter, value: float) -> tuple[float, str]:
     return value * factor, unit
 
 
-def _parameters(case: Case, judged: Judged) -> dict:
-    c, found, k = judged.candidate, {}, 0
+def _added(case: Case, judged: Judged) -> tuple[Added, ...]:
+    """Form by form, with the standard errors of the joint fit."""
+    c, found, k = judged.candidate, [], 0
     errors = np.sqrt(np.maximum(np.diag(c.covariance), 0)) if c.covariance.size else None
     for form, values, start in zip(c.forms, c.values, c.starts, strict=True):
+        told = {}
         for p, v, low, high in zip(form.PARAMETERS, values, start.low, start.high, strict=True):
             value, unit = physical(case, p, v)
             error = None
@@ -249,12 +268,22 @@ def _parameters(case: Case, judged: Judged) -> dict:
                 if errors is not None:
                     error = abs(float(errors[k] * (value if p.positive else value / v if v else 0.0)))
                 k += 1
-            found[p.name] = {"value": float(value), "unit": unit, "stderr": error}
+            told[p.name] = {"value": float(value), "unit": unit, "stderr": error or None}
+        found.append(Added(form.name, form.form, told))
     if not c.forms:
-        for i, f in enumerate(c.factors):
-            error = float(errors[k + i] * f) if errors is not None and c.refit else None
-            found[f"a_{i} over given"] = {"value": float(f), "unit": "1", "stderr": error}
-    return found
+        told = {
+            f"a_{i} over given": {"value": float(f), "unit": "1", "stderr": e}
+            for i, (f, e) in enumerate(zip(c.factors, _relative(c, errors), strict=True))
+        }
+        found.append(Added("parameter_change", "refitted coefficients", told))
+    return tuple(found)
+
+
+def _relative(c, errors) -> list:
+    """Standard errors of the coefficients' factors, where they were fitted."""
+    if errors is None or not c.refit:
+        return [None] * len(c.factors)
+    return [float(e * f) or None for e, f in zip(errors[-len(c.factors) :], c.factors, strict=True)]
 
 
 def _ranking(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, ...]:
@@ -264,21 +293,40 @@ def _ranking(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, 
         seen.add(j.names[0])
         rows.append(
             Ranked(
-                j.names[0], form.family if form else "parametric", form.form if form else "refitted coefficients",
-                _parameters(case, j), j.train, j.heldout if np.isfinite(j.heldout) else j.train,
-                closed(found.base.heldout, j.heldout, low), _interval(case, found.base, j, low, held), False,
+                j.names[0],
+                form.family if form else "parametric",
+                form.form if form else "refitted coefficients",
+                _added(case, j)[0].parameters,
+                j.train,
+                j.heldout if np.isfinite(j.heldout) else j.train,
+                closed(found.base.heldout, j.heldout, low),
+                _interval(case, found.base, j, low, held),
+                False,
             )  # fmt: skip
         )
     for s in found.screened:
-        if s.effect.name in seen:
+        form = s.forms[0]
+        if form.name in seen:
             continue
-        seen.add(s.effect.name)
-        numbers = zip(s.effect.PARAMETERS, s.values, strict=True)
-        told = {p.name: dict(zip(("value", "unit"), physical(case, p, v), strict=True)) | {"stderr": None} for p, v in numbers}
+        seen.add(form.name)
+        numbers = zip(form.PARAMETERS, s.values[0], strict=True)
+        told = {
+            p.name: dict(zip(("value", "unit"), physical(case, p, v), strict=True)) | {"stderr": None}
+            for p, v in numbers
+        }
         held_error = float(np.sqrt(max(s.heldout, 0)))
         rows.append(
-            Ranked(s.effect.name, s.effect.family, s.effect.form, told, float(np.sqrt(max(s.train, 0))), held_error,
-                   closed(found.base.heldout, held_error, low), None, True)  # fmt: skip
+            Ranked(
+                form.name,
+                form.family,
+                form.form,
+                told,
+                float(np.sqrt(max(s.train, 0))),
+                held_error,
+                closed(found.base.heldout, held_error, low),
+                None,
+                True,
+            )  # fmt: skip
         )
     order = {c.name: k for k, c in enumerate(CATALOGUE)}
     return tuple(sorted(rows, key=lambda r: (r.screened, r.heldout, order.get(r.effect, 0))))
@@ -291,16 +339,12 @@ def augmented(case: Case, judged: Judged, model: Model) -> Model:
     effects = tuple(f(*(jnp.asarray(v, jnp.float32) for v in values)) for f, values in pairs)
     coefficients = (np.asarray(model.coefficients, np.float64) * c.factors).astype(np.float32)
     substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
-    return replace(
-        model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps
-    )
+    return replace(model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps)
 
 
 def _trace(case: Case, found: Attribution, k: int) -> Trace:
     s = case.series[k]
     scale, to_rig = case.model.scales.state[0], case.model.output.to_rig
     seen = np.where(s.weight > 0, (s.run - s.error) * scale, np.nan)
-    rows = [
-        to_rig((s.run - s.error + j.errors[k] * s.span / 100) * scale) for j in (found.base, found.best)
-    ]
+    rows = [to_rig((s.run - s.error + j.errors[k] * s.span / 100) * scale) for j in (found.base, found.best)]
     return Trace(s.record.name, not s.fitted, s.record.time, s.record.voltage, to_rig(seen), *rows)

@@ -204,13 +204,13 @@ class _State:
 
     def judge(self, tried: Candidate, residual: np.ndarray, cost: float):
         """Accept what lowers the error."""
-        self.gain = max(1 - cost / self.cost, 0.0)
+        self.gain = max(1 - cost / max(self.cost, 1e-300), 0.0)
         if cost < self.cost:
             self.slow = self.slow + 1 if self.gain < _ENOUGH else 0
             self.candidate, self.residual, self.cost, self.damping = tried, residual, cost, self.damping / 10
         else:
-            self.damping, self.slow = self.damping * 10, self.slow + 1
-        self.done = self.done or self.slow >= 2 or self.damping > 1e6
+            self.damping *= 10
+        self.done = self.done or self.slow >= 2 or self.damping > 1e3
 
     def finished(self) -> Candidate:
         """The candidate with its error and the covariance of its coordinates."""

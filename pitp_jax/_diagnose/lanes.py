@@ -96,7 +96,9 @@ class Lanes:
                 if time > 0:
                     s = self.case.series[lane.series]
                     place = np.arange(len(s.voltage))
-                    late = np.interp(place - time / self.case.dt, place, s.voltage, left=0.0 if s.rest else s.voltage[0])
+                    late = np.interp(
+                        place - time / self.case.dt, place, s.voltage, left=0.0 if s.rest else s.voltage[0]
+                    )
                     return self._staged(late)
         return self._stages[lane.series]
 

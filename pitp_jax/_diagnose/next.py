@@ -9,6 +9,7 @@ stepped through frequency, which parts what lags before the square from what lag
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._model.input_map import SquareInput
@@ -54,7 +55,9 @@ def excitations(case: Case) -> dict[str, np.ndarray]:
         found[f"sine of {m * hz:.3g} Hz about zero volts"] = carrier * np.sin(2 * np.pi * m * hz * t)
     level = np.repeat([0.2, 0.9, 0.5, 1.0, 0.1, 0.7], -(-len(t) // 6))[: len(t)] * top
     rise = max(int(top / slew / dt), 1)
-    found["steps of six levels"] = np.convolve(np.pad(level, (rise, 0), mode="edge"), np.ones(rise) / rise, "valid")[: len(t)]
+    found["steps of six levels"] = np.convolve(np.pad(level, (rise, 0), mode="edge"), np.ones(rise) / rise, "valid")[
+        : len(t)
+    ]
     return found
 
 
@@ -65,13 +68,15 @@ def separate(case: Case, a: "Judged", b: "Judged", noise: Noise) -> Experiment:
     series = []
     for voltage in tried.values():
         time = np.arange(len(voltage)) * case.dt
-        film = np.asarray(model.drive.film(voltage.astype(np.float32), case.dt, np.asarray(True)), np.float64)
+        film = np.asarray(model.drive.film(jnp.asarray(voltage, jnp.float32), case.dt, jnp.asarray(True)), np.float64)
         blank = np.zeros(len(voltage))
         motion = np.zeros((len(voltage), n + 1))
         record = Record("next", time, voltage, blank)
         start = np.asarray(case.series[0].start)
         start = np.zeros_like(start) if not case.series[0].rest else start
-        series.append(Series(record, False, film, blank, motion, motion, blank, blank, blank, blank, True, start, 0.0, 1.0))
+        series.append(
+            Series(record, False, film, blank, motion, motion, blank, blank, blank, blank, True, start, 0.0, 1.0)
+        )
     imagined = replace(case, series=tuple(series))
     forms = list(dict.fromkeys([*a.candidate.forms, *b.candidate.forms]))
     lanes = Lanes(imagined, forms)

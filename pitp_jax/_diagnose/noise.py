@@ -56,7 +56,9 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     if slow.any() and (~slow).any():
         level[slow] = np.minimum(level[slow], 2 * level[~slow][0])
     sigma = float(np.sqrt(np.sum(level * np.diff(edges))))
-    return Noise(sigma, np.stack([middle, level], -1), _whitening(level, edges, dt), "spectrum between the drive's lines")
+    return Noise(
+        sigma, np.stack([middle, level], -1), _whitening(level, edges, dt), "spectrum between the drive's lines"
+    )
 
 
 def _edges(samples: int, dt: float) -> np.ndarray:

@@ -34,30 +34,35 @@ from .._model.model import Model
 from .case import Case, Series
 
 POINTS, LANES = 20, 24  # grid points of a form besides its starts, and in all
-CHUNK, TARGETS = 2500, 8  # samples of a compiled pass; e and nuisance columns
+CHUNK = 2500  # samples of a compiled pass
 
 
 @dataclass(frozen=True)
 class Screened:
-    """What one form explains at its best grid point.
+    """What one form, or two together, explain at their best grid points.
 
     Attributes:
-        effect: the form.
-        values: its parameters there, strength regressed.
-        start: bounds that go with them.
+        forms: one or two.
+        values: their parameters there, strengths regressed.
+        starts: bounds that go with them.
         train, heldout: mean squared error in (1 %)^2, pooled over records.
-        points: all grid points as (train, values), best first.
     """
 
-    effect: type[AbstractEffect]
-    values: tuple[float, ...]
-    start: Start
+    forms: tuple[type[AbstractEffect], ...]
+    values: tuple[tuple[float, ...], ...]
+    starts: tuple[Start, ...]
     train: float
     heldout: float
-    points: tuple
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(f.name for f in self.forms)
 
 
-def grid(effect: type[AbstractEffect], starts: list[Start], count: int = POINTS) -> list[tuple[tuple[float, ...], Start]]:
+def grid(
+    effect: type[AbstractEffect], starts: list[Start], count: int = POINTS
+) -> list[tuple[tuple[float, ...], Start]]:
     """Active parameter vectors: the strength as in the starts where it is linear, everything else spread out."""
     if not starts:
         return []
@@ -86,7 +91,9 @@ def grid(effect: type[AbstractEffect], starts: list[Start], count: int = POINTS)
         keep = np.unique(np.round(np.linspace(0, len(axes[widest]) - 1, len(axes[widest]) - 1)).astype(int))
         axes[widest] = [axes[widest][i] for i in keep]
         many = int(np.prod([len(a) for a in axes]))
-    points = [tuple(float(v) for v in p) for p in np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(axes))]
+    points = [
+        tuple(float(v) for v in p) for p in np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(axes))
+    ]
     return ([(s.values, s) for s in starts] + [(p, first) for p in points])[:LANES]
 
 
@@ -132,8 +139,6 @@ class Columns(NamedTuple):
     offset: np.ndarray  # (T,)
     voltage: np.ndarray  # (T,)
     run: np.ndarray  # (T,) scaled displacement of the nominal's free run
-    targets: np.ndarray  # (T, 1 + Q): e, then nuisance columns
-    weight: np.ndarray  # (T,)
 
 
 def nuisance(case: Case, series: Series, refit: bool) -> np.ndarray:
@@ -144,14 +149,24 @@ def nuisance(case: Case, series: Series, refit: bool) -> np.ndarray:
     return responses(case.model, case.dt, -a * series.motion)
 
 
-def screen(
-    case: Case, catalogue, *, refit: bool, extra: list[np.ndarray] | None = None, skip: tuple[str, ...] = ()
-) -> list[Screened]:
-    """Every form of `catalogue` at its grid, best first by the error on fitted records.
+@dataclass(frozen=True)
+class Screening:
+    """Gram matrices of (e, nuisance columns, one column per form and grid point) on both sides of the split.
 
-    `extra`: per record columns (T, Q) that may be regressed along (the effects already found). `skip`: names left out.
-    The same catalogue compiles once, whatever is skipped.
+    Attributes:
+        points: (form, parameters, start) of every column.
+        fitted, heldout: means over records, shape (1 + Q + M, 1 + Q + M).
+        nuisance: Q.
     """
+
+    points: tuple
+    fitted: np.ndarray
+    heldout: np.ndarray
+    nuisance: int
+
+
+def screen(case: Case, catalogue, *, refit: bool) -> Screening:
+    """Every form of `catalogue` at its grid."""
     catalogue = tuple(c for c in catalogue if c.starts(case.surroundings))
     grids = [grid(c, c.starts(case.surroundings)) for c in catalogue]
     rows = np.zeros((LANES, sum(len(c.PARAMETERS) for c in catalogue)), np.float32)
@@ -160,17 +175,17 @@ def screen(
         for k in range(LANES):
             rows[k, first : first + len(c.PARAMETERS)] = g[min(k, len(g) - 1)][0]
         first += len(c.PARAMETERS)
-    shared = [
-        np.concatenate([nuisance(case, s, refit), *([extra[k]] if extra else [])], -1)
-        for k, s in enumerate(case.series)
-    ]
-    sums = _sums(case, tuple(c.neutral() for c in catalogue), rows, shared)
-    kept = [k for k, c in enumerate(catalogue) if c.name not in skip]
-    return _ranked(case, catalogue, grids, kept, sums, shared)
+    which = [(k, j) for j, g in enumerate(grids) for k in range(len(g))]
+    points = tuple((catalogue[j], *grids[j][k]) for k, j in which)
+    grams = _grams(case, tuple(c.neutral() for c in catalogue), rows, np.array(which).T, refit)
+    fitted = np.array([s.fitted for s in case.series])
+    inside = sum(g for g, f in zip(grams, fitted, strict=True) if f) / fitted.sum()
+    outside = sum(g for g, f in zip(grams, fitted, strict=True) if not f) / max((~fitted).sum(), 1)
+    return Screening(points, inside, outside if (~fitted).any() else inside, len(inside) - 1 - len(points))
 
 
-def _sums(case: Case, effects, rows, shared) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Per record: sum w g g (lanes, forms) and sum w g (e, c) (lanes, forms, 1 + Q)."""
+def _grams(case: Case, effects, rows, which, refit: bool) -> list[np.ndarray]:
+    """Per record the weighted Gram matrix of its columns, thinned to two dozen samples a natural period."""
     begin, advance = _compiled(case.model, effects)
     model, delays = case.model, [k for k, e in enumerate(effects) if isinstance(e, Delay)]
     filt = jax.tree.map(lambda v: np.asarray(v, np.float32), nominal_filter(model, case.dt))
@@ -179,25 +194,27 @@ def _sums(case: Case, effects, rows, shared) -> list[tuple[np.ndarray, np.ndarra
         np.asarray(model.coefficients), np.asarray(model.scales.rates, np.float32), np.float32(model.scales.force),
         np.float32(0.1 / (a[0] / a[-1]) ** (1 / model.order)), filt, np.float32(case.dt),
     )  # fmt: skip
+    thin = int(np.clip(2 * np.pi / case.surroundings.omega / case.dt / 24, 1, 20))
 
-    def one(s: Series, c: np.ndarray):
-        targets = np.zeros((len(s.error), TARGETS))
-        targets[:, : 1 + c.shape[1]] = np.concatenate([s.error[:, None], c], -1)
-        columns = Columns(*(
-            v.astype(np.float32) for v in (s.motion, s.tokens, s.offset, s.voltage, s.run, targets, s.weight)
-        ))  # fmt: skip
+    def one(s: Series) -> np.ndarray:
+        columns = Columns(*(v.astype(np.float32) for v in (s.motion, s.tokens, s.offset, s.voltage, s.run)))
         late = _delayed(columns.voltage, rows, effects, delays, s.rest, case.dt)
         start = (0.0 if s.rest else s.motion[0, 0], 0.0 if s.rest else s.voltage[0], s.age)
         carry = begin(rows, jax.tree.map(lambda v: v[0], columns), late[0], np.asarray(start, np.float32), nominal)
+        found = []
         for first in range(0, len(s.error), CHUNK):
-            now, then = (jax.tree.map(lambda v, k=k: _window(v, first + k, CHUNK), columns) for k in (0, 1))
-            now = now._replace(weight=np.where(first + np.arange(CHUNK) < len(s.error), now.weight, 0.0).astype(np.float32))
-            carry = advance(rows, carry, now, then, _window(late, first, CHUNK), nominal)
-        gg, ge = (np.asarray(v, np.float64) for v in carry[-2:])
-        return gg, ge[..., : 1 + c.shape[1]]
+            now, then = (Columns(*(_window(v, first + k, CHUNK) for v in columns)) for k in (0, 1))
+            carry, g = advance(rows, carry, now, then, _window(late, first, CHUNK), nominal)
+            found.append(np.asarray(g)[-first % thin :: thin][:, which[0], which[1]])
+        known = np.concatenate([s.error[:, None], nuisance(case, s, refit)], -1)[::thin]
+        g = np.concatenate(found)[: len(known)]
+        block = np.concatenate([known.astype(np.float32), g], -1) * np.sqrt(thin * s.weight[::thin, None]).astype(
+            np.float32
+        )
+        return (block.T @ block).astype(np.float64)
 
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(one, case.series, shared))
+        return list(pool.map(one, case.series))
 
 
 def _window(values: np.ndarray, first: int, count: int) -> np.ndarray:
@@ -221,10 +238,10 @@ class Nominal(NamedTuple):
 
     coefficients: np.ndarray
     rates: np.ndarray
-    force: np.ndarray
-    blunt: np.ndarray
+    force: np.float32
+    blunt: np.float32
     filter: _Filter
-    dt: np.ndarray
+    dt: np.float32
 
 
 @lru_cache(maxsize=4)
@@ -295,79 +312,103 @@ def _passes(effects, n: int, input_map):
         force = lanes(rows, states, first, first, late, nominal)[0]
         f = nominal.filter
         before = -jnp.linalg.solve(f.a, f.b + f.c)[:, None, None] * force[None]
-        zero = jnp.zeros(force.shape)
-        return states, before, force, zero, jnp.zeros((*force.shape, first.targets.shape[-1]))
+        return states, before, force
 
     def advance(rows, carry, now, then, late, nominal):
         filt = nominal.filter
 
         def sample(carry, item):
-            states, y, before, gg, ge = carry
+            states, y, before = carry
             here, there, delayed = item
             force, direct, states = lanes(rows, states, here, there, delayed, nominal)
             y = jnp.tensordot(filt.a, y, 1) + filt.b[:, None, None] * before + filt.c[:, None, None] * force
-            g = y[0] + direct
-            gg = gg + here.weight * g * g
-            ge = ge + here.weight * g[..., None] * here.targets
-            return (states, y, force, gg, ge), None
+            return (states, y, force), y[0] + direct
 
-        return jax.lax.scan(sample, carry, (now, then, late))[0]
+        return jax.lax.scan(sample, carry, (now, then, late))
 
     return begin, advance
 
 
-def _ranked(case: Case, catalogue, grids, kept, sums, shared) -> list[Screened]:
-    """Regress every form's strength on the fitted records; the error it leaves there and on the held-out ones."""
-    q = shared[0].shape[-1]
-    squares = []
-    for s, c in zip(case.series, shared, strict=True):
-        block = np.concatenate([s.error[:, None], c], -1)
-        squares.append((block * s.weight[:, None]).T @ block)
-    fitted = np.array([s.fitted for s in case.series])
-    found = []
-    for j in kept:
-        form, points, rows = catalogue[j], grids[j], []
-        for k, (values, start) in enumerate(points):
-            per = [_gram(squares[r], sums[r][0][k, j], sums[r][1][k, j]) for r in range(len(sums))]
-            fit = sum(p for p, f in zip(per, fitted, strict=True) if f) / fitted.sum()
-            held = sum(p for p, f in zip(per, fitted, strict=True) if not f) / max((~fitted).sum(), 1)
-            solution = _solve(fit, form, q)
-            v = np.concatenate([[1.0], -solution])
-            rows.append((float(v @ fit @ v), float(v @ held @ v), _scaled(form, values, start, solution[-1]), start))
-        rows.sort(key=lambda r: r[0] if np.isfinite(r[0]) else np.inf)
-        best = rows[0]
-        found.append(Screened(form, best[2], best[3], best[0], best[1], tuple((r[0], r[2]) for r in rows)))
-    return sorted(found, key=lambda s: s.train)
-
-
-def _gram(square: np.ndarray, gg: float, ge: np.ndarray) -> np.ndarray:
-    """Gram matrix of (e, c, g)."""
-    size = len(square) + 1
-    out = np.zeros((size, size))
-    out[:-1, :-1], out[-1, -1] = square, gg
-    out[:-1, -1] = out[-1, :-1] = ge
-    return out
-
-
-def _solve(gram: np.ndarray, form, q: int) -> np.ndarray:
-    """Least squares of e on (c, g), the strength within what its sign and linearity allow."""
-    h, b = gram[1:, 1:], gram[1:, 0]
-    scale = np.sqrt(np.maximum(np.diag(h), 1e-30))
-    solution = np.linalg.lstsq(h / np.outer(scale, scale), b / scale, rcond=1e-12)[0] / scale
+def _limits(form) -> tuple[float, float]:
+    """What a column's factor may be: a strength of either sign, a linear one, or one the grid must come close to."""
     strength = form.PARAMETERS[0]
-    linear = any(p.neutral is None for p in form.PARAMETERS) or not strength.positive
-    low, high = (0.0, 30.0) if linear else (0.0, 1.6)
     if not strength.positive:
-        low, high = -5.0, 5.0
-    s = float(np.clip(solution[-1], low, high))
-    if s != solution[-1]:
-        rest = np.linalg.lstsq(h[:q, :q], b[:q] - s * h[:q, -1], rcond=1e-12)[0] if q else np.zeros(0)
-        solution = np.append(rest, s)
-    return solution
+        return -5.0, 5.0
+    return (0.0, 30.0) if strength.linear else (0.2, 1.8)
+
+
+def _projected(gram: np.ndarray, q: int) -> np.ndarray:
+    """The Gram matrix with the nuisance columns regressed out of everything: (e, M columns)."""
+    keep = np.r_[0, np.arange(1 + q, len(gram))]
+    if q == 0:
+        return gram
+    inner = np.linalg.pinv(gram[1 : 1 + q, 1 : 1 + q], rcond=1e-12)
+    across = gram[np.ix_(keep, np.arange(1, 1 + q))]
+    return gram[np.ix_(keep, keep)] - across @ inner @ across.T
+
+
+def singles(found: Screening) -> list[Screened]:
+    """Every form at its best grid point, best first by the error on fitted records."""
+    g = _projected(found.fitted, found.nuisance)
+    limits = np.array([_limits(p[0]) for p in found.points])
+    strength = np.clip(g[0, 1:] / np.maximum(np.diag(g)[1:], 1e-30), *limits.T)
+    train = g[0, 0] - 2 * strength * g[0, 1:] + strength**2 * np.diag(g)[1:]
+    best: dict = {}
+    for m in np.argsort(train):
+        form = found.points[m][0]
+        if form not in best:
+            best[form] = _told(found, [m], [strength[m]])
+    return sorted(best.values(), key=lambda s: s.train)
+
+
+def pairs(found: Screening, count: int) -> list[Screened]:
+    """The best pairs of different names, one per pair of names: all grid points against all, in closed form."""
+    g = _projected(found.fitted, found.nuisance)
+    low, high = np.array([_limits(p[0]) for p in found.points]).T
+    b, h = g[0, 1:], g[1:, 1:]
+    d = np.maximum(np.diag(h), 1e-30)
+    determinant = np.maximum(np.outer(d, d) - h**2, 1e-9 * np.outer(d, d))
+    first = (np.outer(b, d) - b[None] * h) / determinant  # strength of the row's column beside the column's
+    left = g[0, 0] - first * b[:, None] - first.T * b[None]
+    names = np.array([p[0].name for p in found.points])
+    bad = (first < low[:, None]) | (first > high[:, None])
+    left[bad | bad.T | (names[:, None] == names[None])] = np.inf
+    left[np.tril_indices(len(left))] = np.inf
+    best: dict = {}
+    for flat in np.argsort(left, axis=None)[:200_000]:
+        i, j = np.unravel_index(flat, left.shape)
+        if not np.isfinite(left[i, j]) or len(best) >= count:
+            break
+        key = frozenset((names[i], names[j]))
+        if key not in best:
+            best[key] = _told(found, [i, j], [first[i, j], first[j, i]])
+    return list(best.values())
+
+
+def _told(found: Screening, columns, strengths) -> Screened:
+    """The chosen columns with their strengths, and what they leave on either side."""
+    q = found.nuisance
+    v = np.zeros(len(found.fitted))
+    v[0] = 1.0
+    v[1 + q + np.asarray(columns)] = -np.asarray(strengths)
+    if q:
+        v[1 : 1 + q] = -np.linalg.lstsq(found.fitted[1 : 1 + q, 1 : 1 + q], found.fitted[1 : 1 + q] @ v, rcond=1e-12)[0]
+    points = [found.points[m] for m in columns]
+    return Screened(
+        tuple(p[0] for p in points),
+        tuple(_scaled(p[0], p[1], p[2], s) for p, s in zip(points, strengths, strict=True)),
+        tuple(p[2] for p in points),
+        float(v @ found.fitted @ v),
+        float(v @ found.heldout @ v),
+    )
 
 
 def _scaled(form, values, start: Start, strength: float) -> tuple[float, ...]:
-    """The grid point with its strength regressed, inside its bounds."""
+    """The grid point with its strength regressed, inside its bounds; as it is where the effect is not linear in it.
+
+    A clip moved by its factor once left the voltages played, and with them every slope.
+    """
+    if not form.PARAMETERS[0].linear:
+        return tuple(values)
     first = values[0] * (strength if strength != 0 else 0.05)
-    low, high = start.low[0], start.high[0]
-    return (float(np.clip(first, low, high)), *values[1:])
+    return (float(np.clip(first, start.low[0], start.high[0])), *values[1:])

@@ -15,6 +15,7 @@ from .noise import Noise
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency
 _BINS = 10
+_MOST = 0.6  # of the missing force's energy, in the cells that the sentence spans
 _FLAG = 0.15  # a flagged cell's missing force, rms, beside that of the loudest cell
 
 
@@ -59,7 +60,8 @@ def _records(case: Case, errors, noise: Noise) -> dict:
 
 
 def _edges_hz(case: Case) -> np.ndarray:
-    return np.append(BAND_EDGES * case.surroundings.omega / (2 * np.pi), 0.5 / case.dt)
+    edges, top = BAND_EDGES * case.surroundings.omega / (2 * np.pi), 0.5 / case.dt
+    return np.append(edges[edges < 0.9 * top], top)
 
 
 def _frequency(case: Case, errors, noise: Noise) -> list[dict]:
@@ -124,8 +126,7 @@ def _axis(case: Case, forces, quiet: float, name: str, index: int | None) -> lis
 
 def _cells(case: Case, forces, quiet: float) -> list[dict]:
     """Cells of local drive frequency x local amplitude; every window of half a natural period or more is in one."""
-    bands, reach = _edges_hz(case)[:-1], case.surroundings.reach
-    bands = np.append(bands[:-1], 0.5 / case.dt)
+    bands, reach = _edges_hz(case), case.surroundings.reach
     energy, weight = np.zeros((2, len(bands) - 1, len(AMPLITUDE_EDGES) - 1))
     for s, f in zip(case.series, forces, strict=True):
         for first, last, hz, amplitude in windows(s, case):
@@ -171,17 +172,19 @@ def windows(s: Series, case: Case):
 
 
 def _sentence(case: Case, out: dict) -> str:
-    """The loudest cell, record and band in words."""
+    """Cells that hold most of the gap, the loudest record and band, in words."""
     from_unit = {"mm": 1e3, "um": 1e6, "m": 1.0, "mV": 1e3, "V": 1.0}
     unit = case.model.provenance.displacement_unit
     factor = from_unit.get(unit, 1.0)
-    loud = [c for c in out["cells"] if c["flagged"]] or out["cells"]
+    ordered = sorted(out["cells"], key=lambda c: -c["share"])
+    held = np.cumsum([c["share"] for c in ordered])
+    loud = ordered[: int(np.searchsorted(held, _MOST)) + 1]
     band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]
     size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
     record = max(out["records"], key=out["records"].get)
     lines = max(out["frequency"], key=lambda f: f["share"])
     return (
-        f"The missing force stands out for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
+        f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
         f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; {100 * out['records'][record]:.0f} % of the gap is "
         f"in {record}, {100 * lines['share']:.0f} % between {lines['band_hz'][0]:.3g} and {lines['band_hz'][1]:.3g} Hz."
     )

@@ -28,6 +28,7 @@ class Parameter:
             value to physical units.
         positive: fitted by its logarithm (else as it is).
         neutral: where the effect vanishes; None: the number does not matter where another one is neutral.
+        linear: the effect is proportional to it (asked of the first parameter only).
     """
 
     name: str
@@ -38,6 +39,7 @@ class Parameter:
     force: int = 0
     positive: bool = True
     neutral: float | None = None
+    linear: bool = True
 
 
 @dataclass(frozen=True)
@@ -150,11 +152,11 @@ class AbstractDriveEffect(AbstractEffect):
         """States before the first sample: `voltage` is u where the record starts moving, 0 V where it rests."""
 
     @abstractmethod
-    def advance(self, states, before, after, h):
+    def advance(self, states, before, after, h) -> Array:
         """States after u ran linearly from `before` to `after` in h seconds."""
 
     @abstractmethod
-    def film(self, states, voltage):
+    def film(self, states, voltage) -> Array:
         """V at an instant."""
 
     @abstractmethod
@@ -170,11 +172,11 @@ class AbstractCouplingEffect(AbstractEffect):
     """At the square (SQ): what the film's force becomes at a displacement X."""
 
     @abstractmethod
-    def couple(self, force, x):
+    def couple(self, force, x) -> Array:
         """Scaled force on the structure from the scaled force `force`."""
 
     @abstractmethod
-    def uncouple(self, force, x):
+    def uncouple(self, force, x) -> Array:
         """The film's force behind a force on the structure; infinite where no field makes it."""
 
 
@@ -186,11 +188,11 @@ class AbstractForceEffect(AbstractEffect):
         """States of an actuator that has been held at X; `age` of the session in s."""
 
     @abstractmethod
-    def act(self, states, now: Instant, tokens, offset):
+    def act(self, states, now: Instant, tokens, offset) -> tuple[Array, Array]:
         """Tokens and offset of the frozen step with the effect's force in them."""
 
     @abstractmethod
-    def advance(self, states, x, after, h):
+    def advance(self, states, x, after, h) -> Array:
         """States after X ran linearly from `x` to `after` in h seconds."""
 
 
@@ -202,11 +204,11 @@ class AbstractSensorEffect(AbstractEffect):
         """States of a sensor that has been reading X for ever."""
 
     @abstractmethod
-    def advance(self, states, x, after, h):
+    def advance(self, states, x, after, h) -> Array:
         """States after X ran linearly from `x` to `after` in h seconds."""
 
     @abstractmethod
-    def reading(self, states, x):
+    def reading(self, states, x) -> Array:
         """What the sensor reads."""
 
     @abstractmethod
@@ -247,6 +249,12 @@ def slope(values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
     """First derivative by central differences of 4th order (2nd next to the ends, 1st at them)."""
     inner = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12 * dt)
     return jnp.asarray(jnp.gradient(values, dt)).at[2:-2].set(inner)
+
+
+def oscillate(states, x, w, zeta, h):
+    """(z, z' in 1/s) after h of z'' = w^2 (X - z) - 2 zeta w z', by the implicit midpoint rule."""
+    middle = (states[1] + h / 2 * w**2 * (x - states[0])) / (1 + (h * w / 2) ** 2 + h * zeta * w)
+    return jnp.stack([states[0] + h * middle, 2 * middle - states[1]])
 
 
 def bounded(values, low, high) -> Start:

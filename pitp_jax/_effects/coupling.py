@@ -1,6 +1,6 @@
 """What the film makes of its voltage at the square (port SQ).
 
-stretch_coupling        F (1 + b x)          F (1 + b x / 2)^2        thinner film, larger area: more force as it stretches
+stretch_coupling        F (1 + b x)          F (1 + b x / 2)^2       thinner film, larger area: more force
 dielectric_saturation   F / (1 + |F| / F_s)  F_s tanh(F / F_s)        the permittivity falls at high field
 """
 
@@ -58,7 +58,7 @@ class DielectricSaturation(AbstractCouplingEffect):
     """F / (1 + |F| / F_s); `inverse` is 1 / F_s."""
 
     name, form, family, port = "dielectric_saturation", "rational", "coupling", "SQ"
-    PARAMETERS = (Parameter("inverse", "1/V^2", force=-1, neutral=0.0),)
+    PARAMETERS = (Parameter("inverse", "1/V^2", force=-1, neutral=0.0, linear=False),)
     inverse: Float[Array, ""]
 
     @classmethod

@@ -2,8 +2,9 @@
 
 hysteresis        f = k kappa mean_j (x - p_j),  p_j a play of half width r_j          (Prandtl and Ishlinskii)
                   f = k kappa z  or  k kappa (z - x),   dz = dx (1 - sgn(dx) z / r)    (Dahl; Bouc and Wen)
-coulomb_friction  f = F_c sgn(x'),  with a rise F_s exp(-(x'/v_s)^2) at low speed (Stribeck)
-drag              f = c x' |x'|  or  c x'^3
+coulomb_friction  f = F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see)
+                  f = F_c sgn(x'),  F_c tanh(x' / v_s),  or with a rise r exp(-(x'/v_s)^2) at low speed (Stribeck)
+drag              f = c x' |x'|  or  c x' |x'|^p
 
 Plays and Dahl's z advance by their exact rules. Friction is resolved: f is what brings x' to rest within the step, no
 more than F_c (order 2); at other orders it is regularised at a hundredth of the usual speed.
@@ -14,7 +15,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .base import AbstractForceEffect, Instant, Parameter, Surroundings, bounded, nothing
+from .base import AbstractForceEffect, Instant, Known, Parameter, Surroundings, bounded, nothing
 
 _WIDTHS = (0.15, 0.4, 1.0, 2.2)
 
@@ -30,9 +31,7 @@ class PlayHysteresis(AbstractForceEffect):
     @classmethod
     def starts(cls, s: Surroundings):
         """Narrow and wide beside the largest displacement."""
-        return [
-            bounded((0.4, share * s.reach), (1e-4, 0.02 * s.reach), (20, 0.8 * s.reach)) for share in (0.08, 0.3)
-        ]
+        return [bounded((0.4, share * s.reach), (1e-4, 0.02 * s.reach), (20, 0.8 * s.reach)) for share in (0.08, 0.3)]
 
     def initial(self, x, age):
         """Relaxed at X."""
@@ -65,9 +64,7 @@ class _Dahl(AbstractForceEffect):
     def starts(cls, s: Surroundings):
         """Narrow and wide beside the largest displacement."""
         most = 0.9 if cls.yields else 20.0
-        return [
-            bounded((0.3, share * s.reach), (1e-4, 0.04 * s.reach), (most, 2 * s.reach)) for share in (0.1, 0.4)
-        ]
+        return [bounded((0.3, share * s.reach), (1e-4, 0.04 * s.reach), (most, 2 * s.reach)) for share in (0.1, 0.4)]
 
     def initial(self, x, age):
         """Relaxed at X."""
@@ -136,13 +133,42 @@ class CoulombFriction(_Friction):
         return tokens, offset + self._force(now, tokens, offset, self.level)
 
 
+class SmoothFriction(_Friction):
+    """f = F_c tanh(x' / v_s): it creeps under a small force. Solved for the step's end, so v_s may be small."""
+
+    form = "smooth"
+    PARAMETERS = (Parameter("level", "V^2", force=1, neutral=0.0), Parameter("speed", "x/s", speed=1))
+    level: Float[Array, ""]
+    speed: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A few hundredths of the largest restoring force; sharp and soft beside the usual speed."""
+        force = s.stiffness * s.reach
+        low, high = (1e-4 * force, 1e-3 * s.speed), (force, 3 * s.speed)
+        return [bounded((0.05 * force, share * s.speed), low, high) for share in (0.02, 0.2)]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """Two Newton steps from the piecewise linear answer; explicit where x' is known, or at other orders."""
+        if now.state.shape[0] != 2 or isinstance(now, Known):
+            return tokens, offset + self.level * jnp.tanh(now.velocity(tokens, offset) / self.speed)
+        reply = now.h * now.rates[1] / tokens[2]
+        free = now.state[1] + now.h * now.rates[1] * now.highest(tokens, offset)
+        most, knee = reply * self.level, self.speed + reply * self.level
+        v = jnp.where(jnp.abs(free) < knee, free * self.speed / knee, free - jnp.sign(free) * most)
+        for _ in range(2):
+            t = jnp.tanh(v / self.speed)
+            v = v - (v + most * t - free) / (1 + most / self.speed * (1 - t * t))
+        return tokens, offset + self.level * jnp.tanh(v / self.speed)
+
+
 class StribeckFriction(_Friction):
-    """f = (F_c + F_s exp(-(x' / v_s)^2)) sgn(x')."""
+    """f = F_c (1 + r exp(-(x' / v_s)^2)) sgn(x')."""
 
     form = "Stribeck"
     PARAMETERS = (
         Parameter("level", "V^2", force=1, neutral=0.0),
-        Parameter("rise", "V^2", force=1, neutral=0.0),
+        Parameter("rise"),
         Parameter("speed", "x/s", speed=1),
     )
     level: Float[Array, ""]
@@ -153,13 +179,13 @@ class StribeckFriction(_Friction):
     def starts(cls, s: Surroundings):
         """A few hundredths of the largest restoring force; the rise within a tenth of the usual speed."""
         force = s.stiffness * s.reach
-        low, high = (1e-4 * force, 1e-4 * force, 0.01 * s.speed), (force, force, 2 * s.speed)
-        return [bounded((0.04 * force, 0.02 * force, 0.1 * s.speed), low, high)]
+        low, high = (1e-4 * force, 0.02, 0.01 * s.speed), (force, 3.0, 2 * s.speed)
+        return [bounded((0.04 * force, 0.3, 0.1 * s.speed), low, high)]
 
     def act(self, states, now: Instant, tokens, offset):
         """Stick or slip."""
         speed = now.state[1] / self.speed if len(now.state) > 1 else 0.0
-        level = self.level + self.rise * jnp.exp(-(speed**2))
+        level = self.level * (1 + self.rise * jnp.exp(-(speed**2)))
         return tokens, offset + self._force(now, tokens, offset, level)
 
 
@@ -196,18 +222,56 @@ class QuadraticDrag(_Drag):
         return tokens, offset + self.c * speed * jnp.abs(speed)
 
 
-class CubicDrag(_Drag):
-    """f = c x'^3."""
+class PowerDrag(_Drag):
+    """f = c x' |x' / v|^p, v the usual speed."""
 
-    form = "cubic"
-    PARAMETERS = (Parameter("c", "V^2 s^3/x^3", speed=-3, force=1, neutral=0.0),)
+    form = "power"
+    PARAMETERS = (
+        Parameter("c", "V^2 s/x", speed=-1, force=1, neutral=0.0),
+        Parameter("p"),
+        Parameter("usual", "x/s", speed=1),
+    )
+    p: Float[Array, ""]
+    usual: Float[Array, ""]
 
     @classmethod
     def starts(cls, s: Surroundings):
         """As much as the linear damping at the usual speed."""
-        unit = s.damping / s.speed**2
-        return [bounded((0.2 * unit,), (1e-4 * unit,), (100 * unit,))]
+        low, high = (1e-4 * s.damping, 0.3, s.speed), (100 * s.damping, 3.0, s.speed)
+        return [bounded((0.4 * s.damping, p, s.speed), low, high) for p in (0.7, 1.5)]
 
     def act(self, states, now: Instant, tokens, offset):
         """The extra force."""
-        return tokens, offset + self.c * now.velocity(tokens, offset) ** 3
+        v = now.velocity(tokens, offset)
+        return tokens, offset + self.c * v * jnp.exp(self.p * jnp.log(jnp.abs(v / self.usual) + 1e-9))
+
+
+class BristleFriction(_Friction):
+    """f = F_c z / g,  dz = dx - |dx| z / g: bristles give by g before they slide (Dahl 1968)."""
+
+    form, states = "bristles", 1
+    PARAMETERS = (Parameter("level", "V^2", force=1, neutral=0.0), Parameter("give", "x", length=1))
+    level: Float[Array, ""]
+    give: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A few hundredths of the largest restoring force; a give of a hundredth of the largest displacement."""
+        force = s.stiffness * s.reach
+        low, high = (1e-4 * force, 1e-3 * s.reach), (force, 0.04 * s.reach)
+        return [bounded((0.04 * force, share * s.reach), low, high) for share in (0.005, 0.02)]
+
+    def initial(self, x, age):
+        """Relaxed."""
+        return jnp.zeros((1,))
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The bristles half a step on."""
+        ahead = now.h / 2 * now.rates[0] * now.state[1] if len(now.state) > 1 else 0.0 * now.h
+        half = self.advance(states, 0.0 * ahead, ahead, 0.0)
+        return tokens, offset + self.level * half[0] / self.give
+
+    def advance(self, states, x, after, h):
+        """Exact for X monotonic within the step."""
+        end = jnp.sign(after - x) * self.give
+        return end + (states - end) * jnp.exp(-jnp.abs(after - x) / self.give)

@@ -35,7 +35,7 @@ class VoltageClip(_Static):
     """V = u up to u_max; `inverse` is 1 / u_max, so that zero is no clip."""
 
     name, form = "voltage_clip", "hard"
-    PARAMETERS = (Parameter("inverse", "1/V", neutral=0.0),)
+    PARAMETERS = (Parameter("inverse", "1/V", neutral=0.0, linear=False),)
     inverse: Float[Array, ""]
 
     @classmethod
@@ -113,7 +113,7 @@ class _Lag(AbstractDriveEffect):
     """Lags in a row."""
 
     name, family, port = "electrode_rc", "drive", "IN"
-    PARAMETERS = (Parameter("tau", "s", neutral=0.0),)
+    PARAMETERS = (Parameter("tau", "s", neutral=0.0, linear=False),)
     sections: ClassVar[tuple[float, ...]]
     tau: Float[Array, ""]
 
@@ -168,7 +168,7 @@ class SlewLimit(AbstractDriveEffect):
     """|V'| <= 1 / `inverse`."""
 
     name, form, family, port, states = "slew_limit", "rate limit", "drive", "IN", 1
-    PARAMETERS = (Parameter("inverse", "s/V", neutral=0.0),)
+    PARAMETERS = (Parameter("inverse", "s/V", neutral=0.0, linear=False),)
     inverse: Float[Array, ""]
 
     @classmethod
@@ -229,7 +229,7 @@ class ChargeLeak(AbstractDriveEffect):
         return voltage - self.kappa * states[0]
 
     def undo(self, film, dt):
-        """u = V + kappa q with q' = (V - (1 - kappa) q) / tau: the trap's own lag, slower by 1 / (1 - kappa)."""
+        """U = V + kappa q with q' = (V - (1 - kappa) q) / tau: the trap's own lag, slower by 1 / (1 - kappa)."""
         tau = self.tau / (1 - self.kappa)
         level = first_order_lags(film / (1 - self.kappa), tau[None], dt, jnp.zeros((1,), film.dtype))[:, 0]
         return film + self.kappa * level
@@ -243,7 +243,7 @@ class Delay(AbstractEffect):
     """V(t) = u(t - T): a shift of the whole record, so it is no step but a map of the array."""
 
     name, form, family, port = "delay", "pure", "drive", "IN"
-    PARAMETERS = (Parameter("time", "s", neutral=0.0),)
+    PARAMETERS = (Parameter("time", "s", neutral=0.0, linear=False),)
     time: Float[Array, ""]
 
     @classmethod

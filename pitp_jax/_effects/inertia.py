@@ -3,15 +3,25 @@
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'            a mass carried along by a spring
               y = x + g (z - x)                                                or standing between film and sensor
-slack         x'' >= -g: a load that is only pulled falls freely once the film lets go
+slack         x'' >= -g, sharp or soft: a load that is only pulled falls freely once the film lets go
 """
 
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .base import AbstractForceEffect, AbstractSensorEffect, Instant, Parameter, Surroundings, bounded, nothing
+from .base import (
+    AbstractForceEffect,
+    AbstractSensorEffect,
+    Instant,
+    Parameter,
+    Surroundings,
+    bounded,
+    nothing,
+    oscillate,
+)
 
 
 class AddedMass(AbstractForceEffect):
@@ -40,16 +50,10 @@ class AddedMass(AbstractForceEffect):
         return states
 
 
-def _oscillate(states, x, w, zeta, h):
-    """(z, z' in 1/s) after h of z'' = w^2 (X - z) - 2 zeta w z', by the implicit midpoint rule."""
-    middle = (states[1] + h / 2 * w**2 * (x - states[0])) / (1 + (h * w / 2) ** 2 + h * zeta * w)
-    return jnp.stack([states[0] + h * middle, 2 * middle - states[1]])
-
-
 def _mode_starts(s: Surroundings, strength):
     """Resonances below and above the nominal's, within reach of the sampling."""
     high = min(20 * s.omega, 1.5 / s.dt)
-    bounds = (1e-4, 0.2 * s.omega, 1e-3), (20.0, high, 0.7)
+    bounds = (1e-4, 0.2 * s.omega, 1e-3), (20.0, high, 0.4)  # with more damping it is a lag
     return [bounded((strength, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in (0.6, 1.6, 2.5, 4.5)]
 
 
@@ -73,13 +77,11 @@ class AttachedMode(AbstractForceEffect):
 
     def act(self, states, now: Instant, tokens, offset):
         """The spring's pull, half a step on."""
-        return tokens, offset + now.coefficients[0] * self.kappa * (
-            now.state[0] - states[0] - now.h / 2 * states[1]
-        )
+        return tokens, offset + now.coefficients[0] * self.kappa * (now.state[0] - states[0] - now.h / 2 * states[1])
 
     def advance(self, states, x, after, h):
         """By the mean displacement of the step."""
-        return _oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
+        return oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
 
 
 class MountedMode(AbstractSensorEffect):
@@ -102,7 +104,7 @@ class MountedMode(AbstractSensorEffect):
 
     def advance(self, states, x, after, h):
         """By the mean displacement of the step."""
-        return _oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
+        return oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
 
     def reading(self, states, x):
         """A share g of the relative motion is seen."""
@@ -117,7 +119,7 @@ class Slack(AbstractForceEffect):
     """No acceleration below -g (order 2); `inverse` is 1 / g."""
 
     name, family, port = "slack", "stiffness", "M"
-    PARAMETERS = (Parameter("inverse", "s^2/x", acceleration=-1, neutral=0.0),)
+    PARAMETERS = (Parameter("inverse", "s^2/x", acceleration=-1, neutral=0.0, linear=False),)
     sign: ClassVar[float]
     inverse: Float[Array, ""]
 
@@ -156,3 +158,40 @@ class HangingSlack(Slack):
     """The load falls in the direction of motion."""
 
     form, sign = "free fall, hanging", -1.0
+
+
+class SoftSlack(AbstractForceEffect):
+    """x'' = -g + w log(1 + exp((a + g) / w)), a what it would be without, w the softness times g; the load falls."""
+
+    name, form, family, port = "slack", "free fall, soft", "stiffness", "M"
+    PARAMETERS = (
+        Parameter("inverse", "s^2/x", acceleration=-1, neutral=0.0, linear=False),
+        Parameter("softness", "1"),
+    )
+    inverse: Float[Array, ""]
+    softness: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Within the accelerations reached, a tenth of g soft."""
+        if s.inertia <= 0 or s.acceleration <= 0:
+            return []
+        unit = 1 / s.acceleration
+        return [bounded((share * unit, 0.1), (0.7 * unit, 0.01), (50 * unit, 1.0)) for share in (1.3, 3.0)]
+
+    def initial(self, x, age):
+        """None."""
+        return nothing()
+
+    def act(self, states, now: Instant, tokens, offset):
+        """As much push as is missing."""
+        if now.state.shape[0] != 2:
+            return tokens, offset
+        g = 1 / jnp.maximum(self.inverse, 1e-12)
+        width = self.softness * g
+        missing = width * jax.nn.softplus(-(now.highest(tokens, offset) + g) / width)
+        return tokens, offset - tokens[2] * missing * (self.inverse > 0)
+
+    def advance(self, states, x, after, h):
+        """None."""
+        return states

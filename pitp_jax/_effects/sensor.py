@@ -1,7 +1,7 @@
 """What the sensor makes of the motion (port OUT), and what a session makes of the spring (port T).
 
 sensor_gain       y = (1 + d) x
-sensor_lag        tau y' = x - y, once or twice
+sensor_lag        tau y' = x - y, once or twice;  tau^2 y'' + 2 zeta tau y' + y = x
 stiffness_drift   f = -k d (1 - exp(-t / T)) x  or  -k d t / T x,  t the session's clock
 """
 
@@ -19,6 +19,7 @@ from .base import (
     bounded,
     lagged,
     nothing,
+    oscillate,
     slope,
 )
 
@@ -56,7 +57,7 @@ class _SensorLag(AbstractSensorEffect):
     """Lags in a row."""
 
     name, family, port = "sensor_lag", "sensor", "OUT"
-    PARAMETERS = (Parameter("tau", "s", neutral=0.0),)
+    PARAMETERS = (Parameter("tau", "s", neutral=0.0, linear=False),)
     sections: ClassVar[tuple[float, ...]]
     tau: Float[Array, ""]
 
@@ -102,6 +103,38 @@ class SensorFilter(_SensorLag):
     form, states, sections = "two lags", 2, (0.5, 0.5)
 
 
+class SecondOrderSensor(AbstractSensorEffect):
+    """tau^2 y'' + 2 zeta tau y' + y = x: a low-pass filter, or a head on a soft mount."""
+
+    name, form, family, port, states = "sensor_lag", "second order", "sensor", "OUT", 2
+    PARAMETERS = (Parameter("tau", "s", neutral=0.0, linear=False), Parameter("zeta"))
+    tau: Float[Array, ""]
+    zeta: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Around and below the time scale of the resonance."""
+        low, high = min(0.2 * s.dt, 0.003 / s.omega), 5.0 / s.omega
+        return [bounded((0.25 / s.omega, 0.8), (low, 0.35), (high, 3.0))]
+
+    def initial(self, x):
+        """Settled at X."""
+        return jnp.stack([jnp.asarray(x), jnp.zeros_like(x)])
+
+    def advance(self, states, x, after, h):
+        """By the mean displacement of the step."""
+        return oscillate(states, (x + after) / 2, 1 / jnp.maximum(self.tau, 1e-6), self.zeta, h)
+
+    def reading(self, states, x):
+        """The filter's output."""
+        return jnp.where(self.tau > 0, states[0], x)
+
+    def undo(self, y, dt):
+        """By lead."""
+        first = slope(y, dt)
+        return y + 2 * self.zeta * self.tau * first + self.tau**2 * slope(first, dt)
+
+
 class _Drift(AbstractForceEffect):
     """A spring that changes over the session; its state is the session's age."""
 
@@ -130,7 +163,7 @@ class SettlingDrift(_Drift):
         if s.session <= 1.5 * s.duration:
             return []
         low, high = (-2.0, s.duration), (0.9, 5 * s.session)
-        return [bounded((0.1, share * s.session), low, high) for share in (0.1, 0.5)]
+        return [bounded((0.1, max(share * s.session, 1.2 * s.duration)), low, high) for share in (0.1, 0.5)]
 
     def act(self, states, now: Instant, tokens, offset):
         """What is gone of the spring."""

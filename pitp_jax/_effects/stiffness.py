@@ -1,8 +1,9 @@
 """Restoring forces beside the nominal's k x (port K), k = sigma_0 of the nominal.
 
 stiffening   k c x^3          k c x |x|^p            k x (1 / (1 - (x/L)^2) - 1)          the spring hardens
-softening   -k c x^2          k (L tanh(x/L) - x)                                         the spring gives way
-end stop     k kappa max(x - x_s, 0)   above, below, on both sides, or (1 + lambda x') times that (Hunt and Crossley)
+softening   -k c x^2    k (L tanh(x/L) - x)    k ((1 - exp(-b x)) / b - x)               the spring gives way
+end stop     k kappa max(x - x_s, 0)   above, below, on both sides;  k kappa max(x - x_s, 0)^(3/2) (1 + lambda x')
+             (Hunt and Crossley, above or on both sides)
 
 A Gent-like spring fitted by a cubic alone lost to an end stop, hence several forms under one name.
 """
@@ -70,7 +71,7 @@ class GentStiffening(_Memoryless):
     """f = k x (1 / (1 - r^2) - 1), r = |x| / L: the chain can be stretched no further than L."""
 
     name, form, family, port = "stiffening", "limited chain", "stiffness", "K"
-    PARAMETERS = (Parameter("curvature", "1/x", length=-1, neutral=0.0),)
+    PARAMETERS = (Parameter("curvature", "1/x", length=-1, neutral=0.0, linear=False),)
     curvature: Float[Array, ""]
 
     @classmethod
@@ -114,7 +115,7 @@ class SaturatingSoftening(_Memoryless):
     """f = k (L tanh(x / L) - x)."""
 
     name, form, family, port = "softening", "saturating", "stiffness", "K"
-    PARAMETERS = (Parameter("curvature", "1/x", length=-1, neutral=0.0),)
+    PARAMETERS = (Parameter("curvature", "1/x", length=-1, neutral=0.0, linear=False),)
     curvature: Float[Array, ""]
 
     @classmethod
@@ -128,6 +129,33 @@ class SaturatingSoftening(_Memoryless):
         r = self.curvature * x
         share = jnp.where(jnp.abs(r) < 0.03, -(r**2) / 3, jnp.tanh(r) / jnp.where(jnp.abs(r) < 0.03, 1.0, r) - 1)
         return tokens, offset + 0.97 * now.coefficients[0] * x * share
+
+
+class ExponentialSoftening(_Memoryless):
+    """f = k ((1 - exp(-b x)) / b - x): softer the further it is stretched, harder the other way."""
+
+    name, form, family, port = "softening", "exponential", "stiffness", "K"
+    PARAMETERS = (Parameter("b", "1/x", length=-1, neutral=0.0, linear=False),)
+    b: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """A spring half gone at the largest displacement."""
+        return [bounded((0.5 / s.reach,), (0.01 / s.reach,), (3 / s.reach,))]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The missing force."""
+        x = now.state[0]
+        r = jnp.clip(self.b * x, -3.0, 6.0)
+        small = jnp.abs(r) < 0.03
+        share = jnp.where(small, -r / 2 + r**2 / 6, -jnp.expm1(-r) / jnp.where(small, 1.0, r) - 1)
+        return tokens, offset + now.coefficients[0] * x * share
+
+
+def _hertz(depth):
+    """Depth^(3/2), linear again where it is deeper than any contact (slope bounded: the step stays stable)."""
+    deep = jnp.maximum(depth, 0.0)
+    return deep * jnp.sqrt(jnp.minimum(deep, 2.0))
 
 
 def _stop_starts(s: Surroundings, far: float, parameters: int):
@@ -179,10 +207,14 @@ class LowerStop(_Memoryless):
 
 
 class DampedStop(_Memoryless):
-    """f = k kappa max(x - x_s, 0) max(1 + lambda x', 0): a bumper that takes energy."""
+    """f = k kappa max(x - x_s, 0)^(3/2) max(1 + lambda x', 0): a bumper that takes energy (Hertz's contact)."""
 
     name, form, family, port = "end_stop", "above, damped", "stiffness", "K"
-    PARAMETERS = (*UpperStop.PARAMETERS, Parameter("loss", "s/x", speed=-1))
+    PARAMETERS = (
+        Parameter("kappa", "1/x^(1/2)", neutral=0.0),
+        Parameter("place", "x", length=1),
+        Parameter("loss", "s/x", speed=-1),
+    )
     kappa: Float[Array, ""]
     place: Float[Array, ""]
     loss: Float[Array, ""]
@@ -194,7 +226,7 @@ class DampedStop(_Memoryless):
 
     def act(self, states, now: Instant, tokens, offset):
         """The contact force, never a pull."""
-        deep = jnp.maximum(now.state[0] - self.place, 0.0)
+        deep = _hertz(now.state[0] - self.place)
         speed = now.velocity(tokens, offset)
         return tokens, offset + now.coefficients[0] * self.kappa * deep * jnp.clip(1 + self.loss * speed, 0.0, 10.0)
 
@@ -217,3 +249,25 @@ class BothStops(_Memoryless):
         x = now.state[0]
         deep = jnp.maximum(x - self.place, 0.0) - jnp.maximum(-x - self.place, 0.0)
         return tokens, offset + now.coefficients[0] * self.kappa * deep
+
+
+class DampedStops(_Memoryless):
+    """Both sides, each with a loss."""
+
+    name, form, family, port = "end_stop", "both sides, damped", "stiffness", "K"
+    PARAMETERS = DampedStop.PARAMETERS
+    kappa: Float[Array, ""]
+    place: Float[Array, ""]
+    loss: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """From the nearer end of what was reached."""
+        return _stop_starts(s, min(s.top, -s.bottom), 3)[:2]
+
+    def act(self, states, now: Instant, tokens, offset):
+        """The contact forces, never a pull."""
+        x, speed = now.state[0], now.velocity(tokens, offset)
+        above = _hertz(x - self.place) * jnp.clip(1 + self.loss * speed, 0.0, 10.0)
+        below = _hertz(-x - self.place) * jnp.clip(1 - self.loss * speed, 0.0, 10.0)
+        return tokens, offset + now.coefficients[0] * self.kappa * (above - below)

@@ -59,7 +59,7 @@ class ElectrodeLag(AbstractDrive):
         return first_order_lags(voltage, jnp.exp(self.log_tau)[None], dt, start[None])[:, 0]
 
     def lead(self, film, dt):
-        """U = V + tau V', V' by central differences of 4th order (2nd at the ends)."""
+        """U = V + tau V', V' by central differences of 4th order: of 2nd next to the ends, one-sided of 1st at them."""
         slope = jnp.asarray(jnp.gradient(film, dt))
         inner = (8 * (film[3:-1] - film[1:-3]) - (film[4:] - film[:-4])) / (12 * dt)
         return film + jnp.exp(self.log_tau) * slope.at[2:-2].set(inner)

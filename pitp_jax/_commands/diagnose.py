@@ -1,0 +1,91 @@
+"""`pitp diagnose`: where a model and recordings disagree, which missing effect causes it, how far that shrinks."""
+
+from pathlib import Path
+
+from .._diagnose.diagnosis import Diagnosis
+from .._diagnose.diagnosis import diagnose as run_diagnosis
+from .._diagnose.figures import FIGURES, figures
+from .._diagnose.report import NEXT_CSV, report
+from .._file import load, save
+from .._record.reading import read
+from .._record.writing import write_csv, write_text_atomic
+from .console import StatusLine, number, print_table, say
+from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .suits import check_suits
+
+MODEL, REPORT = "model_augmented", "report.html"
+FILES = (MODEL, REPORT, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
+_ROWS = 8  # of the ranking on standard output
+
+
+def diagnose(records, nominal, refit_nominal, out, json_file, input_column, output_column) -> None:
+    """Diagnose, write what was asked for, and print the finding.
+
+    Args:
+        records: files and folders.
+        nominal: model file, identified or trained.
+        refit_nominal: whether its coefficients are fitted along with every effect.
+        out: folder for the augmented model, the report, its figures and the next experiment, or None.
+        json_file: where to write the finding for machines, or None.
+        input_column: name of the voltage column, or None.
+        output_column: name of the output column, or None.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+    """
+    check_files(json_file, inputs=[nominal, *records])
+    model = load(nominal)
+    read_in = read(*records, input_column=input_column, output_column=output_column)
+    sources = [nominal, *(r.source for r in read_in)]
+    check_files(json_file, inputs=sources)
+    if out is not None:
+        check_folder(out, FILES, inputs=[*sources, *([json_file] if json_file else [])])
+    check_suits(model, nominal, read_in)
+    say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
+    status = StatusLine()
+    found = run_diagnosis(model, read_in, refit_nominal=refit_nominal, progress=status.update)
+    status.close()
+    csv = str(Path(out) / NEXT_CSV) if out is not None and found.next_experiment is not None else None
+    written = set()
+    with staged_files(json_file) as (json_stage,):
+        if json_file:
+            write_json(json_stage, found.as_json(csv))
+        if out is not None:
+            with staged_folder(out) as stage:
+                written = _write(found, stage)
+    print(found)
+    _print_ranking(found)
+    if out is not None:
+        for name in set(FILES) - written:  # of an earlier diagnosis: no part of this one
+            (Path(out) / name).unlink(missing_ok=True)
+        added = f"with {' and '.join(found.effects)}" if found.effects else "no effect added"
+        print(f"wrote {Path(out) / REPORT}, its figures, and {Path(out) / MODEL} ({added})")
+        if csv is not None and found.next_experiment is not None:
+            print(f"next experiment, to tell {' from '.join(found.next_experiment.separates)}: {csv}")
+
+
+def _write(found: Diagnosis, folder: Path) -> set[str]:
+    """Everything into an existing folder; the names of what was written."""
+    save(folder / MODEL, found.model)
+    write_text_atomic(folder / REPORT, report(found))
+    for name, drawn in figures(found).items():
+        drawn.savefig(folder / f"{name}.png", dpi=150)
+    experiment = found.next_experiment
+    if experiment is not None:
+        write_csv(folder / NEXT_CSV, {"time_s": experiment.time, "voltage_V": experiment.voltage})
+    return {path.name for path in folder.iterdir()}
+
+
+def _print_ranking(found: Diagnosis) -> None:
+    """The best candidates, the effects named marked *, those tied with the first =."""
+    rows = []
+    for r in found.ranking[:_ROWS]:
+        mark = " *" if r.effect in found.effects else " =" if r.effect in found.equivalent else ""
+        ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)
+        closed = None if r.closed_fraction is None else 100 * r.closed_fraction
+        form = f"{r.form}{' (screened)' if r.screened else ''}"
+        rows.append((f"{r.effect}{mark}", form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
+    print_table(("effect", "form", "fitted (%)", "held out (%)", "closed (%)", "95 % interval"), rows)
+    left = len(found.ranking) - len(rows)
+    if left > 0:
+        print(f"and {left} more, which --json and the report list")

@@ -1,0 +1,127 @@
+"""`pitp fit`: what training is called with, its progress, and every way it ends."""
+
+import io
+import sys
+from dataclasses import dataclass, replace
+
+import pytest
+from cli_cases import refused, tree
+
+from pitp_jax import _file, _identify, _train
+from pitp_jax._commands.console import ProgressBar, say
+from pitp_jax._errors import BadInput, ComputationFailed
+from pitp_jax._model.encoder import CompactEncoder
+
+
+@pytest.fixture
+def trainer(monkeypatch):
+    """`_train.train` that only notes what it was called with; set `.result` or `.error` to change its end."""
+
+    @dataclass
+    class Trainer:
+        calls: list
+        error: BaseException | None = None
+        interrupted: bool = False
+
+        def __call__(self, nominal, records, **options):
+            self.calls.append((nominal, [r.name for r in records], options))
+            for step in (1, 2):
+                options["progress"](_train.Progress("stage 1", step, 2, 1.5, 0.25, 0.125, 61.0))
+            options["progress"](_train.Progress("free runs", 1, 1, None, 0.1, 0.1, float("nan")))
+            if self.error:
+                raise self.error
+            encoder = CompactEncoder(2, 0, width=4, key=options["key"])
+            model = replace(nominal, encoder=encoder)
+            return _train.Training(model, ({"stage": 1, "physics": 0.5},), self.interrupted, {"seconds": 1.0})
+
+    fake = Trainer([])
+    monkeypatch.setattr(_train, "train", fake)
+    return fake
+
+
+def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
+    out = tmp_path / "model"
+    options = ["--nominal", bench / "nominal", "--order", "2", "--input-map", "square", "--preset", "paper"]
+    code, text, err = call("fit", bench / "records", "--out", out, "--seed", "7", *options)
+    assert code == 0
+    assert quick_identify == []
+    _, names, given = trainer.calls[0]
+    assert names == ["sine2", "sine4", "sweep"]
+    assert given["preset"] == "paper"
+    assert "stage 1: 2/2  box 1.5  loss 0.25  best 0.125  about 61 s left" in err
+    assert "free runs: 1/1  loss 0.1  best 0.1  about ? left" in err
+    assert type(_file.load(out).encoder) is CompactEncoder
+    assert "physics 0.5" in text
+
+
+def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    bar = ProgressBar()
+    for step in range(1, 101):
+        bar.update(_train.Progress("stage 1", step, 100, 1.5, 0.25, 0.125, 300.0))
+    say("done")
+    drawn = terminal.getvalue().split("\r\x1b[K")
+    assert drawn[1].startswith("[....................] stage 1: 1/100  box 1.5")
+    assert drawn[-2].startswith("[####################] stage 1: 100/100")
+    assert drawn[-2].endswith("\n")
+    assert drawn[-1] == "pitp: done\n"
+    assert 3 <= len(drawn) < 20  # not redrawn faster than can be seen
+
+
+def test_fit_is_reproducible_by_seed(call, bench, tmp_path, trainer):
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        call("fit", bench / "records", "--out", tmp_path / name, "--nominal", bench / "nominal", "--seed", seed)
+    a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
+    assert a == b
+    assert a != c
+
+
+@pytest.mark.parametrize("found", [["sweep"], []])
+def test_fit_identifies_on_sweeps_else_on_all(call, bench, tmp_path, trainer, quick_identify, monkeypatch, found):
+    monkeypatch.setattr(_identify, "is_sweep", lambda record: record.name in found)
+    code, _, err = call("fit", bench / "records", "--out", tmp_path / "m", "--order", "2")
+    assert code == 0
+    assert quick_identify[0][0] == (found or ["sine2", "sine4", "sweep"])
+    assert quick_identify[0][1] | {"order": 2, "input_map": "square"} == quick_identify[0][1]
+    assert ("1 record (sweep)" if found else "no record is a sweep") in err
+    assert trainer.calls[0][1] == ["sine2", "sine4", "sweep"]
+
+
+def test_fit_refuses_options_that_contradict_the_nominal(call, bench, tmp_path, trainer):
+    start = ["fit", bench / "records", "--out", tmp_path / "m", "--nominal", bench / "nominal"]
+    assert "--order 3 contradicts" in refused(call(*start, "--order", "3"))
+    assert "--input-map linear contradicts" in refused(call(*start, "--input-map", "linear"))
+    assert trainer.calls == []
+    assert call(*start, "--order", "auto")[0] == 0
+
+
+def test_fit_that_fails(call, bench, tmp_path, trainer):
+    start = ["fit", bench / "records", "--out", tmp_path / "m", "--nominal", bench / "nominal"]
+    trainer.error = ComputationFailed("the loss became nan\nin stage 1")
+    assert "nan in stage 1" in refused(call(*start), code=3)
+    trainer.error = MemoryError()
+    assert "out of memory" in refused(call(*start), code=3)
+    trainer.error = BadInput("nothing usable")
+    refused(call(*start))
+    trainer.error = ZeroDivisionError("a bug")
+    code, _, err = call(*start)
+    assert code == 3
+    assert "unexpected ZeroDivisionError: a bug" in err
+    assert tree(tmp_path) == []
+
+
+def test_interrupted_fit(call, bench, tmp_path, trainer):
+    start = ["fit", bench / "records", "--out", tmp_path / "m", "--nominal", bench / "nominal"]
+    trainer.error = KeyboardInterrupt()
+    code, out, err = call(*start)
+    assert (code, out, tree(tmp_path)) == (130, "", [])
+    assert err.splitlines()[-1] == "pitp: interrupted"
+    trainer.error, trainer.interrupted = None, True
+    code, out, err = call(*start)
+    assert (code, out) == (130, "")
+    assert err.splitlines()[-1] == f"pitp: interrupted; the best complete model is in {tmp_path / 'm'}"
+    assert _file.load(tmp_path / "m").order == 2

@@ -1,0 +1,79 @@
+"""The command line itself: usage errors, help, version, and what it imports."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from cli_cases import refused
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        [],
+        ["frobnicate"],
+        ["identify"],
+        ["identify", "x"],
+        ["identify", "x", "--out", "y", "--order", "7"],
+        ["identify", "x", "--out", "y", "--order", "0"],
+        ["identify", "x", "--out", "y", "--order", "two"],
+        ["identify", "x", "--out", "y", "--input-map", "cubic"],
+        ["fit", "x", "--out", "y", "--seed", "-1"],
+        ["fit", "x", "--out", "y", "--seed", "1.5"],
+        ["fit", "x", "--out", "y", "--preset", "best"],
+        ["fit", "x", "--out", "y", "--ord", "2"],
+        ["predict", "m"],
+        ["invert", "m", "t"],
+        ["invert", "m", "t", "--out", "v", "--max-voltage", "0"],
+        ["invert", "m", "t", "--out", "v", "--max-voltage", "nan"],
+        ["invert", "m", "t", "--out", "v", "--max-voltage", "inf"],
+        ["invert", "m", "t", "--out", "v", "--max-slew", "-5"],
+        ["invert", "m", "t", "--out", "v", "--input-column", "voltage_V"],
+        ["demo", "--plant", "sphere"],
+        ["info"],
+    ],
+)
+def test_usage_errors(call, argv):
+    assert "--help" in refused(call(*argv))
+
+
+@pytest.mark.parametrize("command", [[], ["identify"], ["fit"], ["predict"], ["invert"], ["info"], ["demo"]])
+def test_help(call, command):
+    code, out, err = call(*command, "--help")
+    assert code == 0
+    assert out.startswith("usage: pitp")
+    assert err == ""
+
+
+def test_version(call):
+    assert call("--version")[:2] == (0, "pitp 0.1.0\n")
+
+
+def test_the_parser_needs_no_jax():
+    code = (
+        "import sys, types, importlib.util as u\n"
+        "p = types.ModuleType('pitp_jax'); p.__path__ = u.find_spec('pitp_jax').submodule_search_locations\n"
+        "sys.modules['pitp_jax'] = p\n"
+        "from pitp_jax.cli import main\n"
+        "assert main(['--help']) == 0 and main(['fit']) == 2\n"
+        "heavy = {'jax', 'numpy', 'scipy', 'equinox', 'matplotlib'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    # find_spec of a top-level package does not import it
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_module_is_the_program_and_a_closed_pipe_is_quiet(bench):
+    command = f"set -o pipefail; '{sys.executable}' -m pitp_jax info '{bench / 'nominal'}' | true"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_standard_output_on_a_full_disk(bench):
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "pitp_jax", "info", str(bench / "nominal")]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("pitp: error: ")

@@ -1,0 +1,94 @@
+"""Hand-made diagnoses of every verdict, as a report may meet them."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from pitp_jax._diagnose.diagnosis import Diagnosis, Gap, Ranked, Trace
+from pitp_jax._diagnose.next import Experiment
+from pitp_jax._effects import drive
+
+T = np.arange(2000) / 500.0
+NAMES = ("sweep<1>", "sine2", "sine&4")
+
+
+def traces(error=2e-4, hum=0.0):
+    found = []
+    for k, name in enumerate(NAMES):
+        x = 1e-3 * np.sin(2 * np.pi * (1 + k) * T)
+        off = error * (k + 1) / 3 * np.cos(2 * np.pi * (1 + k) * T) * (T > 2) + hum * np.cos(2 * np.pi * 7.5 * T)
+        measured = x.copy()
+        measured[100:110] = np.nan
+        voltage = 1000 * (1 - np.cos(2 * np.pi * (1 + k) * T))
+        found.append(Trace(name, k > 0, T + 10 * k, voltage, measured, x + off, x + off / 50))
+    return tuple(found)
+
+
+def where():
+    def rows(key, edges, shares):
+        pairs = zip(edges[:-1], edges[1:], shares, strict=True)
+        return [{key: [float(a), float(b)], "share": float(s)} for a, b, s in pairs]
+
+    tenths, last = np.linspace(0, 1, 11), [0.0] * 9 + [1.0]
+    cells = [
+        {"band_hz": [1.0, 4.0], "amplitude": [0.0, 5e-4], "share": 0.2, "flagged": False},
+        {"band_hz": [1.0, 4.0], "amplitude": [5e-4, 1e-3], "share": 0.5, "flagged": True},
+        {"band_hz": [4.0, 9.0], "amplitude": [5e-4, 1e-3], "share": 0.3, "flagged": True},
+    ]
+    return {
+        "cells": cells,
+        "records": dict(zip(NAMES, (0.1, 0.2, 0.7), strict=True)),
+        "frequency": rows("band_hz", [0.0, 4.0, 9.0, 250.0], [0.1, 0.85, 0.05]),
+        "time": rows("part", tenths, last),
+        "displacement": rows("range", 1.2e-3 * tenths, last),
+        "velocity": rows("range", 0.1 * tenths - 0.05, [0.1] * 10),
+        "voltage": rows("range", 2000 * tenths, [0.1] * 10),
+        "harmonics": {},
+        "summary": "It stands out <here> & there.",
+    }
+
+
+def candidate(effect, form, parameters, closed, **options):
+    told = {name: {"value": value, "unit": unit, "stderr": e} for name, (value, unit, e) in parameters.items()}
+    ci = None if closed is None or options.get("screened") else (closed - 0.02, closed + 0.01)
+    return Ranked(effect, "family", form, told, 1.0, 1.5, closed, ci, options.get("screened", False))
+
+
+def explained(actuator):
+    """An `explained` diagnosis by an electrode's lag, in mm."""
+    known = actuator.provenance.with_(displacement_unit="mm")
+    model = replace(actuator, provenance=known, effects=(drive.ElectrodeRC(jnp.asarray(0.012345)),))
+    return Diagnosis(
+        verdict="explained", effects=("electrode_rc",), equivalent=(), added=(),
+        gap=Gap(8.0, 0.41, 8.0, 0.4, "a <band>", 0.995, (0.98, 1.0)),
+        ranking=(
+            candidate("electrode_rc", "one lag", {"tau": (0.012345, "s", 2.1e-4)}, 0.995),
+            candidate("delay", "pure", {"time": (0.011, "s", 1e-3)}, 0.62),
+            candidate("voltage_clip", "hard", {"inverse": (2e-4, "1/V", None)}, 0.3, screened=True),
+            candidate("drag", "quadratic", {"c": (4.2e7, "V^2 s^2/m^2", None)}, -0.4, screened=True),
+        ),
+        where=where(), next_experiment=None, fitted=NAMES[:1], heldout=NAMES[1:], shift=np.ones(3), traces=traces(),
+        model=model,
+    )  # fmt: skip
+
+
+def tied(found):
+    """The same, not told from a delay, with an experiment that would."""
+    experiment = Experiment(("electrode_rc", "delay"), "sine of 5 Hz", T, 900 * np.sin(10 * np.pi * T), 12.3)
+    return replace(found, equivalent=("delay",), next_experiment=experiment)
+
+
+def no_gap(found):
+    """The model's error is noise."""
+    gap = Gap(0.41, 0.41, 0.41, 0.4, "a band", None, None)
+    ranking = tuple(replace(r, closed_fraction=None, ci95=None) for r in found.ranking)
+    model = replace(found.model, effects=())
+    return replace(found, verdict="no_gap", effects=(), gap=gap, ranking=ranking, model=model)
+
+
+def unknown(found):
+    """Nothing helps."""
+    gap, model = Gap(8.0, 7.9, 8.0, 0.4, "a band", 0.01, (0.0, 0.02)), replace(found.model, effects=())
+    ranking = tuple(replace(r, closed_fraction=0.01) for r in found.ranking)
+    return replace(found, verdict="unknown", effects=(), gap=gap, ranking=ranking, model=model)

@@ -1,0 +1,105 @@
+"""CSV as people and programs write it; a bad line is named."""
+
+import io
+import time
+
+import numpy as np
+import pytest
+from record_files import (
+    OUTPUT,
+    VOLTAGE,
+    columns,
+    refused_csv,
+    save_csv,
+    text,
+)
+
+from pitp_jax._record.reading import read
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda s: "\ufeff" + s,
+        lambda s: s.replace("\n", "\r\n"),
+        lambda s: s.replace("\n", "\r\r\n"),
+        lambda s: s.replace("time_s,voltage_V,", ' time_s ,"voltage_V" , '),
+        lambda s: s + "\n\n  \n",
+        lambda s: s.replace("\n", ",\n"),
+        lambda s: s.rstrip("\n"),
+        lambda s: s.replace(",", ", "),
+        lambda s: s.replace("1003.0", '"1003.0"'),
+        lambda s: "\n" + s,
+    ],
+    ids=["bom", "crlf", "crcrlf", "header", "blank", "trailing comma", "no end", "spaces", "quotes", "top"],
+)
+def test_csv_dialects(tmp_path, damage):
+    (tmp_path / "a.csv").write_bytes(damage(text(columns())).encode())
+    (record,) = read(tmp_path / "a.csv")
+    np.testing.assert_array_equal(record.voltage, VOLTAGE)
+    np.testing.assert_allclose(record.displacement, OUTPUT * 1e-3, rtol=1e-14)
+
+
+@pytest.mark.parametrize("empty", ["", " ", "nan", "NaN"])
+@pytest.mark.parametrize(
+    "order", [("time_s", "voltage_V", "displacement_mm"), ("displacement_mm", "voltage_V", "time_s")]
+)
+def test_gap_of_200_samples_in_csv(tmp_path, empty, order):
+    count = 500
+    table = {
+        "time_s": [f"{i / 1000:.3f}" for i in range(count)],
+        "voltage_V": ["5"] * count,
+        "displacement_mm": [empty if 100 <= i < 300 or i in (0, count - 1) else "1.5" for i in range(count)],
+    }
+    save_csv(tmp_path / "a.csv", {name: table[name] for name in order})
+    (record,) = read(tmp_path / "a.csv")
+    assert record.missing == 202
+    assert not record.observed[[0, 100, 299, 499]].any()
+    assert record.observed[[1, 99, 300, 498]].all()
+
+
+def with_line(number, line):
+    lines = text(columns()).split("\n")
+    lines[number - 1] = line
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("0.048,oops,0.1", ("voltage_V", "line 50", "sample 48", "'oops'", "text")),
+        ("0.048,1_000,0.1", ("voltage_V", "line 50", "text")),
+        ("0.048,1048.0", ("line 50", "sample 48", "displacement_mm", "2 cells", "3")),
+        ("0.048,1048.0,0.1,7", ("line 50", "sample 48", "4 cells")),
+        ("0.048,,0.1", ("voltage_V", "line 50", "sample 48", "input is missing", "split")),
+        ("0.048,nan,0.1", ("voltage_V", "line 50", "sample 48", "input is missing", "split")),
+        ("0.048,inf,0.1", ("voltage_V", "line 50", "infinite")),
+        ("0.048,1048.0,-inf", ("displacement_mm", "line 50", "infinite")),
+        ("0.048,1048.0,1e400", ("displacement_mm", "line 50", "infinite")),
+        (",1048.0,0.1", ("time_s", "line 50", "time is missing")),
+        ("0.0483,1048.0,0.1", ("time_s", "line 50", "not uniform")),
+        ("0.047,1048.0,0.1", ("time_s", "line 50", "repeats")),
+        ("0.040,1048.0,0.1", ("time_s", "line 50", "decreases")),
+    ],
+)
+def test_bad_line_is_named(tmp_path, line, words):
+    message = refused_csv(tmp_path, with_line(50, line))
+    for word in words:
+        assert word in message, message
+
+
+def test_line_numbers_skip_blank_lines(tmp_path):
+    message = refused_csv(tmp_path, with_line(50, "\n\n0.048,inf,0.1"))
+    assert "sample 48 (line 52)" in message
+
+
+def test_a_long_csv_is_read_quickly(tmp_path):
+    count = 200_000
+    buffer = io.StringIO("time_s,voltage_V,displacement_mm\n")
+    buffer.seek(0, 2)
+    buffer.write("\n".join(f"{i / 1000:.3f},{i % 700},{i % 13}.5" for i in range(count)))
+    (tmp_path / "a.csv").write_text(buffer.getvalue())
+    begun = time.perf_counter()
+    (record,) = read(tmp_path / "a.csv")
+    assert record.samples == count
+    assert time.perf_counter() - begun < 4.0  # about 0.2 s; row by row about 0.6 s

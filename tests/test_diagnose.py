@@ -1,0 +1,156 @@
+"""A diagnosis names what was planted, with its numbers; says no gap where there is none, and unknown where it must."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import pitp_jax as pitp
+from pitp_jax._decode import rest_state, rollout
+from pitp_jax._diagnose.attribute import sides
+from pitp_jax._diagnose.case import build_case, kind, split
+from pitp_jax._diagnose.noise import estimate
+from pitp_jax._diagnose.screen import nominal_filter, responses
+from pitp_jax._effects import stiffness
+
+HZ, DT, SAMPLES = 5.0, 4e-3, 1500
+TIME = np.arange(SAMPLES) * DT
+NOISE = 2e-6  # of a range near 2e-3
+
+
+def drives():
+    """A sweep, four sines, a multisine and steps, from rest."""
+    rng = np.random.default_rng(3)
+    sweep = np.sin(2 * np.pi * (0.3 + 0.9 * TIME) * TIME)
+    many = sum(np.sin(2 * np.pi * f * TIME + rng.uniform(0, 6)) for f in (0.7, 1.3, 2.9, 4.3, 6.1)) / 2.5
+    found = {"sweep": sweep, "multisine": many}
+    found |= {f"sine{k}": np.sin(2 * np.pi * f * TIME) for k, f in enumerate((0.5, 1.1, 2.2, 3.6))}
+    steps = np.repeat([0.2, 0.9, -0.5, 0.6, -0.9], SAMPLES // 5)
+    return {k: 600 + 350 * v for k, v in (found | {"steps": steps}).items()}
+
+
+def play(model, noise=NOISE, extra=0.0, seed=0):
+    """Records of a model, one after the other on the session's clock."""
+    rng, found = np.random.default_rng(seed), []
+    for k, (name, u) in enumerate(drives().items()):
+        states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))
+        x = np.asarray(states[:, 0], float) * model.scales.state[0] + noise * rng.standard_normal(SAMPLES)
+        found.append(pitp.Record(name, TIME + 10 * k, u, x + extra * np.sin(2 * np.pi * 17.3 * TIME + k)))
+    return found
+
+
+@pytest.fixture(scope="module")
+def nominal(linear):
+    model = linear(hz=HZ, dt=DT)
+    return replace(model, provenance=model.provenance.with_(voltage_range=(0.0, 1e3), slew=1e6))
+
+
+def test_kinds_and_the_split(nominal):
+    records = play(nominal)
+    assert [kind(r) for r in records] == ["sweep", "broadband", "sine", "sine", "sine", "sine", "steps"]
+    assert split(records) == {"sweep", "sine0", "sine2", "steps"}
+    fitted, held = sides(build_case(nominal, records))
+    assert not set(fitted) & set(held) and len(fitted) + len(held) == 7
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_the_noise_floor_is_that_of_the_noise(nominal, colour):
+    """Beside a gap of lines: white within 10 %; AR(0.9), steep within a band of these short records, within 20 %."""
+    case = build_case(nominal, play(nominal, noise=0.0))
+    rng, errors = np.random.default_rng(1), []
+    for k, s in enumerate(case.series):
+        e = lfilter([1.0], [1.0, -colour], rng.standard_normal(SAMPLES)) * np.sqrt(1 - colour**2) * 1e-3
+        gap = 0.05 * np.sin(2 * np.pi * (0.5 + k) * TIME) if k > 1 else 0.0
+        errors.append(e + gap + 0.0 * s.run)
+    assert estimate(case, errors).sigma == pytest.approx(1e-3, rel=0.2 if colour else 0.1)
+
+
+def test_the_screening_filter_is_the_nominal(nominal):
+    """Its response to a force linear between samples is the rollout's, and the transfer function the same recursion."""
+    case = build_case(nominal, play(nominal, noise=0.0))
+    s = case.series[0]
+    f, x = nominal_filter(nominal, DT), np.zeros(2)
+    found = [0.0]
+    for before, after in zip(s.force[:-1], s.force[1:], strict=True):
+        x = f.a @ x + f.b * before + f.c * after
+        found.append(x[0])
+    np.testing.assert_allclose(found, s.run, atol=2e-3 * s.span)  # the square of a linear voltage is not linear
+    step = np.where(np.arange(SAMPLES) > 5, s.force, 0.0)
+    slow, x = [0.0], np.zeros(2)
+    for before, after in zip(step[:-1], step[1:], strict=True):
+        x = f.a @ x + f.b * before + f.c * after
+        slow.append(x[0])
+    np.testing.assert_allclose(responses(nominal, DT, step[:, None])[:, 0], slow, atol=1e-9 * s.span)
+
+
+@pytest.fixture(scope="module")
+def hardened(nominal):
+    """The nominal with a Gent-like spring of 1 / L = 0.25 per scaled unit, and its diagnosis."""
+    planted = replace(nominal, effects=(stiffness.GentStiffening(jnp.asarray(0.25)),))
+    return pitp.diagnose(nominal, play(planted))
+
+
+def test_a_planted_spring_is_named_with_its_number(nominal, hardened):
+    assert hardened.verdict == "explained" and hardened.effects == ("stiffening",)
+    (added,) = hardened.added
+    assert added.form == "limited chain"
+    told = added.parameters["curvature"]
+    assert told["unit"] == "1/m"
+    assert abs(told["value"] - 0.25 / nominal.scales.state[0]) < 3 * told["stderr"] + 0.002 * told["value"]
+    assert hardened.gap.closed_fraction > 0.97
+    low, high = hardened.gap.ci95
+    assert low <= hardened.gap.closed_fraction <= high
+    assert hardened.gap.noise_floor == pytest.approx(hardened.gap.after, rel=0.1)
+
+
+def test_the_augmented_model_predicts_what_was_not_fitted(nominal, hardened):
+    planted = replace(nominal, effects=(stiffness.GentStiffening(jnp.asarray(0.25)),))
+    records = play(planted, noise=0.0, seed=4)
+    for old, new, r in zip(pitp.predict(nominal, records), pitp.predict(hardened.model, records), records, strict=True):
+        before, after = (pitp.e_rms_percent(p.displacement, r.displacement) for p in (old, new))
+        assert after < 0.1 * before
+
+
+def test_shares_sum_to_one_and_the_loud_cells_are_the_large_motions(hardened):
+    where = hardened.where
+    for axis in ("frequency", "displacement", "velocity", "voltage", "time", "cells"):
+        assert sum(row["share"] for row in where[axis]) == pytest.approx(1.0)
+    assert sum(where["records"].values()) == pytest.approx(1.0)
+    assert sum(where["harmonics"].values()) == pytest.approx(1.0)
+    middle = np.mean([c["amplitude"][1] for c in where["cells"]])
+    loudest = max(where["cells"], key=lambda c: c["share"])
+    assert loudest["flagged"] and loudest["amplitude"][1] > middle
+
+
+def test_no_gap_where_there_is_none(nominal):
+    found = pitp.diagnose(nominal, play(nominal, seed=7))
+    assert found.verdict == "no_gap" and found.effects == () and found.equivalent == ()
+    assert found.gap.closed_fraction is None and found.model.effects == ()
+
+
+def test_hum_is_unknown(nominal):
+    found = pitp.diagnose(nominal, play(nominal, extra=4e-5))
+    assert found.verdict == "unknown" and found.effects == ()
+
+
+@pytest.mark.slow
+def test_a_moved_coefficient_is_a_parameter_change_and_a_heavier_load_added_mass(nominal):
+    a = np.asarray(nominal.coefficients)
+    changed = replace(nominal, coefficients=jnp.asarray(a * [0.9, 1.3, 1.1], jnp.float32))
+    found = pitp.diagnose(nominal, play(changed))
+    assert found.effects == ("parameter_change",)
+    np.testing.assert_allclose(found.shift, [0.9, 1.3, 1.1], rtol=0.01)
+    heavier = replace(nominal, coefficients=jnp.asarray(a * [1.0, 1.0, 1.2], jnp.float32))
+    found = pitp.diagnose(nominal, play(heavier))
+    assert found.effects == ("added_mass",)
+    assert found.added[0].parameters["d"]["value"] == pytest.approx(0.2, rel=0.02)
+    refitted = pitp.diagnose(nominal, play(heavier), refit_nominal=True)
+    assert refitted.verdict == "no_gap"
+    np.testing.assert_allclose(refitted.shift, [1.0, 1.0, 1.2], rtol=0.02)
+
+
+def test_no_records_is_bad_input(nominal):
+    with pytest.raises(pitp.BadInput, match="at least one record"):
+        pitp.diagnose(nominal, [])

@@ -1,0 +1,149 @@
+"""Ensembles: members as `train` makes them, the band by its formula, and coverage where the spread is known."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from pitp_jax._decode import predict, rest_state, rollout, rollout_batch
+from pitp_jax._ensemble import Ensemble, predict_band, train_ensemble
+from pitp_jax._record.record import Record
+from pitp_jax._train import Settings, train
+
+DT, SAMPLES = 2e-3, 500
+TIME = np.arange(SAMPLES) * DT
+TINY = Settings(width=4, memories=1, epochs=4, stages=1, batch=256, rate=1e-2, refine_steps=0)
+KEY = jax.random.key(3)
+run = eqx.filter_jit(rollout)
+
+
+def sine(hz):
+    return 900 * (1 - np.cos(2 * np.pi * hz * TIME))
+
+
+def record(model, hz, start=0):
+    """What the model itself does, from rest or cut while it moves."""
+    x = np.asarray(run(model, jnp.asarray(sine(hz), jnp.float32), DT, rest_state(model)), np.float64)[:, 0]
+    x = model.output.to_rig(x * model.scales.state[0])
+    return Record(f"{hz} Hz", TIME[start:], sine(hz)[start:], x[start:])
+
+
+@pytest.fixture(scope="module")
+def plant(linear, nonlinear):
+    """The linear nominal, two training records of a nonlinear model, and a held-out one."""
+    truth = nonlinear(2, size=0.3, tau=(0.05,), dt=DT)
+    return linear(2, dt=DT), [record(truth, 1.5), record(truth, 3.0)], [record(truth, 2.2)]
+
+
+@pytest.fixture(scope="module")
+def ensemble(plant):
+    """Three members, trained in a moment."""
+    return train_ensemble(plant[0], plant[1], members=3, settings=TINY, key=KEY)
+
+
+def arrays(model):
+    return jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array))
+
+
+def runs(ensemble, records):
+    """Displacements of every member for every record, each predicted alone; shape (members, T) a record."""
+    found = [predict(m, records) for m in ensemble.models]
+    return [np.stack([f[k].displacement for f in found]) for k in range(len(records))]
+
+
+def test_members_are_what_train_makes_of_their_keys(plant, ensemble):
+    keys = jax.random.split(KEY, 3)
+    alone = train(plant[0], plant[1], settings=TINY, key=keys[1]).model
+    for a, b in zip(arrays(alone), arrays(ensemble.models[1]), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert len(ensemble.models) == 3
+
+
+def test_members_differ_in_trained_numbers_only(ensemble):
+    one, two, three = ensemble.models
+    for other in (two, three):
+        assert not bool(jnp.array_equal(one.encoder.spring.hidden.weight, other.encoder.spring.hidden.weight))
+        np.testing.assert_array_equal(one.coefficients, other.coefficients)
+        assert jax.tree.structure(one.encoder) == jax.tree.structure(other.encoder)
+        assert (one.scales, one.output, one.hold) == (other.scales, other.output, other.hold)
+
+
+def test_the_band_is_the_formula_of_the_members_own_predictions(plant, ensemble):
+    for level in (0.5, 0.95):
+        bands = predict_band(ensemble, plant[2], level=level)
+        for band, x, r in zip(bands, runs(ensemble, plant[2]), plant[2], strict=True):
+            floor = ensemble.error * np.ptp(r.displacement)
+            width = student.ppf(0.5 + level / 2, 2) * np.sqrt(4 / 3 * x.var(0, ddof=1) + floor**2)
+            span = np.ptp(r.displacement)
+            np.testing.assert_allclose(band.displacement, x.mean(0), rtol=0, atol=1e-5 * span)
+            np.testing.assert_allclose(band.half_width, width, rtol=0, atol=1e-4 * span)
+            assert band.name == r.name and band.scored.all()
+            assert x.std(0, ddof=1).max() > 1e-4 * span  # there is a spread to speak of
+
+
+def test_the_error_is_the_means_on_the_training_records(plant, ensemble):
+    left = [
+        np.mean((x.mean(0) - r.displacement) ** 2) / np.ptp(r.displacement) ** 2
+        for x, r in zip(runs(ensemble, plant[1]), plant[1], strict=True)
+    ]
+    assert ensemble.error == pytest.approx(np.sqrt(np.mean(left)), rel=1e-3)
+
+
+def test_identical_members_have_no_width(plant, ensemble):
+    """But for the error they share."""
+    model, (r,) = ensemble.models[0], plant[2]
+    (band,) = predict_band(Ensemble((model,) * 4, 0.0), [r])
+    np.testing.assert_allclose(band.half_width, 0, atol=1e-12)
+    np.testing.assert_allclose(band.displacement, runs(ensemble, [r])[0][0], atol=1e-5 * np.ptp(r.displacement))
+    (band,) = predict_band(Ensemble((model,) * 4, 0.01), [r])
+    np.testing.assert_allclose(band.half_width, student.ppf(0.975, 3) * 0.01 * np.ptp(r.displacement), rtol=1e-6)
+
+
+def test_a_record_that_starts_moving_is_scored_later(linear):
+    model = linear(2, dt=DT, offset=3e-3, polarity=-1.0)
+    moving = record(model, 2.0, start=120)
+    (band,) = predict_band(Ensemble((model, model), 0.0), [moving])
+    assert not band.scored[:50].any() and band.scored[50:].all()
+    np.testing.assert_allclose(band.displacement, moving.displacement, atol=2e-2 * np.ptp(moving.displacement))
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_a_known_spread_is_covered(linear, level):
+    """Members and plants drawn alike, springs of 1 +- 0.5 %: the level's share of plants lies in the band.
+
+    40 ensembles of 4 with 10 plants each; Student's quantile makes up for a spread known from four members.
+    """
+    nominal, rng = linear(2, dt=DT), np.random.default_rng(7)
+    voltage = jnp.tile(jnp.asarray(sine(2.0), jnp.float32), (10, 1))
+    start = jnp.tile(rest_state(nominal), (10, 1))
+
+    def drawn(count):
+        springs = nominal.coefficients[0] * (1 + 0.005 * rng.standard_normal(count))
+        return [eqx.tree_at(lambda m: m.coefficients, nominal, nominal.coefficients.at[0].set(s)) for s in springs]
+
+    inside = []
+    for _ in range(40):
+        ensemble = Ensemble(tuple(drawn(4)), 0.0)
+        stack = jax.tree.map(lambda *leaves: jnp.stack(leaves), *drawn(10))
+        x = eqx.filter_vmap(rollout_batch, in_axes=(0, None, None, None))(stack, voltage[:1], DT, start[:1])
+        x = np.asarray(x, np.float64)[:, 0, :, 0] * nominal.scales.state[0]
+        (band,) = predict_band(ensemble, [Record("first", TIME, sine(2.0), x[0])], level=level)
+        settled = slice(SAMPLES // 4, None)
+        inside.append(np.abs(x - band.displacement)[:, settled] <= band.half_width[settled])
+    assert np.mean(inside) == pytest.approx(level, abs=0.04)
+
+
+@pytest.mark.parametrize("members", [0, 1])
+def test_fewer_than_two_members_are_refused(plant, ensemble, members):
+    with pytest.raises(ValueError, match=f"at least 2 members, got {members}"):
+        train_ensemble(plant[0], plant[1], members=members, settings=TINY, key=KEY)
+    with pytest.raises(ValueError, match=f"at least 2 members, got {members}"):
+        Ensemble(ensemble.models[:members], 0.0)
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 95.0])
+def test_a_level_that_is_no_share_is_refused(plant, ensemble, level):
+    with pytest.raises(ValueError, match="no share between 0 and 1"):
+        predict_band(ensemble, plant[2], level=level)

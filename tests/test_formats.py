@@ -1,0 +1,151 @@
+"""Every format gives the same record; a file that is not what it says is refused."""
+
+import gzip
+import os
+
+import h5py
+import numpy as np
+import pytest
+from record_files import (
+    OUTPUT,
+    SAVERS,
+    TIME,
+    VOLTAGE,
+    T,
+    columns,
+    refused,
+    save_h5,
+    save_mat73,
+    save_npz,
+    text,
+)
+
+from pitp_jax._errors import BadInput
+from pitp_jax._record.reading import read
+
+
+@pytest.mark.parametrize("name", SAVERS)
+def test_every_format_gives_the_same_record(tmp_path, name):
+    SAVERS[name](tmp_path / name, columns(note=np.zeros(T)))
+    (record,) = read(tmp_path / name)
+    assert record.name == name.split(".")[0]
+    assert record.time.shape == record.voltage.shape == record.displacement.shape == (T,)
+    np.testing.assert_allclose(record.time, TIME, atol=1e-15)
+    np.testing.assert_array_equal(record.voltage, VOLTAGE)
+    np.testing.assert_allclose(record.displacement, OUTPUT * 1e-3, rtol=1e-14)
+    assert (record.voltage_unit, record.displacement_unit) == ("V", "mm")
+    assert record.dt == pytest.approx(1e-3, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", SAVERS)
+def test_missing_output_is_nan_and_counted_in_every_format(tmp_path, name):
+    gap = OUTPUT.copy()
+    gap[40:60] = np.nan
+    SAVERS[name](tmp_path / name, columns(displacement_mm=gap))
+    (record,) = read(tmp_path / name)
+    assert record.missing == 20
+    np.testing.assert_array_equal(record.observed, np.isfinite(gap))
+
+
+@pytest.mark.parametrize("name", SAVERS)
+def test_missing_columns_are_refused_in_every_format(tmp_path, name):
+    for gone in ("time_s", "voltage_V", "displacement_mm"):
+        SAVERS[name](tmp_path / name, columns(**{gone: None}))
+        message = refused(tmp_path / name)
+        assert name in message
+        assert gone.split("_")[0] in message
+
+
+@pytest.mark.parametrize("name", [n for n in SAVERS if "csv" not in n.lower()])
+def test_text_complex_and_matrices_are_refused_in_stored_formats(tmp_path, name):
+    if name == "e.mat":
+        save_mat73(tmp_path / name, columns(displacement_mm=np.full(T, 65, np.uint16)))
+        with h5py.File(tmp_path / name, "r+") as file:
+            file["displacement_mm"].attrs["MATLAB_class"] = np.bytes_("char")
+    else:
+        kind = "S1" if name in ("g.h5", "h.hdf5") else "U1"
+        SAVERS[name](tmp_path / name, columns(displacement_mm=np.full(T, "A", kind)))
+    message = refused(tmp_path / name)
+    assert "displacement_mm" in message
+    assert "text" in message
+    SAVERS[name](tmp_path / name, columns(voltage_V=VOLTAGE + 1j))
+    assert "complex" in refused(tmp_path / name)
+
+
+def test_matrix_and_unequal_lengths_are_refused(tmp_path):
+    save_h5(tmp_path / "a.h5", columns(voltage_V=np.ones((T, 2))))
+    assert "matrix" in refused(tmp_path / "a.h5")
+    save_npz(tmp_path / "a.npz", columns(displacement_mm=OUTPUT[:90]))
+    message = refused(tmp_path / "a.npz")
+    assert "sample 90" in message
+    assert "displacement_mm" in message
+
+
+def test_npz_with_objects_is_refused_and_not_unpickled(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (os.mkdir, (str(tmp_path / "ran"),))
+
+    np.savez(tmp_path / "a.npz", time_s=TIME, voltage_V=VOLTAGE, displacement_mm=np.array([Bomb()], dtype=object))
+    assert "displacement_mm" in refused(tmp_path / "a.npz")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_empty_matlab73_variable_is_refused(tmp_path):
+    save_mat73(tmp_path / "a.mat", columns(displacement_mm=np.array([0, 0], np.uint64)))
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        file["displacement_mm"].attrs["MATLAB_empty"] = 1
+    assert "displacement_mm" in refused(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "word"),
+    [
+        ("a.csv", b"", "empty"),
+        ("a.csv", bytes(range(256)) * 20, "not UTF-8"),
+        ("a.csv", text(columns()).encode("utf-16"), "not UTF-8"),
+        ("a.csv", gzip.compress(b"x", mtime=0), "gzip"),
+        ("a.csv", b"1,2,3\n" * 100, "missing"),
+        ("a.csv", b"time_s;voltage_V;displacement_mm\n0;1;2\n", "commas"),
+        ("a.csv.gz", text(columns()).encode(), "not gzip"),
+        ("a.csv.gz", gzip.compress(text(columns()).encode(), mtime=0)[:-300], "truncated"),
+        ("a.csv.gz", gzip.compress(b"\x00\x01" * 900, mtime=0), "not UTF-8"),
+        ("a.mat", text(columns()).encode(), "not a MATLAB"),
+        ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(range(256)), "not readable"),
+        ("a.npz", b"\x93NUMPY", "not a NumPy"),
+        ("a.npz", b"PK\x03\x04" + b"junk" * 50, "not readable"),
+        ("a.h5", b"not hdf5 at all", "not readable"),
+        ("a.h5", b"", "empty"),
+        ("a.txt", b"x", "suffix"),
+    ],
+)
+def test_files_that_are_not_what_they_say(tmp_path, name, data, word):
+    (tmp_path / name).write_bytes(data)
+    message = refused(tmp_path / name)
+    assert name in message
+    assert word in message
+
+
+def test_every_damaged_bit_of_gzip_is_refused_or_harmless(tmp_path):
+    whole = gzip.compress(text(columns()).encode(), mtime=0)
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(whole)
+    good = read(path)[0]
+    for at in range(0, len(whole), 37):
+        damaged = bytearray(whole)
+        damaged[at] ^= 0x10
+        path.write_bytes(damaged)
+        try:
+            same = np.array_equal(read(path)[0].displacement, good.displacement)
+        except BadInput:  # anything else fails the test
+            same = True
+        assert same
+
+
+@pytest.mark.parametrize("name", ["c.mat", "e.mat", "f.npz", "g.h5"])
+def test_truncated_binary_files_are_refused(tmp_path, name):
+    SAVERS[name](tmp_path / name, columns())
+    data = (tmp_path / name).read_bytes()
+    for share in (0.1, 0.5, 0.9):
+        (tmp_path / name).write_bytes(data[: int(share * len(data))])
+        assert name in refused(tmp_path / name)

@@ -1,0 +1,167 @@
+"""The report: everything is said, in the user's units, on one self-contained page."""
+
+import re
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import diagnosis_cases
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from diagnosis_cases import candidate
+from matplotlib import rcParams
+
+from pitp_jax._diagnose import figures, words
+from pitp_jax._diagnose.report import report
+from pitp_jax._effects import stiffness
+
+
+@pytest.fixture
+def explained(actuator):
+    return diagnosis_cases.explained(actuator)
+
+
+@pytest.fixture
+def tied(explained):
+    return diagnosis_cases.tied(explained)
+
+
+@pytest.fixture
+def no_gap(explained):
+    return diagnosis_cases.no_gap(explained)
+
+
+@pytest.fixture
+def unknown(explained):
+    return diagnosis_cases.unknown(explained)
+
+
+class Page(HTMLParser):
+    """Text and tags of a page; every tag closed, nothing loaded from elsewhere."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.text, self.tags, self.open, self.ids = "", [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        told = dict(attrs)
+        assert "src" not in told and tag not in ("link", "script", "iframe", "object", "img")
+        assert (told.get("href") or "#").startswith("#")
+        self.ids += [told["id"]] if "id" in told else []
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.text += data
+
+
+def read(diagnosis):
+    text = report(diagnosis)
+    assert "http" not in text and "@import" not in text and "url(h" not in text
+    page = Page(text)
+    assert len(set(page.ids)) == len(page.ids)
+    return page, re.sub(r"\s+", " ", page.text)
+
+
+def test_the_first_screen_answers_which_where_and_how_far(explained):
+    page, text = read(explained)
+    screen = text[: text.index("The gap at a glance")]
+    assert "explained by electrode_rc" in screen
+    assert words.plain("electrode_rc") in screen.lower()
+    assert "tau = 12.3 ± 0.2 ms" in screen
+    assert "8.0 % to 0.41 % of range" in screen
+    assert "99.5 % of the closable gap is closed (95 % interval 98 % to 100 %)" in screen
+    assert "Noise floor: 0.40 % of range (a <band>)" in screen
+    assert "It stands out <here> & there." in screen
+    assert "100 % of the missing force acts at displacements of 1.1 to 1.2 mm" in screen
+    assert "Next best: delay, which leaves 1.5 % (closes 62 %)" in screen
+    assert "Judged on sine2 and sine&4" in screen
+    assert page.tags.count("svg") == len(figures.figures(explained)) == 5
+
+
+def test_tables_hold_every_candidate_and_every_recording(tied):
+    page, text = read(tied)
+    for row in tied.ranking:
+        assert row.effect in text
+    assert "delay (tied)" in text
+    assert "limit = 5000 V" in text  # stored as its inverse
+    assert "4.20·10⁷ V² s²/m²" in text
+    for trace in tied.traces:
+        assert f"{trace.name}{'held out' if trace.heldout else 'fitted'}2000" in text
+    assert page.tags.count("table") == 2
+    assert text.count("screened") >= 2
+
+
+def test_ties_are_said_first_and_come_with_an_experiment(tied):
+    page, text = read(tied)
+    assert "explained by electrode_rc, or by delay" in text
+    assert "cannot tell electrode_rc from delay" in text
+    assert "To tell electrode_rc from delay, play this: sine of 5 Hz" in text
+    assert "differ by 12 times the noise" in text
+    assert page.tags.count("svg") == 6
+
+
+def test_two_effects_are_both_told_with_their_own_numbers(explained):
+    limited = stiffness.GentStiffening(jnp.asarray(0.25))
+    model = replace(explained.model, effects=(limited, *explained.model.effects))
+    both = replace(explained, effects=("electrode_rc", "stiffening"), model=model)
+    _, text = read(both)
+    assert "explained by electrode_rc and stiffening" in text
+    assert "Adding both takes" in text
+    assert "limit = 4.00 mm" in text  # 1 / 0.25 of a scale of 1 mm
+    assert "electrode_rc + stiffening" in text
+
+
+def test_no_gap_reads_as_good_news(no_gap):
+    page, text = read(no_gap)
+    assert "No gap: the error is sensor noise" in text
+    assert "Nowhere" in text and "stands out" not in text
+    assert "Which effect" not in text and page.tags.count("svg") == 1
+
+
+def test_no_gap_after_a_refit_tells_how_the_coefficients_moved(no_gap):
+    moved = replace(no_gap, gap=replace(no_gap.gap, unrefitted=5.0), shift=np.array([0.96, 1.28, 1.0]))
+    _, text = read(moved)
+    assert "No gap once the model's coefficients are refitted" in text
+    assert "a0 (stiffness): × 0.960" in text and "a1 (damping): × 1.28" in text
+    assert "5.0 % → 0.41 %" in text
+
+
+def test_a_changed_coefficient_is_an_explanation_of_its_own(explained):
+    row = candidate("parameter_change", "refitted coefficients", {"a_1 over given": (1.28, "1", 0.004)}, 0.99)
+    model = replace(explained.model, effects=())
+    change = replace(
+        explained, effects=("parameter_change",), ranking=(row,), shift=np.array([1.0, 1.28, 1.0]), model=model
+    )
+    _, text = read(change)
+    assert "own coefficients have changed" in text
+    assert "a1 (damping): × 1.280 ± 0.004" in text
+
+
+def test_unknown_names_nothing_but_says_what_was_near(unknown):
+    _, text = read(unknown)
+    assert "Unknown: there is a gap, and no effect in the catalogue explains it" in text
+    assert "None of the catalogue" in text and "electrode_rc: closes 1 %" in text
+    assert "explained by" not in text
+    crowd = replace(unknown, equivalent=("delay", "sensor_lag", "slew_limit", "drag"))
+    assert "Unknown: 5 effects explain the gap alike" in read(crowd)[1]
+
+
+def test_a_report_is_reproducible_and_leaves_no_trace(explained):
+    before, had = dict(rcParams), "matplotlib.pyplot" in sys.modules
+    assert report(explained) == report(explained)
+    assert dict(rcParams) == before
+    assert ("matplotlib.pyplot" in sys.modules) == had
