@@ -100,6 +100,6 @@ def first_order_lags(
 
 
 def lag_after(start: Array, before: Array, now: Array, tau: Array, dt: float) -> Array:
-    """Lags with time constants tau one sample of dt (s) on, x linear from `before` to `now`: `first_order_lags`'s step."""
+    """Lags one sample of dt (s) on, x linear from `before` to `now`: one step of `first_order_lags`."""
     settle = -jnp.expm1(-dt / tau)
     return start + settle * (before - start) + (1 - settle * tau / dt) * (now - before)

@@ -249,7 +249,7 @@ def equivalents(case: Case, best: Judged, rivals: Sequence[Judged], noise: Noise
 
 def _same_family_border(case: Case, best: Judged, other: Judged, low: float) -> bool:
     """Creep and relaxation within 30 % of the border between them."""
-    if len(best.names) > 1 or {best.names[0], other.names[0]} != {"creep", "relaxation"}:
+    if len(best.names) != 1 or {*best.names, *other.names} != {"creep", "relaxation"}:
         return False
     tau = list(best.candidate.values)[0][1] * case.surroundings.omega
     return abs(np.log(tau / BORDER)) < np.log(1.3) and other.heldout < 2 * max(best.heldout, low)

@@ -16,7 +16,7 @@ from .._effects.base import AbstractEffect, Parameter, Start
 from .lanes import Lane, Lanes
 
 _STEP = 3e-3
-_MOST, _ENOUGH = 12, 2e-3  # iterations, and the relative decrease below which two of them end the fit
+_MOST, _ENOUGH = 16, 2e-3  # iterations, and the relative decrease below which two of them end the fit
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def fit(
             s.judge(tried, _stacked(lanes, rows, series), mean_square(lanes, rows, series))
         best = min(s.cost for s in states)
         for s in active:  # far behind, and not catching up
-            s.done = s.done or (iteration >= 3 and s.cost > 6 * best and s.gain < 0.2)
+            s.done = s.done or (iteration >= 3 and s.cost > 30 * best and s.gain < 0.2)
         progress(iteration + 1, best)
     return [s.finished() for s in states]
 

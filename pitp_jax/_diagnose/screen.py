@@ -334,7 +334,7 @@ def _limits(form) -> tuple[float, float]:
     strength = form.PARAMETERS[0]
     if not strength.positive:
         return -5.0, 5.0
-    return (0.0, 30.0) if strength.linear else (0.2, 1.8)
+    return (0.0, 30.0) if strength.linear else (0.7, 1.4)
 
 
 def _projected(gram: np.ndarray, q: int) -> np.ndarray:
