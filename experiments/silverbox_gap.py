@@ -1,6 +1,6 @@
 """Diagnosis on a measured circuit: the Silverbox, an electronic Duffing oscillator (linear input).
 
-    nominal: order 2, identified on multisine_train;  gap: the three official tests beside it, effects fitted on the rest
+    nominal: order 2, identified on multisine_train;  diagnosed on its two halves;  scored on the three official tests
 
     python experiments/silverbox_gap.py [--data ../shared] [--smoke]
 

@@ -1,0 +1,99 @@
+"""Network and inverse (the paper's measure): film voltages of 120,000 instants of known derivatives and memories.
+
+    V = sqrt(max(sigma_off(S, m) + sum_i sigma_i(S, m) x^(i), 0))
+
+The floor counts the multiply-adds of the networks at this machine's matrix rate and the arrays read and written at its
+bandwidth, both measured in the same run.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from pitp_jax._inverse import equation_inverse
+from pitp_jax._invert_fast import scaled_equation
+from pitp_jax._model.model import Model
+from pitp_jax._model.rows import force_rows
+from pitp_jax._spline_filter import fast_derivatives
+
+from .clock import row, take_turns
+from .machine import rates
+from .subjects import DT, target
+
+FAST, PLAIN = "pitp_jax", "pitp_jax, vmapped"
+
+
+@eqx.filter_jit
+def fast(model: Model, equation, memory):
+    """Rows."""
+    rows = list(equation.T)
+    return model.input_map.voltage(force_rows(model, [*rows[:-1], *memory.T], rows) * model.scales.force)
+
+
+@eqx.filter_jit
+def plain(model: Model, equation, memory):
+    """One instant, vmapped."""
+    return model.input_map.voltage(equation_inverse(model, equation, memory) * model.scales.force)
+
+
+def inputs(model: Model):
+    """Scaled [x, ..., x^(n)] and memories along the target."""
+    equation = scaled_equation(model, fast_derivatives(target(), DT, model.order))
+    return equation, model.memory.trajectory(equation[:, 0], DT, model.memory.initial(jnp.zeros(())))
+
+
+def torch_ways(model: Model, equation, memory, truth) -> tuple[dict, str]:
+    """PyTorch eager, compiled, on one thread (on shared cores two wait), in blocks; or none, and why."""
+    try:
+        import torch
+
+        from .torch_model import Inverse, tensor
+    except ImportError as error:
+        return {}, f"{error.name} is not installed"
+    network = Inverse(model).eval()
+    features, rows = tensor(jnp.concatenate([equation[:, :-1], memory], 1)), tensor(equation)
+    compiled = torch.compile(network, dynamic=False)
+    with torch.inference_mode():
+        found = network(features, rows).numpy()
+    np.testing.assert_allclose(found, truth, rtol=0, atol=2e-3 * np.abs(truth).max())  # the same network
+
+    def with_threads(count, run):
+        def call():
+            torch.set_num_threads(count)
+            with torch.inference_mode():
+                return run().numpy()
+
+        return call
+
+    def in_blocks():
+        pairs = zip(features.split(4000), rows.split(4000), strict=True)
+        return torch.cat([compiled(f, r) for f, r in pairs])
+
+    all_of_them = torch.get_num_threads()
+    ways = {
+        "PyTorch eager": with_threads(all_of_them, lambda: network(features, rows)),
+        "PyTorch compiled": with_threads(all_of_them, lambda: compiled(features, rows)),
+        "PyTorch compiled, one thread": with_threads(1, lambda: compiled(features, rows)),
+        "PyTorch compiled, one thread, blocks": with_threads(1, in_blocks),
+    }
+    return ways, ""
+
+
+def best(found: dict, prefix: str) -> str | None:
+    """The fastest way whose name begins so."""
+    names = [name for name in found if name.startswith(prefix)]
+    return min(names, key=lambda name: found[name]["median_ms"]) if names else None
+
+
+def network_and_inverse(model: Model, multiply_adds: float, seconds: float) -> dict:
+    """One row for one model; `multiply_adds` of its networks per instant."""
+    equation, memory = inputs(model)
+    truth = np.asarray(plain(model, equation, memory))
+    ways = {FAST: lambda: fast(model, equation, memory), PLAIN: lambda: plain(model, equation, memory)}
+    others, why = torch_ways(model, equation, memory, truth)
+    found, rate = take_turns(ways | others, seconds), rates()
+    error = float(np.abs(np.asarray(ways[FAST]()) - truth).max() / truth.max())
+    read = equation.nbytes + memory.nbytes + truth.nbytes
+    floor = max(2e3 * multiply_adds * len(equation) / (rate["gflops"] * 1e9), 1e3 * read / (rate["gb_per_s"] * 1e9))
+    return row(found, FAST, best(found, "PyTorch compiled"), samples=len(equation), error_against_vmapped=error,
+               floor_ms=floor, rates=rate, peer_skipped=why)  # fmt: skip

@@ -1,0 +1,31 @@
+"""Rows: one operation each, beside a peer that does the same in the same run.
+
+    measure(seconds) -> dict of one row: median_ms, p10_ms, p90_ms, compile_s, peer, peer_median_ms, ratio, ...
+
+A row is one file here and one line below. `seconds`: about how long the turns may take in all.
+"""
+
+from importlib import import_module
+
+ROWS = {
+    "inverse_default": "inverse_default",
+    "inverse_end_to_end": "inverse_end_to_end",
+    "inverse_paper": "inverse_paper",
+    "rollout_batch": "rollout_batch",
+    "rollout_many": "rollout_many",
+    "rollout_long": "rollout_long",
+    "stream": "stream",
+    "realtime": "realtime",
+    "devices": "devices",
+    "growth": "growth",
+    "identify": "identify",
+    "fit_cone": "fit_cone",
+    "fit_roll": "fit_roll",
+    "diagnose": "diagnose",
+    "import": "import_time",
+}
+
+
+def measure(name: str, seconds: float) -> dict:
+    """The row of that name."""
+    return import_module(f"{__name__}.{ROWS[name]}").measure(seconds)

@@ -1,0 +1,44 @@
+"""How times grow: inversion over samples, order and width; rollout over records; identification is a row of its own.
+
+The row itself is the inversion of 10^6 samples beside ten times that of 10^5: linear where the ratio is one.
+"""
+
+from pitp_jax._decode import rest_state
+from pitp_jax._invert_fast import invert_along, scaled_equation
+from pitp_jax._rollout_fast import fast_rollout
+from pitp_jax._spline_filter import fast_derivatives
+
+from ..clock import row, take_turns
+from ..subjects import DT, default, target, voltages
+
+
+def inversion(samples: int, order: int = 2, width: int = 8):
+    """Fn() of eq. 13 with memories, along known derivatives."""
+    model = default(order, width)
+    equation = scaled_equation(model, fast_derivatives(target(samples), DT, order))
+    return lambda: invert_along(model, equation, DT)[1]
+
+
+def rollout(records: int):
+    """Fn() of 1,000 steps."""
+    import jax.numpy as jnp
+
+    model = default()
+    volts, start = jnp.asarray(voltages(records, 1000)), jnp.tile(rest_state(model), (records, 1))
+    return lambda: fast_rollout(model, volts, DT, start)
+
+
+def measure(seconds: float) -> dict:
+    """Every curve as {x: ms}."""
+    curves = {
+        "inversion over samples": {n: inversion(n) for n in (1000, 10_000, 100_000, 1_000_000)},
+        "inversion of 10^5 over order": {n: inversion(100_000, order=n) for n in (2, 3, 4)},
+        "inversion of 10^5 over width": {n: inversion(100_000, width=n) for n in (4, 8, 16, 32, 64)},
+        "rollout of 1,000 steps over records": {n: rollout(n) for n in (1, 8, 64, 512)},
+    }
+    ways = {f"{name}: {x}": run for name, points in curves.items() for x, run in points.items()}
+    found = take_turns(ways, seconds)
+    table = {name: {str(x): found[f"{name}: {x}"]["median_ms"] for x in points} for name, points in curves.items()}
+    big, small = "inversion over samples: 1000000", "inversion over samples: 100000"
+    made = row(found, big, small, {small: 10.0}, curves=table)
+    return made | {"peer": "ten times 10^5", "others": {}}

@@ -1,0 +1,39 @@
+"""One free run of 120,000 steps, default preset: as chosen by size, sequential, parallel in time, plain, diffrax.
+
+The choice must never be slower than the sequential way; the parallel way is there to show where it stands.
+"""
+
+from functools import partial
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pitp_jax._decode import rest_state, rollout_batch
+from pitp_jax._parallel import parallel_rollout, rollout_by_size, suits
+from pitp_jax._rollout_fast import fast_rollout
+
+from ..clock import row, take_turns
+from ..ode import films, solve
+from ..subjects import DT, SAMPLES, default, voltages
+
+
+def measure(seconds: float) -> dict:
+    """All ways, and how far the parallel one is from the sequential one."""
+    model, volts = default(), jnp.asarray(voltages(1, SAMPLES))
+    start = rest_state(model)[None]
+    constant = (diffrax.Tsit5(), diffrax.ConstantStepSize(), DT)
+    ways = {
+        "pitp_jax": lambda: rollout_by_size(model, volts, DT, start),
+        "sequential": lambda: fast_rollout(model, volts, DT, start),
+        "sequential, plain": lambda: rollout_batch(model, volts, DT, start),
+        "parallel in time": lambda: parallel_rollout(model, volts[0], DT, start[0]).states,
+        "diffrax Tsit5, a step a sample": partial(solve, model, films(model, volts, DT), start, DT, *constant),
+    }
+    found = take_turns(ways, seconds)
+    parallel, truth = parallel_rollout(model, volts[0], DT, start[0]), np.asarray(ways["sequential"]())[0]
+    apart = float(np.abs(np.asarray(parallel.states) - truth).max() / np.abs(truth).max())
+    chosen = "parallel in time" if suits(1, SAMPLES, jax.default_backend()) else "sequential"
+    return row(found, "pitp_jax", "diffrax Tsit5, a step a sample", chosen=chosen, steps=SAMPLES,
+               iterations=int(parallel.iterations), converged=bool(parallel.converged), apart=apart)  # fmt: skip

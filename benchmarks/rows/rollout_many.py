@@ -1,0 +1,20 @@
+"""Free runs of 1,024 records of 1,000 steps, default preset, beside the plain vmapped rollout."""
+
+import jax.numpy as jnp
+
+from pitp_jax._decode import rest_state, rollout_batch
+from pitp_jax._rollout_fast import fast_rollout
+
+from ..clock import row, take_turns
+from ..subjects import DT, default, voltages
+
+RECORDS, STEPS = 1024, 1000
+
+
+def measure(seconds: float) -> dict:
+    """Ours and plain."""
+    model, volts = default(), jnp.asarray(voltages(RECORDS, STEPS))
+    start = jnp.tile(rest_state(model), (RECORDS, 1))
+    ways = {"pitp_jax": lambda: fast_rollout(model, volts, DT, start)}
+    ways["pitp_jax, vmapped"] = lambda: rollout_batch(model, volts, DT, start)
+    return row(take_turns(ways, seconds), "pitp_jax", "pitp_jax, vmapped", records=RECORDS, steps=STEPS)

@@ -1,0 +1,52 @@
+"""Streaming inversion of 10^6, 10^7 and 10^8 samples made in blocks: time and peak memory per length; default preset.
+
+Linear time and flat memory show as equal nanoseconds per sample and equal peaks; on 10^6 samples the voltages are
+compared with those of the whole path at once.
+"""
+
+import resource
+import time
+
+import numpy as np
+
+from pitp_jax._invert_fast import invert_displacement
+from pitp_jax._stream import invert_stream
+
+from ..clock import summary
+from ..subjects import DT, default, target
+
+_BLOCK, _PERIOD = 100_000, 200_000  # the target repeats every 200 s
+
+
+def blocks(samples: int):
+    """The target again and again."""
+    whole = np.pad(target(_PERIOD), (0, 0))
+    for first in range(0, samples, _BLOCK):
+        at = first % _PERIOD
+        yield whole[at : at + _BLOCK]
+
+
+def run(model, samples: int) -> tuple[float, int]:
+    """Seconds, and how many voltages came."""
+    began = time.perf_counter()
+    count = sum(len(piece.voltage) for piece in invert_stream(model, blocks(samples), DT))
+    return time.perf_counter() - began, count
+
+
+def measure(seconds: float) -> dict:
+    """The median is of repeated streams of 10^6; the others run once."""
+    model = default()
+    first, _ = run(model, 10**6)
+    times = [run(model, 10**6)[0] for _ in range(5)]
+    curve = []
+    for samples in (10**6, 10**7, 10**8):
+        taken, count = run(model, samples)
+        assert count == samples
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        curve.append({"samples": samples, "seconds": taken, "ns_per_sample": 1e9 * taken / samples, "peak_mb": peak})
+    path = np.concatenate(list(blocks(10**6)))
+    whole = np.asarray(invert_displacement(model, path, DT))
+    streamed = np.concatenate([piece.voltage for piece in invert_stream(model, blocks(10**6), DT)])
+    apart = np.abs(whole - streamed) / np.abs(whole).max()
+    return {**summary(times, first), "peer": None, "peer_median_ms": None, "ratio": None, "samples": 10**6,
+            "curve": curve, "apart": float(apart.max()), "apart_p999": float(np.percentile(apart, 99.9))}  # fmt: skip

@@ -1,0 +1,127 @@
+"""Records over devices: every device runs its own records through the same code; only sums are communicated.
+
+    inversion, rollout      out_r = f(model, record_r)                       nothing crosses
+    normal equations        (C, g, H) = sum_devices (C, g, H)_d              1 + P + P^2 numbers, once per evaluation
+
+P: trained numbers (about 200). The model is copied to every device. One device is a mesh of one, several processes
+(`jax.distributed`) a mesh over all their devices, to which each brings its own records. Equal to rounding whatever the
+mesh. See benchmarks/CLUSTER.md.
+"""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float
+
+from ._errors import BadInput
+from ._invert_fast import invert_along
+from ._levenberg import Normal
+from ._model.model import Model
+from ._rollout_fast import fast_rollout
+from ._sensitivity import Runs, normal_sums, with_parameters
+from ._spline_filter import fast_derivatives
+
+_AXIS = "records"
+
+
+def records_mesh(devices: Sequence | None = None) -> Mesh:
+    """A line of devices, by default all of all processes."""
+    return Mesh(np.asarray(jax.devices() if devices is None else devices), (_AXIS,))
+
+
+def spread(batch, mesh: Mesh):
+    """This process's records (leading axis of every array) on its devices, padded with copies of the last one.
+
+    Every process brings equally many.
+    """
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(batch)]
+    count, lanes = len(leaves[0]), len(mesh.local_devices)
+    if count == 0 or any(len(leaf) != count for leaf in leaves):
+        raise BadInput(f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot go side by side")
+    placed = NamedSharding(mesh, PartitionSpec(_AXIS))
+
+    def place(leaf):
+        rows = np.concatenate([leaf, np.repeat(leaf[-1:], -count % lanes, axis=0)])
+        return jax.make_array_from_process_local_data(placed, rows)
+
+    return jax.tree.map(place, jax.tree.map(np.asarray, batch))
+
+
+def local_rows(array: Array, count: int) -> np.ndarray:
+    """The first `count` records of this process."""
+    shards = sorted(array.addressable_shards, key=lambda shard: shard.index[0].start or 0)
+    return np.concatenate([np.asarray(shard.data) for shard in shards])[:count]
+
+
+@eqx.filter_jit
+def over_records(function: Callable, mesh: Mesh, total: bool, model: Model, batch: tuple):
+    """function(model, *batch) of every device's own records; `total`: summed over devices, else side by side."""
+    arrays, static = eqx.partition(model, eqx.is_array)
+
+    def local(arrays, batch):
+        found = function(eqx.combine(arrays, static), *batch)
+        return jax.lax.psum(found, _AXIS) if total else found
+
+    mine, all_of_it = PartitionSpec(_AXIS), PartitionSpec()
+    run = jax.shard_map(
+        local, mesh=mesh, in_specs=(all_of_it, mine), out_specs=all_of_it if total else mine, check_vma=False
+    )
+    return run(arrays, batch)
+
+
+class _Rollout(eqx.Module):
+    dt: float = eqx.field(static=True)
+
+    def __call__(self, model, voltage, start):
+        return fast_rollout(model, voltage, self.dt, start)
+
+
+class _Inverse(eqx.Module):
+    dt: float = eqx.field(static=True)
+
+    def __call__(self, model, equation):
+        return jax.lax.map(lambda e: invert_along(model, e, self.dt)[1], equation)
+
+
+class _Sums(eqx.Module):
+    dt: float = eqx.field(static=True)
+    every: int = eqx.field(static=True)
+
+    def __call__(self, model, runs):
+        return normal_sums(model, runs, self.dt, self.every)
+
+
+def sharded_rollout(
+    model: Model,
+    voltage: Float[np.ndarray, "records time"],
+    dt: float,
+    start: Float[np.ndarray, "records state"],
+    mesh: Mesh,
+) -> Float[np.ndarray, "records time state"]:
+    """Scaled states of this process's records under their voltages (V), as `_decode.rollout_batch`."""
+    dtype = model.coefficients.dtype
+    batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
+    return local_rows(over_records(_Rollout(dt), mesh, False, model, batch), len(voltage))
+
+
+def sharded_inverse(
+    model: Model, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
+) -> Float[np.ndarray, "records time"]:
+    """Drive voltage before limits (V) for this process's displacements from rest (model coordinates, m): eq. 13."""
+    rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / np.asarray(model.scales.state)
+    batch = spread((rows.astype(model.coefficients.dtype),), mesh)
+    return local_rows(over_records(_Inverse(dt), mesh, False, model, batch), len(displacement))
+
+
+def sharded_normal_equations(model: Model, runs: Runs, dt: float, every: int, vector: np.ndarray, mesh: Mesh) -> Normal:
+    """C, J'We and J'WJ at `vector` over the runs of all processes, as `_sensitivity.normal_equations`."""
+    extra = -len(runs.start) % len(mesh.local_devices)  # runs that count for nothing fill the last device
+    runs = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[-1:], extra, axis=0)]), runs)
+    alive = np.arange(len(runs.start))[:, None] < len(runs.start) - extra
+    weighted = spread(eqx.tree_at(lambda r: r.weight, runs, runs.weight * alive), mesh)
+    here = with_parameters(model, vector)
+    cost, gradient, hessian = over_records(_Sums(dt, every), mesh, True, here, (weighted,))
+    return Normal(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))

@@ -1,0 +1,78 @@
+"""The benchmark's clock, its table and its torch copies; the figures themselves are no test."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from benchmarks.__main__ import duration, main, table
+from benchmarks.clock import row, take_turns
+from benchmarks.rows import ROWS
+
+WANTED = {"inverse_default", "inverse_end_to_end", "inverse_paper", "rollout_batch", "rollout_long", "fit_cone",
+          "fit_roll", "identify", "diagnose", "import"}  # fmt: skip
+KEYS = {"median_ms", "p10_ms", "p90_ms", "compile_s", "peer", "peer_median_ms", "ratio"}
+
+
+def slow_first(seconds, later):
+    calls = []
+
+    def run():
+        calls.append(None)
+        time.sleep(seconds if len(calls) == 1 else later)
+
+    return run
+
+
+def test_first_call_apart_medians_and_ratio():
+    found = take_turns({"ours": slow_first(0.06, 0.002), "theirs": lambda: time.sleep(0.006)}, 0.1)
+    line = row(found, "ours", "theirs", {"theirs": 10.0}, steps=3)
+    assert KEYS <= line.keys()
+    assert 0.03 < line["compile_s"] < 0.5
+    assert 2 <= line["median_ms"] < 30
+    assert line["p10_ms"] <= line["median_ms"] <= line["p90_ms"]
+    assert line["ratio"] == pytest.approx(10 * found["theirs"]["median_ms"] / line["median_ms"])
+    assert line["steps"] == 3
+
+
+@pytest.mark.parametrize(("ms", "text"), [(0.0216, "21.6 us"), (3.302, "3.3 ms"), (71234.0, "71.2 s"), (None, "-")])
+def test_durations(ms, text):
+    assert duration(ms) == text
+
+
+def test_rows_and_unknown_ones(tmp_path):
+    assert set(ROWS) >= WANTED
+    with pytest.raises(SystemExit, match="unknown row nothing"):
+        main(["--only", "nothing"])
+
+
+def test_table_and_file_keep_earlier_rows(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("benchmarks.__main__.run", lambda name, seconds: {"skipped": f"{name} {seconds:g}"})
+    file = tmp_path / "rows.json"
+    main(["--only", "identify", "--json", str(file), "--seconds", "3"])
+    main(["--only", "import,diagnose", "--json", str(file)])
+    assert json.loads(file.read_text()) == {"identify": {"skipped": "identify 3"}, "import": {"skipped": "import 10"},
+                                            "diagnose": {"skipped": "diagnose 10"}}  # fmt: skip
+    printed = capsys.readouterr().out
+    assert printed.count("skipped") == 4
+    line = {"median_ms": 2.0, "p10_ms": 1.0, "p90_ms": 3.0, "compile_s": 0.5, "peer": "it", "peer_median_ms": 9.0,
+            "ratio": 4.5, "peak_mb": 100}  # fmt: skip
+    assert "| 9 ms" in table({"a": line}) and "| 4.5" in table({"a": line})
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_torch_copies_are_the_same_model(preset):
+    torch = pytest.importorskip("torch")
+    from benchmarks import subjects
+    from benchmarks.torch_model import Inverse, tensor
+    from pitp_jax._inverse import equation_inverse
+
+    model = getattr(subjects, preset)()
+    rng = np.random.default_rng(0)
+    equation = rng.normal(0, 0.3, (20, 3)).astype(np.float32)
+    memory = rng.normal(0, 0.3, (20, model.memory.size)).astype(np.float32)
+    force = np.asarray(equation_inverse(model, equation, memory))
+    with torch.inference_mode():
+        film = Inverse(model)(tensor(np.concatenate([equation[:, :-1], memory], 1)), tensor(equation)).numpy()
+    np.testing.assert_allclose(film**2 / model.scales.force, np.maximum(force, 0), rtol=0, atol=1e-5)

@@ -1,0 +1,93 @@
+"""Sample by sample against whole records: the decoder exactly, the inverse up to how V' is taken."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pitp_jax._decode import rest_state, rollout
+from pitp_jax._errors import BadInput
+from pitp_jax._inverse import invert_path
+from pitp_jax._model.drive import ElectrodeLag
+from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._path import derivatives
+from pitp_jax._realtime import decoder_step, inverse_step, restore
+
+DT = 1e-3
+
+
+@pytest.fixture(scope="module")
+def lagging(nonlinear):
+    return eqx.tree_at(lambda m: m.drive, nonlinear(2), ElectrodeLag(jnp.asarray(np.log(4e-3), jnp.float32)))
+
+
+def play(compiled, inputs):
+    carry, out = compiled.carry, []
+    for row in np.asarray(inputs, np.float32).reshape(len(inputs), -1):
+        carry, value = compiled.run(carry, row)
+        out.append(float(value))
+    return np.array(out)
+
+
+def drive(count=300):
+    t = np.arange(count) * DT
+    return 500 * np.sin(9 * t) ** 2 * (1 + 0.2 * np.sin(70 * t))
+
+
+@pytest.mark.parametrize("options", [{}, {"hold": "zoh", "substeps": 2}])
+def test_decoder_steps_are_the_rollout(nonlinear, options):
+    model = nonlinear(2, offset=1e-3, polarity=-1.0, **options)
+    u = drive()
+    truth = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0] * model.scales.state[0]
+    found = play(decoder_step(model, DT), u[1:])
+    np.testing.assert_allclose(1e-3 - found, truth[1:], rtol=0, atol=2e-6 * np.abs(truth).max())
+
+
+def test_decoder_with_an_electrode(lagging):
+    u = drive()
+    truth = rollout(lagging, jnp.asarray(u, jnp.float32), DT, rest_state(lagging))[:, 0] * lagging.scales.state[0]
+    found = play(decoder_step(lagging, DT), u[1:])
+    np.testing.assert_allclose(found, truth[1:], rtol=0, atol=1e-5 * np.abs(truth).max())
+
+
+def wanted(dt, count):
+    t = np.arange(count) * dt
+    return derivatives(3e-4 * np.sin(2.5 * t) ** 4, dt, 2)
+
+
+@pytest.mark.parametrize("memory", [None, ElapsedTime(2.0)])
+def test_inverse_steps_are_the_path(nonlinear, memory):
+    model = nonlinear(2) if memory is None else eqx.tree_at(lambda m: m.memory, nonlinear(2, tau=(0.1,)), memory)
+    x = wanted(DT, 300)
+    truth = np.asarray(invert_path(model, jnp.asarray(x / np.asarray(model.scales.state), jnp.float32), DT)[1])
+    found = play(inverse_step(model, DT), x)
+    np.testing.assert_allclose(found**2, truth**2, rtol=0, atol=2e-5 * truth.max() ** 2)
+
+
+def test_inverse_through_an_electrode_is_of_second_order(lagging):
+    """Halving dt: at least 3 times nearer to the central difference of 4th order."""
+    errors = []
+    for dt, count in ((4e-3, 150), (2e-3, 300)):
+        x = wanted(dt, count)
+        truth = np.asarray(invert_path(lagging, jnp.asarray(x / np.asarray(lagging.scales.state), jnp.float32), dt)[1])
+        inside = slice(4 * count // 5, count - 3)  # F > 0 since long: the root has a corner at 0
+        errors.append(np.abs(play(inverse_step(lagging, dt), x) - truth)[inside].max() / truth.max())
+    assert errors[1] < errors[0] / 3
+    assert 1e-6 < errors[0] < 1e-3
+
+
+def test_bytes_run_without_the_model(lagging):
+    pytest.importorskip("flatbuffers")
+    made = decoder_step(lagging, DT)
+    u = drive(50)[1:]
+    again = replace(made, run=restore(bytes(made.exported.serialize())))
+    np.testing.assert_array_equal(play(again, u), play(made, u))
+
+
+def test_what_needs_the_future_is_refused(nonlinear):
+    with pytest.raises(BadInput, match="band-limited"):
+        decoder_step(nonlinear(2, hold="bandlimited"), DT)
+    with pytest.raises(BadInput, match="effects"):
+        inverse_step(eqx.tree_at(lambda m: m.effects, nonlinear(2), (1.0,)), DT)

@@ -1,0 +1,58 @@
+"""The row-wise rollout against the plain one."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pitp_jax._decode import rest_state, rollout_batch
+from pitp_jax._model.drive import ElectrodeLag
+from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._rollout_fast import fast_rollout
+
+DT, SAMPLES = 1e-3, 250
+
+
+def runs(model, records):
+    """Voltages, and starts of which the last moves."""
+    t = np.arange(SAMPLES) * DT
+    volts = np.stack([500 * np.sin((5 + r) * t) ** 2 + 30 * np.sin(90 * t) for r in range(records)])
+    start = np.tile(np.asarray(rest_state(model)), (records, 1))
+    start[-1, 0] = 0.2
+    return jnp.asarray(volts, jnp.float32), jnp.asarray(start)
+
+
+def lagging(model):
+    return eqx.tree_at(lambda m: m.drive, model, ElectrodeLag(jnp.asarray(-5.5, jnp.float32)))
+
+
+def with_elapsed(nonlinear):
+    return eqx.tree_at(lambda m: m.memory, nonlinear(2, tau=(0.1,)), ElapsedTime(2.0))
+
+
+CASES = {
+    "one record": (lambda nl, lin: lagging(nl(2)), 1),
+    "records": (lambda nl, lin: lagging(nl(2)), 5),
+    "order 1": (lambda nl, lin: nl(1, substeps=2), 3),
+    "order 3, zoh": (lambda nl, lin: nl(3, hold="zoh"), 2),
+    "linear, bandlimited": (lambda nl, lin: lin(2, hold="bandlimited"), 2),
+    "elapsed time": (lambda nl, lin: with_elapsed(nl), 2),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_equals_the_plain_rollout(nonlinear, linear, case):
+    make, records = CASES[case]
+    model = make(nonlinear, linear)
+    volts, start = runs(model, records)
+    found, truth = fast_rollout(model, volts, DT, start), rollout_batch(model, volts, DT, start)
+    assert found.shape == truth.shape
+    assert np.ptp(truth[..., 0]) > 0.1
+    np.testing.assert_allclose(found, truth, rtol=0, atol=5e-6 * np.abs(truth).max())
+
+
+@pytest.mark.parametrize("part", ["effects", "encoder"])
+def test_what_is_not_written_out_takes_the_plain_way(linear, monkeypatch, part):
+    model = eqx.tree_at(lambda m: getattr(m, part), linear(2), (jnp.ones(()),))
+    monkeypatch.setattr("pitp_jax._rollout_fast.rollout_batch", lambda *_: "plain")
+    assert fast_rollout.__wrapped__(model, *([None] * 3)) == "plain"

@@ -1,0 +1,122 @@
+"""Rows against one instant at a time: logits, tokens, forces and memory rates of every kind of part."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
+from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory
+from pitp_jax._model.piecewise import tables
+from pitp_jax._model.rows import encoder_rows, memory_rates, tokens_rows
+
+
+class Odd(AbstractEncoder):
+    """An encoder nobody wrote out."""
+
+    def __call__(self, features, *, key=None):
+        return jnp.stack([features.sum(), features[0] ** 2, jnp.cos(features[-1])])
+
+    def scaled(self, factor):
+        return self
+
+
+def compact(order, memories, width, offset, shake, seed):
+    low = -np.ones((1, order + memories))
+    fresh = CompactEncoder(
+        order, memories, width=width, offset=offset, bounds=np.concatenate([low, -1.5 * low]), key=jax.random.key(seed)
+    )
+    return shake(fresh, 0.3, seed)
+
+
+CASES = (  # order, memories, width, offset, matrix, shape
+    (1, 0, 3, True, False, (13,)),
+    (2, 5, 8, True, False, (13,)),
+    (2, 5, 8, True, True, (2, 3)),
+    (3, 1, 40, True, False, (13,)),
+    (4, 2, 2, False, False, ()),
+    (2, 2, 3, False, True, (1,)),
+)
+
+
+@pytest.mark.parametrize(("order", "memories", "width", "offset", "matrix", "shape"), CASES)
+def test_compact_logits(shake, order, memories, width, offset, matrix, shape):
+    encoder = compact(order, memories, width, offset, shake, order)
+    rows = np.random.default_rng(width).normal(0, 1, (order + memories, *shape)).astype(np.float32)
+    found = jax.jit(lambda r: jnp.stack(encoder_rows(encoder, matrix)(list(r))))(rows)
+    truth = jax.jit(jax.vmap(encoder))(rows.reshape(len(rows), -1).T).T.reshape(order + 2, *shape)
+    np.testing.assert_allclose(found, truth, rtol=0, atol=3e-6 * max(1, np.abs(truth).max()))
+
+
+@pytest.mark.parametrize("encoder", [ConstantEncoder(4), Odd()])
+def test_other_encoders(encoder):
+    rows = jnp.asarray(np.random.default_rng(0).normal(0, 1, (3, 7)), jnp.float32)
+    found, truth = jnp.stack(encoder_rows(encoder)(list(rows))), jax.vmap(encoder)(rows.T).T
+    np.testing.assert_allclose(found, truth, rtol=1e-6)
+
+
+def paper(features, tokens, width, seed):
+    """Random readouts: fresh ones are zero."""
+    make = eqx.filter_jit(lambda key: PaperEncoder(features, tokens, width=width, key=key))
+    fresh = make(jax.random.key(seed))
+    weight = fresh.networks.readout.weight
+    return eqx.tree_at(
+        lambda e: e.networks.readout.weight, fresh, jax.random.normal(jax.random.key(seed), weight.shape)
+    )
+
+
+def _jitted(encoder, rows):
+    return jax.jit(lambda r: jnp.stack(encoder_rows(encoder)(list(r))))(rows)
+
+
+@pytest.mark.parametrize("instants", [5, 2300])
+def test_paper_logits(instants):
+    """Few instants take the plain way, many the tables, the last block of them padded."""
+    encoder = paper(3, 2, 16, 1)
+    rows = jnp.asarray(np.random.default_rng(1).normal(0, 2, (3, instants)), jnp.float32)
+    found, truth = _jitted(encoder, rows), jax.jit(jax.vmap(encoder))(rows.T).T
+    assert np.ptp(truth[0]) > 0.1
+    np.testing.assert_allclose(found, truth, rtol=0, atol=1e-5 * np.abs(truth).max())
+
+
+def test_tables_are_exact_between_at_and_beyond_the_knots():
+    """In float64, with a branch that has no slope and two that share a knot."""
+    with jax.enable_x64(True):
+        made = jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, paper(1, 1, 6, 2))
+        branch = made.networks.branches
+        weight = branch.weight.at[0, 0, :3, 0].set(jnp.array([0.0, 1.0, -2.0]))
+        bias = branch.bias.at[0, 0, :3].set(jnp.array([0.7, 0.5, -1.0]))
+        encoder = eqx.tree_at(lambda e: (e.networks.branches.weight, e.networks.branches.bias), made, (weight, bias))
+        knots, slope, intercept = (np.asarray(a)[0, 0] for a in tables(encoder))
+        finite = knots[np.abs(knots) < 1e20]
+        x = np.concatenate([finite, np.linspace(-5, 5, 101), [-1e4, 1e4]])
+        at = np.searchsorted(knots, x)
+        found = slope[at] * x[:, None] + intercept[at]
+        fusion = np.asarray(encoder.networks.fusion.weight)[0]
+        truth = np.maximum(np.asarray(weight)[0, 0, :, 0] * x[:, None] + np.asarray(bias)[0, 0], 0) @ fusion.T
+    np.testing.assert_allclose(found, truth, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_tokens(linear, order):
+    model = linear(order)
+    logits = jnp.asarray(np.random.default_rng(order).normal(0, 1.0, (order + 2, 9)), jnp.float32)
+    tokens, offset = jax.jit(lambda rows: tokens_rows(model, list(rows)))(logits)
+    truth, truth_offset = jax.jit(jax.vmap(model.tokens_from))(logits.T)
+    np.testing.assert_allclose(jnp.stack(tokens), truth.T, rtol=2e-5)
+    np.testing.assert_array_equal(offset, truth_offset)
+
+
+@pytest.mark.parametrize("memory", [ElapsedTime(3.0), FadingMemory(jnp.array([-1.0, 0.5]))])
+@pytest.mark.parametrize("shape", [(), (4,)])
+def test_memory_rates(memory, shape):
+    rng = np.random.default_rng(0)
+    rows, x = jnp.asarray(rng.normal(0, 1, (memory.size, *shape))), jnp.asarray(rng.normal(0, 1, shape))
+    found = memory_rates(memory)(list(rows), x)
+    truth = jax.vmap(memory.rate, (1, 0), 1)(rows.reshape(memory.size, -1), x.reshape(-1))
+    assert len(found) == memory.size
+    assert memory_rates(NoMemory())([], x) == []
+    for k, row in enumerate(found):
+        assert row.shape == shape
+        np.testing.assert_allclose(row.reshape(-1), truth[k], rtol=1e-5)

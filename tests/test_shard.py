@@ -1,0 +1,80 @@
+"""Records over one device, eight devices and two processes: the answers of one plain call."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pitp_jax._decode import rest_state, rollout_batch
+from pitp_jax._errors import BadInput
+from pitp_jax._shard import local_rows, records_mesh, sharded_rollout, spread
+
+WORKER = Path(__file__).with_name("shard_worker.py")
+PARTS = {"rollout", "inverse", "cost", "gradient", "hessian"}
+
+
+def start(devices, *args):
+    flags = f"--xla_force_host_platform_device_count={devices} --xla_backend_optimization_level=0"  # compiles faster
+    env = dict(os.environ, XLA_FLAGS=flags, JAX_PLATFORMS="cpu")
+    return subprocess.Popen([sys.executable, str(WORKER), *args], env=env, stdout=subprocess.PIPE, text=True)
+
+
+def answer(process):
+    out, _ = process.communicate(timeout=240)
+    assert process.returncode == 0
+    return json.loads(out.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def running():
+    """Eight devices in one process, and two processes of two devices on loopback, side by side."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    return start(8), [start(2, address, "2", str(k)) for k in range(2)]
+
+
+def test_equal_on_one_device(running, nonlinear):
+    model, t = nonlinear(2), np.arange(100) * 1e-3
+    volts = np.stack([300 * np.sin((1 + r) * 4 * t) ** 2 for r in range(3)])
+    start = np.tile(np.asarray(rest_state(model)), (3, 1))
+    found = sharded_rollout(model, volts, 1e-3, start, records_mesh(jax.devices()[:1]))
+    truth = rollout_batch(model, jnp.asarray(volts, jnp.float32), 1e-3, jnp.asarray(start))
+    np.testing.assert_allclose(found, truth, rtol=0, atol=2e-5 * np.abs(truth).max())
+
+
+def test_equal_on_eight_devices(running):
+    """11 records on eight devices: some are padding."""
+    found = answer(running[0])
+    assert (found["devices"], found["local"]) == (8, 8)
+    assert found["errors"].keys() == PARTS
+    assert max(found["errors"].values()) < 2e-5
+
+
+def test_equal_on_two_processes(running):
+    """Every process checks its own records, and the sums over both."""
+    for found in map(answer, running[1]):
+        assert (found["devices"], found["local"]) == (4, 2)
+        assert found["errors"].keys() == PARTS
+        assert max(found["errors"].values()) < 2e-5
+
+
+def test_records_come_back_in_order_without_the_padding():
+    mesh = records_mesh()
+    rows = np.arange(15.0).reshape(5, 3).astype(np.float32)
+    placed = spread((rows,), mesh)[0]
+    assert placed.shape[0] % len(jax.devices()) == 0
+    np.testing.assert_array_equal(local_rows(placed, 5), rows)
+
+
+@pytest.mark.parametrize("batch", [(np.zeros((0, 3)),), (np.zeros((2, 3)), np.zeros((3, 3)))])
+def test_uneven_or_empty_batches_are_refused(batch):
+    with pytest.raises(BadInput, match="records"):
+        spread(batch, records_mesh())
