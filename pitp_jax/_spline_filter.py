@@ -50,7 +50,8 @@ def inner(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndar
     """[x, ..., x^(order)] at the samples R ... T - R - 1."""
     s = _spline(order)
     half, kept = s.slopes.shape[1] // 2, len(x) - 2 * s.reach
-    c = lfilter([s.gain], s.recursion, lfilter([1.0], s.recursion, x)[::-1])[::-1]
+    back = np.asarray(lfilter([1.0], s.recursion, x))[::-1]
+    c = np.asarray(lfilter([s.gain], s.recursion, back))[::-1]
     found = np.empty((kept, order + 1))
     found[:, 0] = x[s.reach : s.reach + kept]
     for i, weights in enumerate(s.slopes, start=1):

@@ -19,7 +19,8 @@ from .case import Case, build_case
 from .fit import Candidate, fit, mean_square, residuals
 from .lanes import Lanes
 from .noise import Noise, estimate
-from .screen import Screened, pairs, screen, singles
+from .regress import Screened, pairs, singles
+from .screen import screen
 
 _NAMES, _FORMS = 5, 12  # finalists
 _CLOSE = 1.03
