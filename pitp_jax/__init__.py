@@ -10,8 +10,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the public list, in pipeline order, as a type checker sees it
-    from ._decode import Prediction as Prediction
-    from ._decode import predict as predict
     from ._decode import rest_state as rest_state
     from ._decode import rollout as rollout
     from ._diagnose.diagnosis import Diagnosis as Diagnosis
@@ -23,12 +21,12 @@ if TYPE_CHECKING:  # the public list, in pipeline order, as a type checker sees 
     from ._ensemble import train_ensemble as train_ensemble
     from ._errors import BadInput as BadInput
     from ._errors import ComputationFailed as ComputationFailed
+    from ._feedforward import Feedforward as Feedforward
+    from ._feedforward import feedforward as feedforward
     from ._file import load as load
     from ._file import save as save
     from ._identify import Identification as Identification
     from ._identify import identify as identify
-    from ._inverse import Feedforward as Feedforward
-    from ._inverse import feedforward as feedforward
     from ._metrics import e_rms_percent as e_rms_percent
     from ._metrics import nrmse_percent as nrmse_percent
     from ._metrics import rmhe_percent as rmhe_percent
@@ -38,11 +36,21 @@ if TYPE_CHECKING:  # the public list, in pipeline order, as a type checker sees 
     from ._plant import record as record
     from ._plant import simulate as simulate
     from ._plant import stepper as stepper
+    from ._predict import Prediction as Prediction
+    from ._predict import predict as predict
+    from ._realtime import CompiledStep as CompiledStep
+    from ._realtime import decoder_step as decoder_step
+    from ._realtime import inverse_step as inverse_step
+    from ._realtime import restore_step as restore_step
     from ._record import excitation as excitation
     from ._record.reading import Target as Target
     from ._record.reading import read as read
     from ._record.reading import read_target as read_target
     from ._record.record import Record as Record
+    from ._shard import records_mesh as records_mesh
+    from ._shard import sharded_inverse as sharded_inverse
+    from ._shard import sharded_rollout as sharded_rollout
+    from ._stream import invert_stream as invert_stream
     from ._train import Settings as Settings
     from ._train import Training as Training
     from ._train import train as train
@@ -54,11 +62,14 @@ _HOME = {
     "identify": "._identify", "Identification": "._identify",
     "Model": "._model.model", "train": "._train", "Training": "._train", "Settings": "._train",
     "train_ensemble": "._ensemble", "Ensemble": "._ensemble", "predict_band": "._ensemble", "Band": "._ensemble",
-    "predict": "._decode", "Prediction": "._decode", "rollout": "._decode", "rest_state": "._decode",
-    "feedforward": "._inverse", "Feedforward": "._inverse", "discrete_inverse": "._discrete_inverse",
+    "predict": "._predict", "Prediction": "._predict", "rollout": "._decode", "rest_state": "._decode",
+    "feedforward": "._feedforward", "Feedforward": "._feedforward", "discrete_inverse": "._discrete_inverse",
     "pi_trim": "._trim", "e_rms_percent": "._metrics", "nrmse_percent": "._metrics", "rmse": "._metrics",
     "rmhe_percent": "._metrics", "save": "._file", "load": "._file",
     "diagnose": "._diagnose.diagnosis", "Diagnosis": "._diagnose.diagnosis",
+    "invert_stream": "._stream", "inverse_step": "._realtime", "decoder_step": "._realtime",
+    "restore_step": "._realtime", "CompiledStep": "._realtime",
+    "records_mesh": "._shard", "sharded_rollout": "._shard", "sharded_inverse": "._shard",
     "plant": "._plant", "simulate": "._plant", "record": "._plant", "stepper": "._plant",
     "BadInput": "._errors", "ComputationFailed": "._errors",
 }  # fmt: skip

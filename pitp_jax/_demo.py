@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from . import _decode, _inverse, _train
+from . import _feedforward, _predict, _train
 from ._identify import Identification, identify
 from ._metrics import e_rms_percent
 from ._plant import plant as virtual_actuator
@@ -102,8 +102,8 @@ class Demo:
     test: tuple[Record, ...]
     identified: Identification
     training: _train.Training
-    predicted: dict[str, _decode.Prediction]
-    linear: dict[str, _decode.Prediction]
+    predicted: dict[str, _predict.Prediction]
+    linear: dict[str, _predict.Prediction]
     tracks: tuple[Track, ...]
 
 
@@ -173,7 +173,7 @@ def measure(actuator: Plant, drives: Sequence[Excitation]) -> tuple[Record, ...]
 
 
 def _pairs(model, records):
-    return zip(records, _decode.predict(model, records), strict=True)
+    return zip(records, _predict.predict(model, records), strict=True)
 
 
 def nearest(records: Sequence[Record], name: str, frequency: float) -> Record:
@@ -198,7 +198,7 @@ def swing(training: Record) -> tuple[float, float]:
 
 def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> Track:
     """The feedforward for a target, played on the noise-free plant."""
-    found = _inverse.feedforward(model, target)
+    found = _feedforward.feedforward(model, target)
     clock = np.arange(len(found.time)) / actuator.rate_hz
     x = simulate(actuator, clock, found.voltage, hold="zoh" if model.hold == "zoh" else "foh")
     asked = np.asarray(found.target)

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import t as student
 
-from ._decode import at_rate, rollout, starts
+from ._decode import rollout
 from ._model.model import Model
+from ._predict import at_rate, starts
 from ._record.record import Record
 from ._train import train
 

@@ -68,6 +68,8 @@ def identify(
         raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
     if order != "auto" and order not in ORDERS:
         raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
+    if hold is not None and hold not in ("foh", *_HOLDS):
+        raise BadInput(f"unknown hold {hold!r}: use one of foh, {', '.join(_HOLDS)}, or None")
     problem = build_problem(records, input_map)
     fits = _fit_orders(records, problem, ORDERS if order == "auto" else range(1, int(order) + 1), progress)
     described = [describe(f, problem) for f in fits]

@@ -1,31 +1,20 @@
-"""Inverse: the voltage for a wanted motion (paper, eq. 13).
+"""Inverse: the drive voltage along a motion (paper, eq. 13).
 
     F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = V + tau V'   (a map over instants)
 
-Memories follow x alone, so they are known along a target. The closed form inverts the continuous equation; the decoder
-holds its tokens over a step, so a few shooting iterations on the rollout move the reference until the rollout meets the
-target. For consecutive states of the decoder itself see `discrete_inverse` (`_discrete_inverse`).
+Memories follow x alone, so they are known along a motion. The closed form inverts the continuous equation; for
+consecutive states of the decoder see `discrete_inverse`, for a voltage to play `feedforward`.
 """
-
-from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from ._decode import at_rate, outside_share, rest_state, rollout
-from ._errors import BadInput
-from ._metrics import e_rms_percent
 from ._model import augment
 from ._model.model import Model
-from ._path import Path, derivatives, extend, limit_slew, rough_share
-from ._record.reading import Target
 from ._residual import equation_force
 
-_SHOTS = 6
-_ROUNDING = 1e-6  # of the largest force
 _HUGE = 1e3  # of the training force: what stands for a force no field makes
 
 
@@ -50,174 +39,3 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float):
         force = equation_inverse(model, equation, memory)
     film = model.input_map.voltage(jnp.clip(force, -_HUGE, _HUGE) * model.scales.force)
     return force, augment.played(model, film, dt), features
-
-
-@eqx.filter_jit
-def _run(model: Model, voltage: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """Scaled output from rest."""
-    return augment.readings(model, rollout(model, voltage, dt, rest_state(model)))
-
-
-@dataclass(frozen=True)
-class Feedforward:
-    """A voltage to play, and how far it can be trusted.
-
-    Attributes:
-        time: s, shape (M,): the target's clock, with the ramps before and after it.
-        voltage: V, within the limits.
-        infeasible: True where the model asks for a force no voltage makes (F < 0).
-        saturated: True where a voltage or slew limit cut the voltage.
-        target: True on the target's own samples.
-        outside_training_share: share of target samples outside the trained region.
-        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
-            the inversion, not a prediction of tracking.
-        equation_e_rms_percent: the same for eq. 13 alone, before shooting.
-        warnings: one line each.
-    """
-
-    time: np.ndarray
-    voltage: np.ndarray
-    infeasible: np.ndarray
-    saturated: np.ndarray
-    target: np.ndarray
-    outside_training_share: float
-    self_check_e_rms_percent: float
-    equation_e_rms_percent: float
-    warnings: tuple[str, ...]
-
-
-def feedforward(
-    model: Model,
-    target: Target,
-    *,
-    max_voltage: float | None = None,
-    max_slew: float | None = None,
-    shots: int = _SHOTS,
-) -> Feedforward:
-    """The voltage that makes the model follow a target displacement.
-
-    Args:
-        model: identified or trained.
-        target: wanted displacement in rig coordinates, base unit.
-        max_voltage: V; default the largest voltage of the training records. A higher one warns.
-        max_slew: V/s; default the largest slew of the training records.
-        shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone.
-
-    Raises:
-        BadInput: a limit that is not positive, or a target of fewer samples than the model's order needs.
-    """
-    limits, warnings = _limits(model, max_voltage, max_slew)
-    model = at_rate(model, target.dt)
-    wanted = model.output.to_model(target.displacement)
-    path = extend(wanted, target.dt, model, limits)
-    warnings += _advice(model, target, wanted, path)
-    best = _shoot(model, path, limits, target.dt, shots)
-    first, last = path.target.start, path.target.stop
-    voltage, saturated = best.voltage, best.saturated
-    slack = _ROUNDING * np.abs(best.force).max()  # an actuator at rest asks for a force of zero, give or take a bit
-    infeasible = np.asarray(model.input_map.infeasible(jnp.asarray(best.force + slack)))
-    if model.effects:
-        film = model.input_map.voltage(jnp.asarray(best.force) * model.scales.force)
-        infeasible = infeasible | np.asarray(augment.beyond(model, film, target.dt))
-    infeasible = np.append(infeasible, np.zeros(len(voltage) - len(infeasible), bool))
-    share = outside_share(model, best.features[first:last])
-    if share > 0.01:
-        warnings += (
-            f"{100 * share:.0f} % of the target lies outside the region the model was trained in: "
-            "expect more error there",
-        )
-    inside = np.zeros(len(voltage), bool)
-    inside[first:last] = True
-    return Feedforward(
-        time=target.time[0] + (np.arange(len(voltage)) - first) * target.dt,
-        voltage=voltage,
-        infeasible=infeasible,
-        saturated=saturated,
-        target=inside,
-        outside_training_share=share,
-        self_check_e_rms_percent=best.error,
-        equation_e_rms_percent=best.equation_error,
-        warnings=warnings,
-    )
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Voltage range (V) and slew (V/s) a feedforward must keep."""
-
-    low: float
-    high: float
-    slew: float
-
-
-def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...]]:
-    low, high = model.provenance.voltage_range
-    trained_high, trained_slew = high, model.provenance.slew
-    for name, value in (("max-voltage", max_voltage), ("max-slew", max_slew)):
-        if value is not None and not value > 0:
-            raise BadInput(f"--{name} must be positive, got {value}")
-    if max_voltage == np.inf:
-        raise BadInput("--max-voltage must be finite: give the amplifier's limit")
-    warnings: tuple[str, ...] = ()
-    if max_voltage is not None:
-        high, low = max_voltage, max(low, -max_voltage)
-        if max_voltage > 1.0001 * trained_high:
-            warnings = (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
-    low = 0.0 if bool(model.input_map.infeasible(jnp.asarray(-1.0))) else min(low, 0.0)
-    return Limits(low, high, trained_slew if max_slew is None else max_slew), warnings
-
-
-def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:
-    warnings = ()
-    if target.dt > 1.01 * model.provenance.dt:
-        warnings += (
-            f"the target is sampled every {target.dt:g} s, coarser than the model's {model.provenance.dt:g} s: "
-            "resample it finer to keep its shape between samples",
-        )
-    rough = rough_share(wanted, target.dt, model)
-    if rough > 0:
-        warnings += (
-            f"{100 * rough:.2g} % of the target is not smooth enough (derivative {model.order - 1} jumps): "
-            "round the corners or filter it",
-        )
-    if not path.slew_kept:
-        warnings += ("no way into the target's first state was found within the slew limit: its start is cut",)
-    return warnings
-
-
-@dataclass(frozen=True)
-class _Shot:
-    """One pass: the voltage with its ramp down, and the plan (force, features) up to the target's end."""
-
-    voltage: np.ndarray
-    saturated: np.ndarray
-    force: np.ndarray
-    features: np.ndarray
-    error: float
-    equation_error: float
-
-
-def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int) -> _Shot:
-    """Eq. 13, then move the reference by what the rollout missed, as long as that helps."""
-    scale = model.scales.state[0]
-    dtype = model.coefficients.dtype
-    wanted = path.displacement
-    reference, best = wanted.copy(), None
-    for _ in range(max(shots, 0) + 1):
-        motion = reference
-        if model.effects:
-            motion = np.asarray(augment.moves(model, jnp.asarray(reference / scale), dt), np.float64) * scale
-        equation = derivatives(motion, dt, model.order) / np.asarray(model.scales.state)
-        force, voltage, features = invert_path(model, jnp.asarray(equation, dtype), dt)
-        u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
-        x = np.asarray(_run(model, jnp.asarray(u, dtype), dt), np.float64) * scale
-        error = e_rms_percent(x[path.target], wanted[path.target])
-        if best is not None and not error < best.error:
-            break
-        first = error if best is None else best.equation_error
-        best = _Shot(u, saturated, np.asarray(force), np.asarray(features), float(error), float(first))
-        missed = np.where(saturated | ~np.isfinite(x), 0.0, wanted - x)
-        reference = reference + missed
-    assert best is not None  # the first pass always sets it
-    tail, cut = path.ramp_down(best.voltage[-1], limits, dt)
-    return replace(best, voltage=np.append(best.voltage, tail), saturated=np.append(best.saturated, cut))

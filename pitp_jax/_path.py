@@ -61,8 +61,7 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     """
     order = model.order
     states = derivatives(wanted, dt, order)
-    a = model.physical_coefficients
-    period = 2 * np.pi / (a[0] / a[-1]) ** (1 / order)
+    period = 2 * np.pi / model.natural_frequency
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
     moves = abs(states[0, 0]) > 1e-3 * span or abs(states[0, 1]) > 1e-2 * max(np.abs(states[:, 1]).max(), 1e-30)
     if not moves:
@@ -72,7 +71,7 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     lead, count, kept = np.zeros(0), 0, False
     for stretch in (1, 2, 4):
         count = max(int(np.ceil(5 * stretch * period / dt)), 64)
-        lead, force = swing_in(a, states[0], count, dt, low, high)
+        lead, force = swing_in(model.physical_coefficients, states[0], count, dt, low, high)
         slew = np.abs(np.diff(np.asarray(model.input_map.voltage(force)))).max() / dt
         kept = bool(slew <= limits.slew)
         if kept:

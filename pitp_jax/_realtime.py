@@ -29,14 +29,14 @@ from ._residual import equation_force
 
 
 @dataclass(frozen=True)
-class Compiled:
+class CompiledStep:
     """A compiled step.
 
     Attributes:
         carry: what the step starts from at rest, shape (C,), float32.
         inputs: how many numbers it takes per sample.
         run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled.
-        exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore`.
+        exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore_step`.
     """
 
     carry: Float[np.ndarray, " carry"]
@@ -45,7 +45,7 @@ class Compiled:
     exported: export.Exported
 
 
-def inverse_step(model: Model, dt: float) -> Compiled:
+def inverse_step(model: Model, dt: float) -> CompiledStep:
     """Drive voltage before limits (V) for [x, ..., x^(n)] (from rest, model coordinates, m / s^i) at this sample.
 
     Args:
@@ -70,7 +70,7 @@ def inverse_step(model: Model, dt: float) -> Compiled:
     return _compiled(one, np.concatenate([np.asarray(before), np.zeros(3)]), model.order + 1)
 
 
-def decoder_step(model: Model, dt: float) -> Compiled:
+def decoder_step(model: Model, dt: float) -> CompiledStep:
     """Displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
 
     Raises:
@@ -93,13 +93,13 @@ def decoder_step(model: Model, dt: float) -> Compiled:
     return _compiled(one, np.concatenate([np.asarray(rest_state(model)), np.zeros(2)]), 1)
 
 
-def restore(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """The `run` of a `Compiled` from its bytes, compiled for this machine before it returns."""
+def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """The `run` of a `CompiledStep` from its bytes, compiled for this machine before it returns."""
     return _compile(export.deserialize(bytearray(exported)))
 
 
 def _compile(exported: export.Exported):
-    """Through `jax.jit`, whose dispatch takes half the time of a `Compiled` object's; called once, to have it done."""
+    """Through `jax.jit`, whose dispatch takes half the time of a `Compiled` object; called once, to have it done."""
     run = jax.jit(exported.call)
     jax.block_until_ready(run(*(np.zeros(a.shape, a.dtype) for a in exported.in_avals)))
     return run
@@ -153,8 +153,8 @@ def _refuse_effects(model: Model) -> None:
         raise BadInput("real-time steps are for models without effects")
 
 
-def _compiled(one, carry: np.ndarray, inputs: int) -> Compiled:
+def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
     carry = carry.astype(np.float32)
     shapes = jax.ShapeDtypeStruct(carry.shape, jnp.float32), jax.ShapeDtypeStruct((inputs,), jnp.float32)
     exported = export.export(jax.jit(one))(*shapes)
-    return Compiled(carry, inputs, _compile(exported), exported)
+    return CompiledStep(carry, inputs, _compile(exported), exported)

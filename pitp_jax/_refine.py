@@ -18,10 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._dataset import Dataset
-from ._decode import rollout_batch, starts
+from ._decode import rollout_batch
 from ._errors import ComputationFailed
 from ._levenberg import Normal, steps
 from ._model.model import Model
+from ._predict import starts
 from ._record.record import Record
 from ._sensitivity import Runs, normal_equations, parameters, with_parameters
 
@@ -74,8 +75,7 @@ def _thinning(model: Model, dt: float) -> int:
 
 def _period(model: Model) -> float:
     """Of the nominal's resonance, s."""
-    a = model.physical_coefficients
-    return float(2 * np.pi / (a[0] / a[-1]) ** (1 / model.order))
+    return 2 * np.pi / model.natural_frequency
 
 
 def _windows(model: Model, data: Dataset, records: Sequence[Record]) -> Runs:

@@ -31,6 +31,14 @@ from ._refine import refine
 from ._residual import loss
 from ._sensitivity import trainable
 
+_WORDS = {
+    "encoder": ("compact", "paper"),
+    "memory": ("fading", "elapsed", "none"),
+    "drive": ("electrode", "direct"),
+    "scaling": ("rms", "paper"),
+    "difference": ("stencil", "central"),
+}
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -52,6 +60,9 @@ class Settings:
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
         refine_steps: most Levenberg-Marquardt steps on free runs.
+
+    Raises:
+        BadInput: an unknown word.
     """
 
     encoder: str = "compact"
@@ -74,6 +85,12 @@ class Settings:
     huber: float = 0.05
     batch: int = 2048
     refine_steps: int = 40
+
+    def __post_init__(self):
+        """A word that stands for nothing would silently be the default."""
+        for name, known in _WORDS.items():
+            if getattr(self, name) not in known:
+                raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")
 
 
 _OPTIMISER = optax.scale_by_adam()
@@ -125,11 +142,11 @@ def train(
         nominal: an identified model; order, input map, hold and output are kept.
         records: the training records, one sampling rate.
         preset: "default" or "paper"; `settings` overrides it.
-        progress: called after every epoch and every few refinement steps.
+        progress: called after every epoch and every refinement step.
         key: JAX key; the same key, records and machine give the same model.
 
     Raises:
-        BadInput: unknown preset, or no usable sample left after filtering.
+        BadInput: unknown preset, a nominal with effects, or no usable sample left after filtering.
         ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
     """
@@ -137,6 +154,8 @@ def train(
         if preset not in PRESETS:
             raise BadInput(f"unknown preset {preset!r}: use one of {', '.join(PRESETS)}")
         settings = PRESETS[preset]
+    if nominal.effects:
+        raise BadInput("a nominal with effects is not trained: train first, then diagnose the trained model")
     key_init, key_stages = jax.random.split(key)
     data = build_dataset(nominal, records, scaling=settings.scaling, difference=settings.difference,
                          memory=partial(_memory, settings, nominal, records))  # fmt: skip
@@ -175,9 +194,7 @@ def _memory(settings: Settings, nominal: Model, records):
         return NoMemory()
     if settings.memory == "elapsed":
         return ElapsedTime(horizon=float(longest))
-    a = nominal.physical_coefficients
-    omega = (a[0] / a[-1]) ** (1 / nominal.order)
-    tau = np.geomspace(min(2.0 / omega, longest / 20), longest, settings.memories)
+    tau = np.geomspace(min(2.0 / nominal.natural_frequency, longest / 20), longest, settings.memories)
     return FadingMemory(jnp.asarray(np.log(tau), jnp.float32))
 
 
@@ -203,8 +220,7 @@ def _with_drive(model: Model, settings: Settings) -> Model:
     """
     if settings.drive != "electrode" or not isinstance(model.input_map, SquareInput):
         return model
-    a = model.physical_coefficients
-    lag = ElectrodeLag(jnp.asarray(np.log(0.1 / (a[0] / a[-1]) ** (1 / model.order)), jnp.float32))
+    lag = ElectrodeLag(jnp.asarray(np.log(0.1 / model.natural_frequency), jnp.float32))
     return eqx.tree_at(lambda m: m.drive, model, lag)
 
 
@@ -295,4 +311,4 @@ def _annotated(model: Model, data: Dataset, notes: dict) -> Model:
     """The model with its trained region and the training summary in its provenance."""
     old = json.loads(model.provenance.notes)
     provenance = replace(model.provenance, region=_region(model, data), notes=json.dumps({**old, "training": notes}))
-    return eqx.tree_at(lambda m: m.coefficients, replace(model, provenance=provenance), model.coefficients)
+    return replace(model, provenance=provenance)

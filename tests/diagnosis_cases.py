@@ -5,7 +5,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._diagnose.diagnosis import Diagnosis, Gap, Ranked, Trace
+from pitp_jax._diagnose.diagnosis import Diagnosis
+from pitp_jax._diagnose.found import Gap, Ranked, Trace
 from pitp_jax._diagnose.next import Experiment
 from pitp_jax._effects import drive
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax._decode import frozen_increment, outside_share, predict, rest_state, rollout
+from pitp_jax._decode import frozen_increment, rest_state, rollout
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
+from pitp_jax._predict import outside_share, predict
 from pitp_jax._record.record import Record
 
 DT = 4e-3

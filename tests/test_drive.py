@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import lsim
 
 from pitp_jax._decode import rest_state, rollout
-from pitp_jax._inverse import feedforward
+from pitp_jax._feedforward import feedforward
 from pitp_jax._metrics import e_rms_percent
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._record.reading import Target

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from pitp_jax._decode import predict, rest_state, rollout, rollout_batch
+from pitp_jax._decode import rest_state, rollout, rollout_batch
 from pitp_jax._ensemble import Ensemble, predict_band, train_ensemble
+from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
 from pitp_jax._train import Settings, train
 

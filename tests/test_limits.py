@@ -5,7 +5,7 @@ import pytest
 from motions import DT, HIGH, SAMPLES, SLEW, TIME, hump, respond, swing, swing_force
 
 from pitp_jax._errors import BadInput
-from pitp_jax._inverse import feedforward
+from pitp_jax._feedforward import feedforward
 from pitp_jax._metrics import e_rms_percent
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._record.reading import Target

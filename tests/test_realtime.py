@@ -13,7 +13,7 @@ from pitp_jax._inverse import invert_path
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.memory import ElapsedTime
 from pitp_jax._path import derivatives
-from pitp_jax._realtime import decoder_step, inverse_step, restore
+from pitp_jax._realtime import decoder_step, inverse_step, restore_step
 
 DT = 1e-3
 
@@ -82,7 +82,7 @@ def test_bytes_run_without_the_model(lagging):
     pytest.importorskip("flatbuffers")
     made = decoder_step(lagging, DT)
     u = drive(50)[1:]
-    again = replace(made, run=restore(bytes(made.exported.serialize())))
+    again = replace(made, run=restore_step(bytes(made.exported.serialize())))
     np.testing.assert_array_equal(play(again, u), play(made, u))
 
 

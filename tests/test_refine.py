@@ -10,12 +10,13 @@ import pytest
 
 from pitp_jax import _refine
 from pitp_jax._dataset import build_dataset
-from pitp_jax._decode import predict, rest_state, rollout, rollout_batch
+from pitp_jax._decode import rest_state, rollout, rollout_batch
 from pitp_jax._errors import ComputationFailed
 from pitp_jax._metrics import e_rms_percent
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.memory import FadingMemory
+from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
 from pitp_jax._refine import refine
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pitp_jax._decode import predict
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._metrics import rmse
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
 from pitp_jax._train import PRESETS, Settings, train
 

@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._decode import at_rate, rollout_batch, starts
+from .._decode import rollout_batch
 from .._effects.base import Surroundings
 from .._errors import BadInput
 from .._model.input_map import SquareInput
 from .._model.model import Model
+from .._predict import at_rate, starts
 from .._record.preprocess import force_band, preprocess
 from .._record.record import Record
 from .._record.sweeps import is_sweep
@@ -108,17 +109,12 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
     dtype = model.coefficients.dtype
     runs = np.asarray(rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, begin)[..., 0], np.float64)
     top = force_band([_force(model, r.voltage) for r in records], records[0].dt)
-    cut = min(max(3 * top, 3 * _omega(model) / (2 * np.pi)), 0.3 / records[0].dt)
+    cut = min(max(3 * top, 3 * model.natural_frequency / (2 * np.pi)), 0.3 / records[0].dt)
     series = tuple(
         _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(begin[k]), cut, known)
         for k, r in enumerate(records)
     )
     return Case(model, series, _surroundings(model, series, known), known)
-
-
-def _omega(model: Model) -> float:
-    a = model.physical_coefficients
-    return float((a[0] / a[-1]) ** (1 / model.order))
 
 
 def _force(model: Model, voltage):
@@ -127,7 +123,7 @@ def _force(model: Model, voltage):
 
 def _finer(model: Model, dt: float) -> Model:
     """Substeps of at most 0.1 / omega: stiff contacts and frozen forces need a finer step than the nominal."""
-    return replace(model, substeps=max(model.substeps, int(np.ceil(_omega(model) * dt / 0.1))))
+    return replace(model, substeps=max(model.substeps, int(np.ceil(model.natural_frequency * dt / 0.1))))
 
 
 def _cut(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -229,7 +225,7 @@ def _surroundings(model: Model, series: Sequence[Series], known: bool) -> Surrou
     dt = series[0].record.dt
     ends = [s.record.time[-1] for s in series]
     return Surroundings(
-        omega=_omega(model), dt=dt, duration=max(s.record.samples for s in series) * dt,
+        omega=model.natural_frequency, dt=dt, duration=max(s.record.samples for s in series) * dt,
         session=float(max(ends) - min(s.record.time[0] for s in series)) if known else 0.0,
         top=float(np.quantile(x, 0.9999)), bottom=float(np.quantile(x, 0.0001)),
         speed=float(np.sqrt(np.mean(speeds**2))), acceleration=fastest,

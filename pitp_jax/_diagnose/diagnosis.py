@@ -1,89 +1,26 @@
 """The diagnosis: where the gap lies, which effect causes it, how far it shrinks (CONTRACT.md).
 
-closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   held-out, pooled over records
 no_gap      before <= 1.1 floor, or <= 1.4 floor where no effect closes a fifth (the floor itself is an estimate)
 unknown     less than half closed, less than 80 % where after > 1.5 floor, or more than three names tied
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._effects import CATALOGUE
-from .._effects.base import Parameter
-from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._record.record import Record
-from .attribute import Attribution, Judged, attribute, bootstrap, floor, sides
-from .case import Case, build_case
+from .attribute import Attribution, attribute, floor, sides
+from .case import build_case
+from .found import GAP, Added, Gap, Ranked, Trace, added_of, augmented, gap_of, ranking_of, trace_of
 from .next import Experiment, separate
 from .where import locate
 
-_GAP, _FAR, _CLOSED, _TIES = 1.1, 1.5, 0.8, 3
+_FAR, _CLOSED, _TIES = 1.5, 0.8, 3
 _DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
 _HALF = 0.5  # what closes less explains nothing, however high the floor
 _HELPS = 0.2  # a best candidate that closes less explains nothing, and what is tied with it neither
-_FLOOR_DOUBT = 0.03  # relative standard deviation of the noise floor's estimate
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Held-out figures in % of range, pooled over records, and the share that was closed with its 95 % interval."""
-
-    before: float
-    after: float
-    unrefitted: float
-    noise_floor: float | None
-    floor_from: str
-    closed_fraction: float | None
-    ci95: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """One name's best form.
-
-    Attributes:
-        effect, family, form: as in the catalogue.
-        parameters: name to value, unit and standard error (None where it was only screened).
-        train, heldout: error left, % of range.
-        closed_fraction, ci95: as in `Gap`.
-        screened: True where the figures come from screening, not from whole rollouts.
-    """
-
-    effect: str
-    family: str
-    form: str
-    parameters: dict
-    train: float
-    heldout: float
-    closed_fraction: float | None
-    ci95: tuple[float, float] | None
-    screened: bool
-
-
-@dataclass(frozen=True)
-class Added:
-    """One effect of the augmented model: name, form, and parameters as in `Ranked`."""
-
-    effect: str
-    form: str
-    parameters: dict
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One record in rig units: time (s), voltage (V), measured, nominal and augmented output; held out or fitted."""
-
-    name: str
-    heldout: bool
-    time: np.ndarray
-    voltage: np.ndarray
-    measured: np.ndarray
-    nominal: np.ndarray
-    augmented: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -177,7 +114,7 @@ def diagnose(
     found = attribute(case, refit=refit_nominal, exclude=exclude, progress=progress)
     fitted, held = sides(case)
     low = floor(case, found.noise, held)
-    gap = _gap(case, found, found.best, low, held)
+    gap = gap_of(case, found, found.best, low, held)
     verdict = _verdict(gap, found)
     effects = found.best.names if verdict == "explained" else ()
     added = augmented(case, found.best if verdict == "explained" else found.base, model)
@@ -192,15 +129,15 @@ def diagnose(
         verdict=verdict,
         effects=effects,
         equivalent=tied,
-        added=_added(case, found.best) if effects else (),
+        added=added_of(case, found.best) if effects else (),
         gap=gap,
-        ranking=_ranking(case, found, low, held),
+        ranking=ranking_of(case, found, low, held),
         where=where,
         next_experiment=experiment,
         fitted=tuple(case.series[k].record.name for k in fitted),
         heldout=tuple(case.series[k].record.name for k in held),
         shift=np.asarray((found.best if effects else found.base).candidate.factors),
-        traces=tuple(_trace(case, found, k) for k in range(len(case.series))),
+        traces=tuple(trace_of(case, found, k) for k in range(len(case.series))),
         model=added,
     )
 
@@ -208,143 +145,8 @@ def diagnose(
 def _verdict(gap: Gap, found: Attribution) -> str:
     low = gap.noise_floor or 0.0
     share = gap.closed_fraction or 0.0
-    if gap.before <= _GAP * low or (gap.before <= _DOUBT * low and share < _HELPS):
+    if gap.before <= GAP * low or (gap.before <= _DOUBT * low and share < _HELPS):
         return "no_gap"
     if share < _HALF or (gap.after > _FAR * low and share < _CLOSED) or len(found.equivalent) > _TIES:
         return "unknown"
     return "explained"
-
-
-def closed(before: float, after: float, low: float) -> float | None:
-    """The closed fraction; None where there was nothing to close."""
-    if before <= _GAP * low:
-        return None
-    return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
-
-
-def _interval(case: Case, base: Judged, after: Judged, low: float, held) -> tuple[float, float] | None:
-    """Blocks drawn anew for both errors, the floor within its own doubt."""
-    if base.heldout <= _GAP * low or not np.isfinite(after.heldout):
-        return None
-    first = bootstrap(case, held, lambda k: base.errors[k] ** 2)
-    second = bootstrap(case, held, lambda k: after.errors[k] ** 2)
-    doubt = np.random.default_rng(1).standard_normal(len(first))
-    floors = (low * (1 + _FLOOR_DOUBT * doubt)) ** 2
-    draws = 1 - np.sqrt(np.maximum(second - floors, 0) / np.maximum(first - floors, 1e-12))
-    here = closed(base.heldout, after.heldout, low) or 0.0
-    return float(min(np.quantile(draws, 0.025), here)), float(max(np.quantile(draws, 0.975), here))
-
-
-def _gap(case: Case, found: Attribution, after: Judged, low: float, held) -> Gap:
-    before = found.base.heldout
-    return Gap(
-        before=before, after=min(after.heldout, before) if before <= _GAP * low else after.heldout,
-        unrefitted=found.given.heldout, noise_floor=low, floor_from=found.noise.source,
-        closed_fraction=closed(before, after.heldout, low), ci95=_interval(case, found.base, after, low, held),
-    )  # fmt: skip
-
-
-def physical(case: Case, p: Parameter, value: float) -> tuple[float, str]:
-    """A stored number in physical units."""
-    s = [*case.model.scales.state, 1.0, 1.0]
-    factor = s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * case.model.scales.force**p.force
-    base = "V" if case.model.provenance.displacement_unit.endswith("V") else "m"
-    unit = p.unit.replace("x", base)
-    if p.force and not isinstance(case.model.input_map, SquareInput):
-        unit = unit.replace("V^2", "V")
-    return value * factor, unit
-
-
-def _added(case: Case, judged: Judged) -> tuple[Added, ...]:
-    """Form by form, with the standard errors of the joint fit."""
-    c, found, k = judged.candidate, [], 0
-    errors = np.sqrt(np.maximum(np.diag(c.covariance), 0)) if c.covariance.size else None
-    for form, values, start in zip(c.forms, c.values, c.starts, strict=True):
-        told = {}
-        for p, v, low, high in zip(form.PARAMETERS, values, start.low, start.high, strict=True):
-            value, unit = physical(case, p, v)
-            error = None
-            if high > low:
-                if errors is not None:
-                    error = abs(float(errors[k] * (value if p.positive else value / v if v else 0.0)))
-                k += 1
-            told[p.name] = {"value": float(value), "unit": unit, "stderr": error or None}
-        found.append(Added(form.name, form.form, told))
-    if not c.forms:
-        told = {
-            f"a_{i} over given": {"value": float(f), "unit": "1", "stderr": e}
-            for i, (f, e) in enumerate(zip(c.factors, _relative(c, errors), strict=True))
-        }
-        found.append(Added("parameter_change", "refitted coefficients", told))
-    return tuple(found)
-
-
-def _relative(c, errors) -> list:
-    """Standard errors of the coefficients' factors, where they were fitted."""
-    if errors is None or not c.refit:
-        return [None] * len(c.factors)
-    return [float(e * f) or None for e, f in zip(errors[-len(c.factors) :], c.factors, strict=True)]
-
-
-def _ranking(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, ...]:
-    rows, seen = [], set()
-    for j in found.ranking:
-        form = j.candidate.forms[0] if j.candidate.forms else None
-        seen.add(j.names[0])
-        rows.append(
-            Ranked(
-                j.names[0],
-                form.family if form else "parametric",
-                form.form if form else "refitted coefficients",
-                _added(case, j)[0].parameters,
-                j.train,
-                j.heldout if np.isfinite(j.heldout) else j.train,
-                closed(found.base.heldout, j.heldout, low),
-                _interval(case, found.base, j, low, held),
-                False,
-            )  # fmt: skip
-        )
-    for s in found.screened:
-        form = s.forms[0]
-        if form.name in seen:
-            continue
-        seen.add(form.name)
-        numbers = zip(form.PARAMETERS, s.values[0], strict=True)
-        told = {
-            p.name: dict(zip(("value", "unit"), physical(case, p, v), strict=True)) | {"stderr": None}
-            for p, v in numbers
-        }
-        held_error = float(np.sqrt(max(s.heldout, 0)))
-        rows.append(
-            Ranked(
-                form.name,
-                form.family,
-                form.form,
-                told,
-                float(np.sqrt(max(s.train, 0))),
-                held_error,
-                closed(found.base.heldout, held_error, low),
-                None,
-                True,
-            )  # fmt: skip
-        )
-    order = {c.name: k for k, c in enumerate(CATALOGUE)}
-    return tuple(sorted(rows, key=lambda r: (r.screened, r.heldout, order.get(r.effect, 0))))
-
-
-def augmented(case: Case, judged: Judged, model: Model) -> Model:
-    """The nominal with a candidate's effects, its coefficients, and the substeps it was fitted with."""
-    c = judged.candidate
-    pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: CATALOGUE.index(fv[0]))
-    effects = tuple(f(*(jnp.asarray(v, jnp.float32) for v in values)) for f, values in pairs)
-    coefficients = (np.asarray(model.coefficients, np.float64) * c.factors).astype(np.float32)
-    substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
-    return replace(model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps)
-
-
-def _trace(case: Case, found: Attribution, k: int) -> Trace:
-    s = case.series[k]
-    scale, to_rig = case.model.scales.state[0], case.model.output.to_rig
-    seen = np.where(s.weight > 0, (s.run - s.error) * scale, np.nan)
-    rows = [to_rig((s.run - s.error + j.errors[k] * s.span / 100) * scale) for j in (found.base, found.best)]
-    return Trace(s.record.name, not s.fitted, s.record.time, s.record.voltage, to_rig(seen), *rows)

@@ -4,7 +4,8 @@ import numpy as np
 
 from .._plot_lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from .._record.units import OUTPUT_UNITS, base_unit
-from .diagnosis import Diagnosis, Trace
+from .diagnosis import Diagnosis
+from .found import Trace
 from .words import shown_unit
 
 _CYCLES = 6  # oscillations in the zoom

@@ -4,8 +4,9 @@ import numpy as np
 
 from . import page
 from .answers import cards, headline, lead
-from .diagnosis import Diagnosis, Gap, Ranked
+from .diagnosis import Diagnosis
 from .figures import figures
+from .found import Gap, Ranked
 from .glance import left, output_unit, worst
 from .page import tag
 from .which import parameters

@@ -92,10 +92,9 @@ def _grams(case: Case, effects, rows, which, refit: bool) -> list[np.ndarray]:
     begin, advance = compiled(case.model, effects)
     model, delays = case.model, [k for k, e in enumerate(effects) if isinstance(e, Delay)]
     filt = jax.tree.map(lambda v: np.asarray(v, np.float32), nominal_filter(model, case.dt))
-    a = model.physical_coefficients
     nominal = Nominal(
         np.asarray(model.coefficients), np.asarray(model.scales.rates, np.float32), np.float32(model.scales.force),
-        np.float32(0.1 / (a[0] / a[-1]) ** (1 / model.order)), filt, np.float32(case.dt),
+        np.float32(0.1 / model.natural_frequency), filt, np.float32(case.dt),
     )  # fmt: skip
     thin = int(np.clip(2 * np.pi / case.surroundings.omega / case.dt / 24, 1, 20))
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from . import page
-from .diagnosis import Diagnosis, Ranked
+from .diagnosis import Diagnosis
+from .found import Ranked
 from .glance import refitted
 from .page import tag
 from .words import coefficient_name, equation, named, of_range, parameter, percent, physical, with_error

@@ -121,6 +121,12 @@ class Model(eqx.Module):
         """Nominal a_0 ... a_n in V^2 s^i / m (or V s^i / m), shape (n + 1,)."""
         return np.asarray(self.coefficients, np.float64) * self.scales.force / np.asarray(self.scales.state)
 
+    @property
+    def natural_frequency(self) -> float:
+        """Geometric mean of the nominal's poles, (a_0 / a_n)^(1/n), in rad/s: sqrt(k / m) at order 2."""
+        a = self.physical_coefficients
+        return float((a[0] / a[-1]) ** (1 / self.order))
+
     def tokens(
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:

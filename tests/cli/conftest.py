@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cli_cases import DRIVES, TIME, motion, truth, write_record
 
-from pitp_jax import _file, _identify, _inverse
+from pitp_jax import _feedforward, _file, _identify
 from pitp_jax._record import writing
 from pitp_jax._record.record import Record
 from pitp_jax.cli import main
@@ -61,21 +61,21 @@ def quick_identify(monkeypatch, identified):
 
 @pytest.fixture
 def quick_inverse(monkeypatch):
-    """`_inverse.feedforward` that only notes its limits."""
+    """`_feedforward.feedforward` that only notes its limits."""
     calls = []
 
     def fake(model, target, *, max_voltage=None, max_slew=None):
         calls.append((target, max_voltage, max_slew))
         time = np.arange(-100, 2100) * target.dt
         count, inside = len(time), (time >= 0) & (time < 4)
-        return _inverse.Feedforward(
+        return _feedforward.Feedforward(
             time=time, voltage=np.linspace(0, 1500, count), infeasible=np.arange(count) < 7,
             saturated=np.arange(count) < 3, target=inside, outside_training_share=0.25,
             self_check_e_rms_percent=float("nan"), equation_e_rms_percent=0.5,
             warnings=("25 % of the target lies outside\nthe trained region",),
         )  # fmt: skip
 
-    monkeypatch.setattr(_inverse, "feedforward", fake)
+    monkeypatch.setattr(_feedforward, "feedforward", fake)
     return calls
 
 

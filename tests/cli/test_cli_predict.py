@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cli_cases import DRIVES, SCORE_KEYS, TIME, columns_of, motion, refused, tree, write_record
 
-from pitp_jax import _decode
+from pitp_jax import _predict
 from pitp_jax._commands.predict import median_e_rms
 
 
@@ -65,8 +65,8 @@ def test_predict_gives_names_that_collide_their_folders(call, bench, tmp_path):
 
 @pytest.fixture
 def diverging(monkeypatch):
-    """`_decode.predict` in which the named records leave every range half way."""
-    real, names = _decode.predict, set()
+    """`_predict.predict` in which the named records leave every range half way."""
+    real, names = _predict.predict, set()
 
     def fake(model, records):
         lost = []
@@ -75,7 +75,7 @@ def diverging(monkeypatch):
             lost.append(replace(p, displacement=x, diverged=True) if p.name in names else p)
         return tuple(lost)
 
-    monkeypatch.setattr(_decode, "predict", fake)
+    monkeypatch.setattr(_predict, "predict", fake)
     return names
 
 
