@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 import numpy as np
 from _paper import errors
-from coverage import records_of
+from band_coverage import records_of
 
 import pitp_jax as pitp
 from pitp_jax._train import PRESETS

@@ -97,6 +97,7 @@ def diagnosed(spec: Spec, case: Case, options) -> dict:
         "seconds": seconds,
         "closed_fraction": gap["closed_fraction"],
         "true_closed": truth,
+        "unseen": bool(spec.names) and case.facts["gap_percent"] < 0.5 * case.facts["floor_percent"],
         "covered": bool(interval[0] <= truth <= interval[1]) if truth is not None and interval else None,
         "ranking": [{k: r.get(k) for k in ("effect", "form", "heldout")} for r in said["ranking"][:6]],
     }

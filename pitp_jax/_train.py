@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax.sharding import Mesh
 
 from ._dataset import Dataset, build_dataset
 from ._errors import BadInput, ComputationFailed
@@ -134,6 +135,7 @@ def train(
     preset: str = "default",
     settings: Settings | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
+    mesh: Mesh | None = None,
     key,
 ) -> Training:
     """Train an encoder on records, starting exactly at the nominal model.
@@ -143,10 +145,12 @@ def train(
         records: the training records, one sampling rate.
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
+        mesh: devices of this process that share the free runs, by records (`records_mesh`); default one device.
         key: JAX key; the same key, records and machine give the same model.
 
     Raises:
-        BadInput: unknown preset, a nominal with effects, or no usable sample left after filtering.
+        BadInput: unknown preset, a nominal with effects, a mesh over several processes, or no usable sample left
+            after filtering.
         ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
     """
@@ -156,6 +160,8 @@ def train(
         settings = PRESETS[preset]
     if nominal.effects:
         raise BadInput("a nominal with effects is not trained: train first, then diagnose the trained model")
+    if mesh is not None and mesh.is_multi_process:
+        raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     key_init, key_stages = jax.random.split(key)
     data = build_dataset(nominal, records, scaling=settings.scaling, difference=settings.difference,
                          memory=partial(_memory, settings, nominal, records))  # fmt: skip
@@ -168,7 +174,7 @@ def train(
             history.append(entry)
         if best is not None and settings.refine_steps:
             lagging = _with_drive(best, settings)
-            for found, entry in refine(lagging, data, records, settings.refine_steps, partial(_report, progress)):
+            for found, entry in refine(lagging, data, records, settings.refine_steps, partial(_report, progress), mesh):
                 best = found
                 history.append(entry)
     except KeyboardInterrupt:

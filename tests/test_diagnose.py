@@ -103,6 +103,7 @@ def test_a_planted_spring_is_named_with_its_number(nominal, hardened):
     low, high = hardened.gap.ci95
     assert low <= hardened.gap.closed_fraction <= high
     assert hardened.gap.noise_floor == pytest.approx(hardened.gap.after, rel=0.1)
+    assert hardened.where["tone"] is None  # its lines are the drives', each its own
 
 
 def test_the_augmented_model_predicts_what_was_not_fitted(nominal, hardened):
@@ -133,6 +134,8 @@ def test_no_gap_where_there_is_none(nominal):
 def test_hum_is_unknown(nominal):
     found = pitp.diagnose(nominal, play(nominal, extra=4e-5))
     assert found.verdict == "unknown" and found.effects == ()
+    assert found.where["tone"]["hz"] == pytest.approx(17.3, abs=0.2) and found.where["tone"]["records"] == 7
+    assert found.where["summary"].startswith("A steady tone at 17")
 
 
 @pytest.mark.slow

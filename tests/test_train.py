@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from pitp_jax._effects.drive import ElectrodeRC
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._metrics import rmse
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
@@ -16,6 +17,7 @@ from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.memory import ElapsedTime
 from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
+from pitp_jax._shard import records_mesh
 from pitp_jax._train import PRESETS, Settings, train
 
 DT, SAMPLES = 2e-3, 1000
@@ -69,6 +71,27 @@ def test_equation_error_alone_beats_the_nominal_threefold(plant, first):
     assert not first.interrupted
     assert isinstance(first.model.drive, DirectDrive)  # no lag that only free runs could have fitted
     assert len(first.history) == 2 and first.history[1]["physics"] <= first.history[0]["physics"]
+
+
+def test_a_mesh_of_one_trains_the_same_model(plant):
+    """What it shares among devices is `sharded_normal_equations`, tested on eight in `test_shard`."""
+    short = replace(TINY, epochs=2, stages=1, refine_steps=2)
+    alone = train(plant[0], plant[1], settings=short, key=KEY).history[-1]
+    shared = train(plant[0], plant[1], settings=short, mesh=records_mesh(jax.devices()[:1]), key=KEY).history[-1]
+    assert shared["stage"] == "free runs"
+    assert shared["error"] == pytest.approx(alone["error"], rel=1e-4)
+
+
+@pytest.mark.parametrize("word", ["encoder", "memory", "drive", "scaling", "difference"])
+def test_an_unknown_word_is_refused(word):
+    with pytest.raises(BadInput, match=f"{word} 'typo'"):
+        Settings(**{word: "typo"})
+
+
+def test_a_nominal_with_effects_is_refused(plant):
+    lagging = replace(plant[0], effects=(ElectrodeRC(jnp.asarray(0.01)),))
+    with pytest.raises(BadInput, match="effects"):
+        train(lagging, plant[1], settings=TINY, key=KEY)
 
 
 def test_free_runs_improve_on_their_start(plant):

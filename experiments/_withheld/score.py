@@ -4,7 +4,8 @@
     tie     the name first, or among at most three declared equivalent
     closed  1 - e_after / e_before on the noise-free outputs of the held-out records, e^2 = mean (rms / range)^2
 
-In a refit the nominal absorbs `added_mass`, `sensor_gain` and `parameter_change`: no_gap is right there too.
+An effect whose noise-free gap is below half the noise floor cannot be seen: such cases are counted apart, and no_gap is
+right. In a refit the nominal absorbs `added_mass`, `sensor_gain` and `parameter_change`: no_gap is right there too.
 """
 
 from collections import Counter
@@ -55,7 +56,8 @@ def expected(label: str, left_out: bool) -> str:
 def right(label: str, row: dict, *, refit: bool, left_out: bool, ties: bool = False) -> bool:
     """Whether a row (`verdict`, `effects`, `equivalent`) says what is true; `ties` lets declared ties count."""
     want, names = expected(label, left_out), label.split("+")
-    if refit and label in ABSORBED and not left_out and row["verdict"] == "no_gap":
+    may_be_none = row.get("unseen") or (refit and label in ABSORBED and not left_out)
+    if may_be_none and row["verdict"] == "no_gap":
         return True
     if row["verdict"] != want or want != "explained":
         return row["verdict"] == want
@@ -88,12 +90,12 @@ def _median(values) -> float | None:
 def summary(labels: dict, rows: list[dict], *, refit: bool, left_out: bool) -> list[tuple]:
     """(figure, value) of a whole run."""
     how = {"refit": refit, "left_out": left_out}
-    parts = {"none": [], "single": [], "pair": [], "outside": []}
+    parts = {"none": [], "single": [], "pair": [], "outside": [], "unseen": []}
     for row in rows:
         label = labels[row["key"]]
         outside = set(label.split("+")) & set(OUTSIDE)
         part = "none" if label == "none" else "outside" if outside else "pair" if "+" in label else "single"
-        parts[part].append((label, row))
+        parts["unseen" if row.get("unseen") else part].append((label, row))
     single = parts["single"]
     tie = {"ties": not left_out}
     covered = [r["covered"] for r in rows if r.get("covered") is not None]
@@ -105,6 +107,7 @@ def summary(labels: dict, rows: list[dict], *, refit: bool, left_out: bool) -> l
         ("outside: unknown", _rate(r["verdict"] == "unknown" for _, r in parts["outside"])),
         ("pairs: both named", _rate(right(n, r, **how) for n, r in parts["pair"])),
         ("pairs: one named or more", _rate(bool(set(n.split("+")) & set(r["effects"])) for n, r in parts["pair"])),
+        ("below the noise: right", _rate(right(n, r, **how, **tie) for n, r in parts["unseen"])),
         ("failed", _rate(r["verdict"] == "failed" for r in rows)),
         ("closed fraction, median said", _median(r["closed_fraction"] for r in rows)),
         ("closed fraction, median true", _median(r["true_closed"] for r in rows)),

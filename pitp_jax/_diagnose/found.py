@@ -12,6 +12,7 @@ from .._effects import CATALOGUE
 from .._effects.base import Parameter
 from .._model.input_map import SquareInput
 from .._model.model import Model
+from .._record.units import base_unit
 from .attribute import Attribution, Judged, bootstrap
 from .case import Case
 
@@ -106,13 +107,12 @@ def gap_of(case: Case, found: Attribution, after: Judged, low: float, held) -> G
     )  # fmt: skip
 
 
-def physical(case: Case, p: Parameter, value: float) -> tuple[float, str]:
-    """A stored number in physical units."""
-    s = [*case.model.scales.state, 1.0, 1.0]
-    factor = s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * case.model.scales.force**p.force
-    base = "V" if case.model.provenance.displacement_unit.endswith("V") else "m"
-    unit = p.unit.replace("x", base)
-    if p.force and not isinstance(case.model.input_map, SquareInput):
+def physical(model: Model, p: Parameter, value: float) -> tuple[float, str]:
+    """A number stored in an effect, in physical units."""
+    s = [*model.scales.state, 1.0, 1.0]
+    factor = s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * model.scales.force**p.force
+    unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))
+    if p.force and not isinstance(model.input_map, SquareInput):
         unit = unit.replace("V^2", "V")
     return value * factor, unit
 
@@ -124,7 +124,7 @@ def added_of(case: Case, judged: Judged) -> tuple[Added, ...]:
     for form, values, start in zip(c.forms, c.values, c.starts, strict=True):
         told = {}
         for p, v, low, high in zip(form.PARAMETERS, values, start.low, start.high, strict=True):
-            value, unit = physical(case, p, v)
+            value, unit = physical(case.model, p, v)
             error = None
             if high > low:
                 if errors is not None:
@@ -173,7 +173,7 @@ def ranking_of(case: Case, found: Attribution, low: float, held) -> tuple[Ranked
         seen.add(form.name)
         numbers = zip(form.PARAMETERS, s.values[0], strict=True)
         told = {
-            p.name: dict(zip(("value", "unit"), physical(case, p, v), strict=True)) | {"stderr": None}
+            p.name: dict(zip(("value", "unit"), physical(case.model, p, v), strict=True)) | {"stderr": None}
             for p, v in numbers
         }
         held_error = float(np.sqrt(max(s.heldout, 0)))

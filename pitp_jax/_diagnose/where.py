@@ -16,6 +16,7 @@ AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of t
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency
 _BINS = 10
 _MOST = 0.6  # of the missing force's energy, in the cells that the sentence spans
+_TONE = 0.5  # of a record's residual in one line, in most of the records
 _FLAG = 0.15  # a flagged cell's missing force, rms, beside that of the loudest cell
 
 
@@ -27,6 +28,7 @@ def locate(case: Case, errors: list[np.ndarray], noise: Noise) -> dict:
         "frequency": _frequency(case, errors, noise),
         "harmonics": _harmonics(case, errors, noise),
         "time": _time(case, errors, noise),
+        "tone": _tone(case, errors),
     }
     forces = [missing_force(s) for s in series]
     quiet = _quiet(case, noise)
@@ -97,6 +99,24 @@ def _harmonics(case: Case, errors, noise: Noise) -> dict:
         other = ~near | (np.round(order) > 6)
         totals["other"] = totals.get("other", 0.0) + max(float(power[other].sum()), 0.0)
     return dict(zip(totals, map(float, _shares(list(totals.values()))), strict=True))
+
+
+def _tone(case: Case, errors) -> dict | None:
+    """A line at the same frequency in most of several records, whatever their drives: a hum, not the actuator."""
+    lines = []
+    for s, e in zip(case.series, errors, strict=True):
+        power = np.abs(np.fft.rfft(e * (s.weight > 0) * np.hanning(len(e)))) ** 2
+        top = int(np.argmax(power))
+        share = power[max(top - 2, 0) : top + 3].sum() / max(power.sum(), 1e-30)
+        lines.append((top / (len(e) * case.dt), share, 2 / (len(e) * case.dt)))
+    loud = [(hz, share, width) for hz, share, width in lines if share > _TONE]
+    if len(lines) < 3 or 2 * len(loud) <= len(lines):
+        return None
+    hz = float(np.median([line[0] for line in loud]))
+    alike = [share for at, share, width in loud if abs(at - hz) <= width]
+    if 2 * len(alike) <= len(lines):
+        return None
+    return {"hz": hz, "records": len(alike), "share": float(np.mean(alike))}
 
 
 def _time(case: Case, errors, noise: Noise) -> list[dict]:
@@ -183,7 +203,14 @@ def _sentence(case: Case, out: dict) -> str:
     size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
     record = max(out["records"], key=out["records"].get)
     lines = max(out["frequency"], key=lambda f: f["share"])
-    return (
+    tone = out["tone"]
+    steady = ""
+    if tone is not None:
+        steady = (
+            f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap in "
+            f"{tone['records']} records, whatever their drives. "
+        )
+    return steady + (
         f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
         f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; {100 * out['records'][record]:.0f} % of the gap is "
         f"in {record}, {100 * lines['share']:.0f} % between {lines['band_hz'][0]:.3g} and {lines['band_hz'][1]:.3g} Hz."

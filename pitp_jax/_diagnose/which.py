@@ -4,10 +4,10 @@ import numpy as np
 
 from . import page
 from .diagnosis import Diagnosis
-from .found import Ranked
+from .found import Ranked, physical
 from .glance import refitted
 from .page import tag
-from .words import coefficient_name, equation, named, of_range, parameter, percent, physical, with_error
+from .words import coefficient_name, equation, named, of_range, parameter, percent, with_error
 
 _NEAREST = 3  # rejected candidates named
 

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._effects import CATALOGUE
-from .._effects.base import AbstractEffect, Parameter
-from .._model.input_map import SquareInput
-from .._model.model import Model
+from .._effects.base import AbstractEffect
 from .._record.units import OUTPUT_UNITS, base_unit
 
 PLAIN = {
@@ -142,16 +140,6 @@ def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
 def shown_unit(unit: str) -> str:
     """A unit as it is printed."""
     return unit.replace("um", "µm")
-
-
-def physical(model: Model, p: Parameter, value: float) -> tuple[float, str]:
-    """A number stored in an effect, in physical units."""
-    s = [*model.scales.state, 1.0, 1.0]
-    factor = s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * model.scales.force**p.force
-    unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))
-    if p.force and not isinstance(model.input_map, SquareInput):
-        unit = unit.replace("V^2", "V")
-    return value * factor, unit
 
 
 def coefficient_name(i: int, order: int) -> str:

@@ -30,6 +30,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     sensor.LinearDrift,
     inertia.AddedMass,
     inertia.AttachedMode,
+    inertia.LoosenedMode,
     stiffness.DampedStop,
     stiffness.DampedStops,
     dissipation.QuadraticDrag,

@@ -2,12 +2,14 @@
 
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'            a mass carried along by a spring
+              f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')               or a share of the mass come loose
               y = x + g (z - x)                                                or standing between film and sensor
 slack         x'' >= -g, sharp or soft: a load that is only pulled falls freely once the film lets go
 """
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -57,10 +59,30 @@ def _mode_starts(s: Surroundings, strength):
     return [bounded((strength, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in (0.6, 1.6, 2.5, 4.5)]
 
 
-class AttachedMode(AbstractForceEffect):
-    """A mass carried along by a spring."""
+class Carried(AbstractForceEffect):
+    """A mass carried along by a spring, at rest beside X at first."""
 
-    name, form, family, port, states = "second_mode", "attached", "inertia", "M", 2
+    name, family, port, states = "second_mode", "inertia", "M", 2
+    omega: eqx.AbstractVar[Array]
+    zeta: eqx.AbstractVar[Array]
+
+    def initial(self, x, age):
+        """At rest beside X."""
+        return jnp.stack([jnp.asarray(x), jnp.zeros_like(x)])
+
+    def apart(self, states, now: Instant):
+        """The spring's length, half a step on."""
+        return now.state[0] - states[0] - now.h / 2 * states[1]
+
+    def advance(self, states, x, after, h):
+        """By the mean displacement of the step."""
+        return oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
+
+
+class AttachedMode(Carried):
+    """One more mass on a spring."""
+
+    form = "attached"
     PARAMETERS = (Parameter("kappa", neutral=0.0), Parameter("omega", "rad/s"), Parameter("zeta"))
     kappa: Float[Array, ""]
     omega: Float[Array, ""]
@@ -71,17 +93,37 @@ class AttachedMode(AbstractForceEffect):
         """Over the band."""
         return _mode_starts(s, 0.2)
 
-    def initial(self, x, age):
-        """At rest beside X."""
-        return jnp.stack([jnp.asarray(x), jnp.zeros_like(x)])
+    def act(self, states, now: Instant, tokens, offset):
+        """The spring's pull."""
+        return tokens, offset + now.coefficients[0] * self.kappa * self.apart(states, now)
+
+
+class LoosenedMode(Carried):
+    """A share p of the mass that has come loose and hangs on a spring."""
+
+    form = "come loose"
+    PARAMETERS = (Parameter("p", neutral=0.0), Parameter("omega", "rad/s"), Parameter("zeta"))
+    p: Float[Array, ""]
+    omega: Float[Array, ""]
+    zeta: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Over the band; an order-1 nominal has no mass."""
+        if s.inertia <= 0:
+            return []
+        high = min(20 * s.omega, 1.5 / s.dt)
+        bounds = (1e-4, 0.2 * s.omega, 1e-3), (0.9, high, 0.4)
+        return [bounded((0.1, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in (1.2, 1.6, 2.5, 4.5)]
 
     def act(self, states, now: Instant, tokens, offset):
-        """The spring's pull, half a step on."""
-        return tokens, offset + now.coefficients[0] * self.kappa * (now.state[0] - states[0] - now.h / 2 * states[1])
-
-    def advance(self, states, x, after, h):
-        """By the mean displacement of the step."""
-        return oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
+        """Its pull on the rest of the mass."""
+        if now.state.shape[0] < 2:
+            return tokens, offset
+        mass = self.p * now.coefficients[2]
+        slip = now.rates[0] * now.state[1] - states[1]
+        pull = self.omega**2 * self.apart(states, now) + 2 * self.zeta * self.omega * slip
+        return tokens.at[2].add(-mass), offset + mass / (now.rates[0] * now.rates[1]) * pull
 
 
 class MountedMode(AbstractSensorEffect):

@@ -30,6 +30,10 @@ class AbstractEncoder(eqx.Module):
     def scaled(self, factor: float) -> "AbstractEncoder":
         """The encoder whose logits are `factor` times these: at 0 the identified linear model."""
 
+    def nets(self) -> "AbstractEncoder":
+        """Like it, but 1 at the weights of nets, and 0 at those of polynomials (which extrapolate)."""
+        return jax.tree.map(jnp.ones_like, self)
+
 
 class ConstantEncoder(AbstractEncoder):
     """Constant tokens: the identified linear model."""
@@ -137,6 +141,14 @@ class CompactEncoder(AbstractEncoder):
             return (*readouts, e.spring_poly, e.damping_poly, e.fading)
 
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
+
+    def nets(self):
+        """All but the three polynomials."""
+
+        def polynomials(e):
+            return e.spring_poly, e.damping_poly, e.fading
+
+        return eqx.tree_at(polynomials, super().nets(), jax.tree.map(jnp.zeros_like, polynomials(self)))
 
 
 def fast_memories(count: int) -> int:

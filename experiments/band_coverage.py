@@ -1,6 +1,6 @@
 """Does an ensemble's 95 % band hold 95 % of held-out samples?
 
-    python experiments/coverage.py [cone100|roll] [--data ../shared] [--members 4] [--smoke]
+    python experiments/band_coverage.py [cone100|roll] [--data ../shared] [--members 4] [--smoke]
 
 Trains on train/, prints per held-out record the share of samples inside the band and its half width over the record's
 range. Without recordings a quick virtual cone is used.
