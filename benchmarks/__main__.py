@@ -1,12 +1,14 @@
 """What every operation takes, beside a peer in the same run, as a table and as JSON.
 
-    python -m benchmarks [--only NAME,...] [--seconds 10] [--json FILE]
+    python -m benchmarks [--only NAME,...] [--seconds 10] [--json FILE] [--into README.md,...]
 
-Rows run one after another, each in a process of its own. With `--json FILE` rows already there are kept.
+Rows run one after another, each in a process of its own. With `--json FILE` rows already there are kept. `--into`
+writes the table between the lines `<!-- benchmarks -->` and `<!-- end -->` of a file.
 """
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -60,12 +62,21 @@ def table(rows: dict[str, dict]) -> str:
     return "\n".join(text)
 
 
+def written(text: str, table: str, source: str) -> str:
+    """The text with the table between its two marks."""
+    marks = re.compile(r"(<!-- benchmarks -->\n).*?(<!-- end -->)", re.DOTALL)
+    if not marks.search(text):
+        sys.exit(f"{source}: no lines <!-- benchmarks --> and <!-- end --> to write between")
+    return marks.sub(lambda m: f"{m[1]}{table}\n{m[2]}", text)
+
+
 def arguments(argv):
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="rows by name, comma-separated: " + ", ".join(ROWS))
     parser.add_argument("--seconds", type=float, default=10.0, help="about how long the turns of one row take in all")
     parser.add_argument("--json", type=Path, help="where the rows are written, and kept from earlier runs")
+    parser.add_argument("--into", default="", help="files to write the table into, comma-separated")
     return parser.parse_args(argv)
 
 
@@ -82,7 +93,10 @@ def main(argv=None):
         rows[name] = run(name, options.seconds)
         if options.json:
             options.json.write_text(json.dumps(rows, indent=1))
-    print(table({name: rows[name] for name in ROWS if name in rows}))
+    text = table({name: rows[name] for name in ROWS if name in rows})
+    print(text)
+    for file in map(Path, filter(None, options.into.split(","))):
+        file.write_text(written(file.read_text(), text, str(file)))
 
 
 if __name__ == "__main__":

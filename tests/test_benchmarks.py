@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import duration, main, table
+from benchmarks.__main__ import duration, main, table, written
 from benchmarks.clock import row, take_turns
 from benchmarks.rows import ROWS
 
@@ -39,6 +39,13 @@ def test_first_call_apart_medians_and_ratio():
 @pytest.mark.parametrize(("ms", "text"), [(0.0216, "21.6 us"), (3.302, "3.3 ms"), (71234.0, "71.2 s"), (None, "-")])
 def test_durations(ms, text):
     assert duration(ms) == text
+
+
+def test_the_table_goes_between_its_marks():
+    text = "a\n<!-- benchmarks -->\nold\n<!-- end -->\nb\n"
+    assert written(text, "new", "f") == "a\n<!-- benchmarks -->\nnew\n<!-- end -->\nb\n"
+    with pytest.raises(SystemExit, match="f: no lines"):
+        written("a\n", "new", "f")
 
 
 def test_rows_and_unknown_ones(tmp_path):
