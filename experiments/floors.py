@@ -1,6 +1,6 @@
 """Issue-style floors on recordings: identify, fit with the default preset, free run on held-out records.
 
-    python experiments/floors.py cone100 roll hasel silverbox [--data ../shared] [--seeds 1] [--smoke]
+    python experiments/floors.py cone100 roll hasel silverbox [--data ../shared] [--seeds 1] [--firmness 1e-4] [--smoke]
 
 Each case prints the identified linear model beside the trained one, and the wall time of the fit. The data are not part
 of this project; a case whose folder is absent is skipped with a line.
@@ -37,7 +37,7 @@ def figures(model, records):
     return rows
 
 
-def run(case: str, data: Path, seed: int, smoke: bool):
+def run(case: str, data: Path, seed: int, smoke: bool, firmness: float = 1e-4):
     """Identify, fit and score one case; returns the rows printed."""
     folder, sweep, train, test, order, input_map = CASES[case]
     root = data / folder
@@ -50,7 +50,7 @@ def run(case: str, data: Path, seed: int, smoke: bool):
         pitp.read(*[root / p for p in sweep]) if sweep else training, order=order, input_map=input_map
     )
     identified = time.perf_counter()
-    settings = PRESETS["default"]
+    settings = dataclasses.replace(PRESETS["default"], firmness=firmness)
     if smoke:
         settings = dataclasses.replace(settings, stages=1, epochs=1, refine_steps=0)
     fitted = pitp.train(start.model, training, settings=settings, key=jax.random.key(seed)).model
@@ -76,11 +76,12 @@ def main(smoke: bool = False, argv=None):
     parser.add_argument("cases", nargs="*", default=list(CASES), help=", ".join(CASES))
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared")
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--firmness", type=float, default=1e-4, help="see pitp_jax.Settings")
     parser.add_argument("--smoke", action="store_true")
     options = parser.parse_args(argv)
     for case in options.cases:
         for seed in range(options.seeds):
-            run(case, options.data, seed, smoke or options.smoke)
+            run(case, options.data, seed, smoke or options.smoke, options.firmness)
 
 
 if __name__ == "__main__":

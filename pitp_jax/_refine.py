@@ -31,31 +31,41 @@ from ._shard import sharded_normal_equations
 
 _BUDGET = 400_000  # samples in all
 _SHORT_STEPS, _PERIODS = 12, 6.0
-# rho, in (1 %)^2: weights of nets, of polynomials, time constants. A net held ten times more firmly leaves to the
-# polynomials what they can say, and they extrapolate: Silverbox at 1.3 times the trained amplitude 0.52 -> 0.36 mV.
-_NETS, _POLYNOMIALS, _TIMES = 1e-4, 1e-4, 1e-4
+_PRIOR = 1e-4  # rho of every trained number but the weights of the nets of spring and damping
 _PATIENCE, _SLOW = 5, 0.01  # stop when that many steps together lower the error by less than this share
 
 
 def refine(
-    model: Model, data: Dataset, records: Sequence[Record], count: int, report, mesh: Mesh | None = None
+    model: Model,
+    data: Dataset,
+    records: Sequence[Record],
+    count: int,
+    report,
+    *,
+    firmness: float = _PRIOR,
+    mesh: Mesh | None = None,
 ) -> Iterator[tuple[Model, dict]]:
-    """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records."""
+    """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
+
+    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`.
+    """
     dt = records[0].dt
     short = _windows(model, data, records)
-    for found, entry in _descend(_tamed(model, short, dt), short, dt, _SHORT_STEPS, "short runs", report, mesh):
+    for found, entry in _descend(
+        _tamed(model, short, dt), short, dt, _SHORT_STEPS, "short runs", report, firmness, mesh
+    ):
         model = found
         yield found, entry
     whole = _whole(model, records)
-    yield from _descend(_tamed(model, whole, dt), whole, dt, count, "free runs", report, mesh)
+    yield from _descend(_tamed(model, whole, dt), whole, dt, count, "free runs", *rest)
 
 
 def _descend(
-    model: Model, runs: Runs, dt: float, count: int, stage: str, report, mesh: Mesh | None
+    model: Model, runs: Runs, dt: float, count: int, stage: str, report, firmness: float, mesh: Mesh | None
 ) -> Iterator[tuple[Model, dict]]:
     start, sizes = parameters(model)
     every = _thinning(model, dt)
-    rho = _prior(model, sizes)
+    rho = _prior(model, sizes, firmness)
     centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near where they began
 
     def normal(v):
@@ -81,10 +91,11 @@ def _descend(
             return
 
 
-def _prior(model: Model, sizes) -> np.ndarray:
+def _prior(model: Model, sizes, firmness: float) -> np.ndarray:
     """Rho of every trained number."""
-    net = np.asarray(ravel_pytree(eqx.filter(model.encoder.nets(), trainable(model).encoder))[0], np.float64)
-    return np.append(_POLYNOMIALS + (_NETS - _POLYNOMIALS) * net, np.full(sum(sizes) - sizes[0], _TIMES))
+    nets = eqx.filter(model.encoder.token_nets(), trainable(model).encoder)
+    share = np.asarray(ravel_pytree(nets)[0], np.float64)
+    return np.append(_PRIOR + (firmness - _PRIOR) * share, np.full(sum(sizes) - sizes[0], _PRIOR))
 
 
 def _thinning(model: Model, dt: float) -> int:

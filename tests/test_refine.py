@@ -185,3 +185,18 @@ def test_records_shorter_than_the_filter_still_have_a_window(plant, start):
     nowhere = replace(data, valid=tuple(np.zeros_like(v) for v in data.valid))
     runs = _refine._windows(model, nowhere, plant[1])
     assert runs.target.shape[0] == 1 and bool(jnp.isfinite(runs.weight).all())
+
+
+def squares(net):
+    return float(sum(np.sum(np.square(leaf)) for leaf in jax.tree.leaves(eqx.filter(net, eqx.is_array))))
+
+
+def test_firm_nets_stay_small(plant, start):
+    """Firmness holds the nets of spring and damping, and nothing else."""
+    model, data = start
+    loose, firm = (list(refine(model, data, plant[1], 6, quiet, firmness=f))[-1][0].encoder for f in (1e-4, 1.0))
+    assert squares(firm.spring) < 0.3 * squares(loose.spring)
+    assert squares(firm.damping) < 0.3 * squares(loose.damping)
+    held = model.encoder.token_nets()
+    assert squares(held.spring) > 0 and squares(held.damping) > 0
+    assert squares(held.past) == squares(held.spring_poly) == squares(held.fading) == 0

@@ -30,9 +30,9 @@ class AbstractEncoder(eqx.Module):
     def scaled(self, factor: float) -> "AbstractEncoder":
         """The encoder whose logits are `factor` times these: at 0 the identified linear model."""
 
-    def nets(self) -> "AbstractEncoder":
-        """Like it, but 1 at the weights of nets, and 0 at those of polynomials (which extrapolate)."""
-        return jax.tree.map(jnp.ones_like, self)
+    def token_nets(self) -> "AbstractEncoder":
+        """Like it, but 1 at the weights of nets that a polynomial of the same inputs stands beside, and 0 elsewhere."""
+        return jax.tree.map(jnp.zeros_like, self)
 
 
 class ConstantEncoder(AbstractEncoder):
@@ -142,13 +142,13 @@ class CompactEncoder(AbstractEncoder):
 
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
-    def nets(self):
-        """All but the three polynomials."""
+    def token_nets(self):
+        """Those of spring and damping."""
 
-        def polynomials(e):
-            return e.spring_poly, e.damping_poly, e.fading
+        def nets(e):
+            return tuple(net for net in (e.spring, e.damping) if net is not None)
 
-        return eqx.tree_at(polynomials, super().nets(), jax.tree.map(jnp.zeros_like, polynomials(self)))
+        return eqx.tree_at(nets, super().token_nets(), jax.tree.map(jnp.ones_like, nets(self)))
 
 
 def fast_memories(count: int) -> int:
