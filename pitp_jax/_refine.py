@@ -51,9 +51,8 @@ def refine(
     """
     dt = records[0].dt
     short = _windows(model, data, records)
-    for found, entry in _descend(
-        _tamed(model, short, dt), short, dt, _SHORT_STEPS, "short runs", report, firmness, mesh
-    ):
+    rest = report, firmness, mesh
+    for found, entry in _descend(_tamed(model, short, dt), short, dt, _SHORT_STEPS, "short runs", *rest):
         model = found
         yield found, entry
     whole = _whole(model, records)
