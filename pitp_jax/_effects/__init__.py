@@ -45,6 +45,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     drive.ElectrodeRC,
     drive.ElectrodeLadder,
     drive.SlewLimit,
+    drive.SlewingLag,
     drive.VoltageClip,
     drive.RoundedClip,
     drive.VoltageOffset,

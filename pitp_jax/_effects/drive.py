@@ -1,6 +1,6 @@
 """What the amplifier and the electrodes do before the square (port IN): u to the film's V.
 
-electrode_rc    tau V' = u - V, once or three times in a row        slew_limit      |V'| <= s
+electrode_rc    tau V' = u - V, once or three times in a row        slew_limit      |V'| <= s, as V' = (u - V) / tau
 voltage_clip    V = min(max(u, -u_max), u_max), hard or rounded     voltage_offset  V = u + V_0
 charge_leak     V = u - kappa q,  q' = (u - q) / tau                delay           V(t) = u(t - T)
 
@@ -9,6 +9,7 @@ u runs linearly between samples; lags are exact for it. A record that rests star
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -164,39 +165,78 @@ class ElectrodeLadder(_Lag):
     form, states, sections = "ladder", 3, (0.8, 0.15, 0.05)
 
 
-class SlewLimit(AbstractDriveEffect):
-    """|V'| <= 1 / `inverse`."""
+class _Slewing(AbstractDriveEffect):
+    """|V'| <= 1 / `inverse`, zero being no limit."""
 
-    name, form, family, port, states = "slew_limit", "rate limit", "drive", "IN", 1
-    PARAMETERS = (Parameter("inverse", "s/V", neutral=0.0, linear=False),)
-    inverse: Float[Array, ""]
+    name, family, port, states = "slew_limit", "drive", "IN", 1
+    inverse: eqx.AbstractVar[Array]
 
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Below the fastest slew of the drive (steps aside), down to a slow amplifier."""
+    @staticmethod
+    def limits(s: Surroundings) -> list[tuple[float, float, float]]:
+        """(start, low, high): below the fastest slew of the drive (steps aside), down to a slow amplifier."""
         fast = min(s.slew, 2 * s.omega * s.voltage)
-        return [bounded((1 / (share * fast),), (0.5 / s.slew,), (200 / fast,)) for share in (0.6, 0.25, 0.1)]
+        return [(1 / (share * fast), 0.5 / s.slew, 200 / fast) for share in (0.6, 0.25, 0.1)]
 
     def initial(self, voltage):
         """Settled at the voltage before the record."""
         return jnp.reshape(voltage, (1,))
 
-    def advance(self, states, before, after, h):
-        """As far towards u as the amplifier gets."""
+    def towards(self, states, goal, h):
+        """As far as the amplifier gets in h."""
         most = h / jnp.maximum(self.inverse, 1e-30)
-        return states + jnp.clip(after - states, -most, most)
+        return states + jnp.clip(goal - states, -most, most)
 
     def film(self, states, voltage):
         """The limited voltage."""
         return jnp.where(self.inverse > 0, states[0], voltage)
 
+    def passes(self, film, dt):
+        """As fast as the amplifier gets."""
+        return jnp.abs(slope(film, dt)) * self.inverse <= 1.0
+
+
+class SlewLimit(_Slewing):
+    """V follows u as fast as it may."""
+
+    form = "rate limit"
+    PARAMETERS = (Parameter("inverse", "s/V", neutral=0.0, linear=False),)
+    inverse: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Three limits."""
+        return [bounded(*zip(limit, strict=True)) for limit in cls.limits(s)]
+
+    def advance(self, states, before, after, h):
+        """Towards u."""
+        return self.towards(states, after, h)
+
     def undo(self, film, dt):
         """Below the limit u is V."""
         return film
 
-    def passes(self, film, dt):
-        """As fast as the amplifier gets."""
-        return jnp.abs(slope(film, dt)) * self.inverse <= 1.0
+
+class SlewingLag(_Slewing):
+    """V' = (u - V) / tau as far as it may: an amplifier that nears its limit gradually."""
+
+    form = "rate limit and lag"
+    PARAMETERS = (Parameter("inverse", "s/V", neutral=0.0, linear=False), Parameter("tau", "s"))
+    inverse: Float[Array, ""]
+    tau: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Three limits, behind a lag that alone would hardly be seen."""
+        lag = 0.1 / s.omega, 0.3 * s.dt, 2.0 / s.omega
+        return [bounded(*zip(limit, lag, strict=True)) for limit in cls.limits(s)]
+
+    def advance(self, states, before, after, h):
+        """Along the lag."""
+        return self.towards(states, lagged(states, before, after, self.tau, h), h)
+
+    def undo(self, film, dt):
+        """U = V + tau V' below the limit."""
+        return film + jnp.where(self.inverse > 0, self.tau * slope(film, dt), 0.0)
 
 
 class ChargeLeak(AbstractDriveEffect):
