@@ -1,6 +1,6 @@
 """Issue-style floors on recordings: identify, fit with the default preset, free run on held-out records.
 
-    python experiments/floors.py cone100 roll hasel silverbox [--data ../shared] [--seeds 1] [--firmness 1e-4] [--smoke]
+    python experiments/floors.py cone100 roll hasel silverbox [--data ../shared] [--seeds 1] [--firmness RHO] [--smoke]
 
 Each case prints the identified linear model beside the trained one, and the wall time of the fit. The data are not part
 of this project; a case whose folder is absent is skipped with a line.
@@ -37,7 +37,7 @@ def figures(model, records):
     return rows
 
 
-def run(case: str, data: Path, seed: int, smoke: bool, firmness: float = 1e-4):
+def run(case: str, data: Path, seed: int, smoke: bool, firmness: float | None = None):
     """Identify, fit and score one case; returns the rows printed."""
     folder, sweep, train, test, order, input_map = CASES[case]
     root = data / folder
@@ -76,7 +76,7 @@ def main(smoke: bool = False, argv=None):
     parser.add_argument("cases", nargs="*", default=list(CASES), help=", ".join(CASES))
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared")
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--firmness", type=float, default=1e-4, help="see pitp_jax.Settings")
+    parser.add_argument("--firmness", type=float, help="see pitp_jax.Settings")
     parser.add_argument("--smoke", action="store_true")
     options = parser.parse_args(argv)
     for case in options.cases:
