@@ -38,7 +38,11 @@ def running():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
-    return start(8), [start(2, address, "2", str(k)) for k in range(2)]
+    one, pair = start(8), [start(2, address, "2", str(k)) for k in range(2)]
+    yield one, pair
+    for process in (one, *pair):  # a worker of the suite may have asked for none of the answers
+        process.kill()
+        process.communicate()
 
 
 def test_equal_on_one_device(running, nonlinear):
