@@ -42,7 +42,8 @@ def running():
     yield one, pair
     for process in (one, *pair):  # a worker of the suite may have asked for none of the answers
         process.kill()
-        process.communicate()
+        process.wait()
+        process.stdout.close()
 
 
 def test_equal_on_one_device(running, nonlinear):
