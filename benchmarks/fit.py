@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 import pitp_jax as pitp
-from pitp_jax import _demo, _train
+from pitp_jax import _demo, _settings, _train
 from pitp_jax._dataset import build_dataset
 from pitp_jax._metrics import e_rms_percent
 
@@ -28,17 +28,17 @@ def records(name: str):
     folder = _DATA / name
     if folder.is_dir():
         parts = [pitp.read(folder / part) for part in ("sweep", "train", "test")]
-        return *parts, _train.PRESETS["default"], "recordings"
+        return *parts, _settings.PRESETS["default"], "recordings"
     actuator = pitp.plant(name)
     parts = [_demo.measure(actuator, _demo.excitations(name, part, True)) for part in ("sweep", "train", "test")]
-    return *parts, replace(_train.PRESETS["default"], **_demo.QUICK_TRAINING), "virtual, quick"
+    return *parts, replace(_settings.PRESETS["default"], **_demo.QUICK_TRAINING), "virtual, quick"
 
 
 def step_ways(nominal, train, settings) -> tuple[dict, str]:
     """One epoch of ours, a few steps of PyTorch's; both report per step through `scale`."""
-    memory = partial(_train._memory, settings, nominal, train)
+    memory = partial(_settings.memory_of, settings, nominal, train)
     data = build_dataset(nominal, train, scaling=settings.scaling, difference=settings.difference, memory=memory)
-    model = _train._with_encoder(data, settings, jax.random.key(0))
+    model = _settings.with_encoder(data, settings, jax.random.key(0))
     params, static = eqx.partition(model, _train._trainable(model))
     state, box = _train._OPTIMISER.init(params), jnp.asarray([0.6, 1.5])
     rows = data.equation

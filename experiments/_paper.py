@@ -17,7 +17,7 @@ import numpy as np
 
 import pitp_jax as pitp
 from pitp_jax._demo import PREDICTION_PAPER, SCALES, SEED, TRACKING_PAPER, Track, kind, measure, play, swing
-from pitp_jax._train import PRESETS
+from pitp_jax._settings import PRESETS
 
 ACTUATORS = ("cone100", "cone122", "cone150", "roll")
 TABLE_1, TABLE_2 = PREDICTION_PAPER, TRACKING_PAPER

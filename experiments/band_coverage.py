@@ -15,7 +15,7 @@ import numpy as np
 
 import pitp_jax as pitp
 from pitp_jax._demo import excitations, measure
-from pitp_jax._train import PRESETS
+from pitp_jax._settings import PRESETS
 
 
 def records_of(case: str, data: Path):

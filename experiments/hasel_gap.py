@@ -2,7 +2,7 @@
 
     1. nominal: order 2 on small steps;      diagnosed on the large steps and the 3 Hz sine;  scored at 7 Hz
     2. nominal: trained on steps and 3 Hz;   diagnosed on the same records;                   scored at 7 Hz
-    3. nominal: order 2 on the first half;   commanded voltage as input, against the measured one
+    3. nominal: order 2 on small steps;      commanded voltage as input, beside the measured one
 
     python experiments/hasel_gap.py [--data ../shared] [--parts 1,2,3] [--smoke]
 
@@ -72,8 +72,8 @@ def without_a_model(steps, sine) -> None:
     print(f"most frequent acceleration of the fall: {at:.2f} m/s^2 (free fall: {-GRAVITY})")
 
 
-def told(finding, tests) -> None:
-    """What was found, and the held-out error before and after."""
+def told(finding) -> None:
+    """What was found."""
     print(finding)
     for added in finding.added:
         print(f"{added.effect} ({added.form}):", {k: (v["value"], v["unit"]) for k, v in added.parameters.items()})
@@ -85,7 +85,7 @@ def diagnosed(title: str, nominal, records, test, **how) -> None:
     """Diagnose, then score on a record that neither saw."""
     print(f"\n=== {title}")
     finding = pitp.diagnose(nominal, records, **how)
-    told(finding, [test])
+    told(finding)
     (before,), (after,) = nrmse(nominal, [test]), nrmse(finding.model, [test])
     print(f"{test.name}: nrmse {before:.1f} -> {after:.1f} % ({100 * (1 - after / before):.0f} % less)")
 

@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 
 import pitp_jax as pitp
 from pitp_jax import _demo
-from pitp_jax._train import PRESETS
+from pitp_jax._settings import PRESETS
 
 LAG = 8e-3  # s
 SEED = 7  # of the sensor noise on the changed rig

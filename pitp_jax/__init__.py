@@ -47,11 +47,11 @@ if TYPE_CHECKING:  # the public list, in pipeline order, as a type checker sees 
     from ._record.reading import read as read
     from ._record.reading import read_target as read_target
     from ._record.record import Record as Record
+    from ._settings import Settings as Settings
     from ._shard import records_mesh as records_mesh
     from ._shard import sharded_inverse as sharded_inverse
     from ._shard import sharded_rollout as sharded_rollout
     from ._stream import invert_stream as invert_stream
-    from ._train import Settings as Settings
     from ._train import Training as Training
     from ._train import train as train
     from ._trim import pi_trim as pi_trim
@@ -60,7 +60,7 @@ _HOME = {
     "Record": "._record.record", "read": "._record.reading", "Target": "._record.reading",
     "read_target": "._record.reading", "excitation": "._record.excitation",
     "identify": "._identify", "Identification": "._identify",
-    "Model": "._model.model", "train": "._train", "Training": "._train", "Settings": "._train",
+    "Model": "._model.model", "train": "._train", "Training": "._train", "Settings": "._settings",
     "train_ensemble": "._ensemble", "Ensemble": "._ensemble", "predict_band": "._ensemble", "Band": "._ensemble",
     "predict": "._predict", "Prediction": "._predict", "rollout": "._decode", "rest_state": "._decode",
     "feedforward": "._feedforward", "Feedforward": "._feedforward", "discrete_inverse": "._discrete_inverse",

@@ -97,7 +97,7 @@ def _step_with_effects(model: Model, state, stages, dt: float):
     return state
 
 
-def rest_state(model: Model, age: float = 0.0) -> Float[Array, " state"]:
+def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:
     """The scaled state of an actuator that has been at rest for ever, at an age of the session in s."""
     zero = jnp.zeros((), model.coefficients.dtype)
     return settled_state(model, jnp.zeros(model.order, zero.dtype), zero, zero, age)

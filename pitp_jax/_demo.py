@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from . import _feedforward, _predict, _train
+from . import _feedforward, _predict, _settings, _train
 from ._identify import Identification, identify
 from ._metrics import e_rms_percent
 from ._plant import plant as virtual_actuator
@@ -132,7 +132,7 @@ def run(
     say("identifying on the sweep")
     found = identify([swept], progress=say)
     say(f"order {found.model.order}; training on {len(train)} sines")
-    settings = replace(_train.PRESETS["default"], **QUICK_TRAINING) if quick else None
+    settings = replace(_settings.PRESETS["default"], **QUICK_TRAINING) if quick else None
     trained = _train.train(found.model, train, settings=settings, key=jax.random.key(SEED), progress=progress)
     if trained.interrupted:
         raise KeyboardInterrupt

@@ -18,9 +18,10 @@ from ._metrics import e_rms_percent
 from ._model import augment
 from ._model.model import Model
 from ._parallel import rollout_by_size
-from ._path import Path, derivatives, extend, limit_slew, rough_share
+from ._path import Path, extend, limit_slew, rough_share
 from ._predict import at_rate, outside_share
 from ._record.reading import Target
+from ._spline_filter import fast_derivatives
 
 _SHOTS = 6
 _ROUNDING = 1e-6  # of the largest force
@@ -175,7 +176,7 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int) -> _
         motion = reference
         if model.effects:
             motion = np.asarray(augment.moves(model, jnp.asarray(reference / scale), dt), np.float64) * scale
-        equation = scaled_equation(model, derivatives(motion, dt, model.order))
+        equation = scaled_equation(model, fast_derivatives(motion, dt, model.order))
         force, voltage, features = invert_along(model, equation, dt)
         u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
         states = rollout_by_size(model, jnp.asarray(u[None], dtype), dt, rest_state(model)[None])[0]

@@ -26,11 +26,8 @@ from ._model.model import Model
 from ._rollout_fast import fast_rollout
 
 _ITERATIONS = 60
-_DAMPING, _HARDER, _GROWTH = (
-    0.01,
-    4.0,
-    100.0,
-)  # first damping, factor to the next, growth of the residual that ends a try
+_DAMPING, _HARDER = 0.01, 4.0  # first damping, factor to the next
+_GROWTH = 100.0  # of the residual, which ends a try
 _ROUNDING = 32.0  # largest residual, in units of eps times the largest state
 _LONG = 4096  # steps from which a parallel machine gains
 

@@ -7,6 +7,8 @@ more than a printed figure can resolve, no peak lost, and 200,000 samples draw a
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import find_peaks
 
 MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
@@ -33,10 +35,13 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
 def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     """As `extremes`, over stretches widened to whole oscillations: nothing of the motion itself is left in it.
 
-    A stretch runs from the trough before its bin to the trough behind it.
+    A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
+    neighbours is a ripple within an oscillation.
     """
     edges = _edges(values, bins)
-    troughs = 1 + np.flatnonzero((values[1:-1] < values[:-2]) & (values[1:-1] <= values[2:]))
+    troughs, found = find_peaks(-values, prominence=0)
+    depth = found["prominences"]
+    troughs = troughs[depth >= 0.5 * maximum_filter1d(depth, 5)] if len(troughs) else troughs
     troughs = np.concatenate([[0], troughs, [len(values)]])
     first = troughs[np.searchsorted(troughs, edges[:-1], side="right") - 1]
     return _least_and_most(values, first, troughs[np.searchsorted(troughs, edges[1:])])

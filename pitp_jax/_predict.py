@@ -31,7 +31,7 @@ def estimate_start(
     displacement: Float[Array, " time"],
     observed: Bool[Array, " time"],
     dt: float,
-    age: float = 0.0,
+    age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " state"]:
     """Initial state of a record that starts moving, from its first samples (scaled displacement; at most 50).
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
 from ._decode import increment, midpoint, scaled_force, stage_voltages
 from ._levenberg import Normal
@@ -49,7 +49,7 @@ def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(parts), np.array([len(p) for p in parts])
 
 
-def with_parameters(model: Model, vector: np.ndarray) -> Model:
+def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameters"]) -> Model:
     """The model with other trained numbers."""
     params, static = eqx.partition(model, trainable(model))
     parts, first = (params.encoder, params.memory, params.drive), 0

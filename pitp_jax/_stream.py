@@ -40,7 +40,7 @@ class Piece:
 
 
 def invert_stream(
-    model: Model, blocks: Iterable[Float[np.ndarray, " samples"]], dt: float, *, window: int = _WINDOW
+    model: Model, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
 ) -> Iterator[Piece]:
     """Voltages for a displacement that arrives in blocks of any sizes and starts at rest (eq. 13, without shooting).
 

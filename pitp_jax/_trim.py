@@ -22,8 +22,8 @@ def pi_trim(
     target: Float[Array, " time"],
     dt: float,
     *,
-    p: float = 0.1 * KV_PER_MM,
-    i: float = 0.3 * KV_PER_MM,
+    p: float | Float[Array, ""] = 0.1 * KV_PER_MM,
+    i: float | Float[Array, ""] = 0.3 * KV_PER_MM,
     limits: tuple[float, float] = (0.0, float("inf")),
 ) -> tuple[Float[Array, " time"], Float[Array, " time"]]:
     """Run a plant, at rest at the first sample, under feedforward plus PI.

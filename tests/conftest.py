@@ -1,6 +1,8 @@
 """Shapes and types of pitp_jax are checked while its tests run; models and data that several files use."""
 
+import pkgutil
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import jax
@@ -9,14 +11,19 @@ import numpy as np
 import pytest
 from jaxtyping import install_import_hook
 
-with install_import_hook("pitp_jax", "beartype.beartype"):
+with install_import_hook("pitp_jax", "typecheck.check"):
+    import diagnosis_cases
     import equinox as eqx
 
-    from pitp_jax import cli  # noqa: F401  (imports every verb)
+    import pitp_jax
     from pitp_jax._model.encoder import CompactEncoder
     from pitp_jax._model.input_map import SquareInput
     from pitp_jax._model.memory import FadingMemory
     from pitp_jax._model.model import Output, Provenance, linear_model
+
+    for _module in pkgutil.walk_packages(pitp_jax.__path__, "pitp_jax."):
+        if not _module.name.endswith("__main__"):
+            import_module(_module.name)
 
 
 @pytest.fixture(scope="session")
@@ -130,3 +137,24 @@ def bounded():
 def actuator(linear, bounded):
     """F = u^2, 5 Hz, damping 0.1, 1 mm at 1000 V; trained up to 2000 V and 50 kV/s, sampled at 1 kHz."""
     return bounded(linear(2))
+
+
+@pytest.fixture
+def explained(actuator):
+    """A hand-made diagnosis of this verdict; the next three follow from it."""
+    return diagnosis_cases.explained(actuator)
+
+
+@pytest.fixture
+def tied(explained):
+    return diagnosis_cases.tied(explained)
+
+
+@pytest.fixture
+def no_gap(explained):
+    return diagnosis_cases.no_gap(explained)
+
+
+@pytest.fixture
+def unknown(explained):
+    return diagnosis_cases.unknown(explained)

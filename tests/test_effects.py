@@ -14,7 +14,7 @@ from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.lanes import Lane, Lanes
 from pitp_jax._effects import CATALOGUE, dissipation, key, sensor, stiffness, viscoelastic
-from pitp_jax._effects.drive import ElectrodeRC
+from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._model import augment
 
 HZ, DT, SAMPLES = 5.0, 2e-3, 2500

@@ -11,7 +11,8 @@ from pitp_jax._decode import rest_state, rollout, rollout_batch
 from pitp_jax._ensemble import Ensemble, predict_band, train_ensemble
 from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
-from pitp_jax._train import Settings, train
+from pitp_jax._settings import Settings
+from pitp_jax._train import train
 
 DT, SAMPLES = 2e-3, 500
 TIME = np.arange(SAMPLES) * DT

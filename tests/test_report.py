@@ -5,36 +5,14 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
-import diagnosis_cases
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from diagnosis_cases import candidate
 from matplotlib import rcParams
 
 from pitp_jax._diagnose import figures, words
 from pitp_jax._diagnose.report import report
 from pitp_jax._effects import stiffness
-
-
-@pytest.fixture
-def explained(actuator):
-    return diagnosis_cases.explained(actuator)
-
-
-@pytest.fixture
-def tied(explained):
-    return diagnosis_cases.tied(explained)
-
-
-@pytest.fixture
-def no_gap(explained):
-    return diagnosis_cases.no_gap(explained)
-
-
-@pytest.fixture
-def unknown(explained):
-    return diagnosis_cases.unknown(explained)
 
 
 class Page(HTMLParser):

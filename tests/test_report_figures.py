@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import diagnosis_cases
 import pytest
 from diagnosis_cases import T, traces, where
 from matplotlib.figure import Figure
@@ -10,26 +9,6 @@ from matplotlib.figure import Figure
 from pitp_jax._diagnose import figures, glance, words
 from pitp_jax._diagnose.report import report
 from pitp_jax._effects import CATALOGUE
-
-
-@pytest.fixture
-def explained(actuator):
-    return diagnosis_cases.explained(actuator)
-
-
-@pytest.fixture
-def tied(explained):
-    return diagnosis_cases.tied(explained)
-
-
-@pytest.fixture
-def no_gap(explained):
-    return diagnosis_cases.no_gap(explained)
-
-
-@pytest.fixture
-def unknown(explained):
-    return diagnosis_cases.unknown(explained)
 
 
 def test_a_line_in_every_recording_is_a_disturbance(unknown):

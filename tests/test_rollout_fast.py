@@ -53,6 +53,8 @@ def test_equals_the_plain_rollout(nonlinear, linear, case):
 
 @pytest.mark.parametrize("part", ["effects", "encoder"])
 def test_what_is_not_written_out_takes_the_plain_way(linear, monkeypatch, part):
+    volts, start = runs(linear(2), 1)
     model = eqx.tree_at(lambda m: getattr(m, part), linear(2), (jnp.ones(()),))
-    monkeypatch.setattr("pitp_jax._rollout_fast.rollout_batch", lambda *_: "plain")
-    assert fast_rollout.__wrapped__(model, *([None] * 3)) == "plain"
+    plain = jnp.zeros((*volts.shape, start.shape[1]))
+    monkeypatch.setattr("pitp_jax._rollout_fast.rollout_batch", lambda *_: plain)
+    assert fast_rollout.__wrapped__(model, volts, DT, start) is plain

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pitp_jax._effects.drive import ElectrodeRC
+from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._metrics import rmse
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
@@ -17,8 +17,9 @@ from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.memory import ElapsedTime
 from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
+from pitp_jax._settings import PRESETS, Settings
 from pitp_jax._shard import records_mesh
-from pitp_jax._train import PRESETS, Settings, train
+from pitp_jax._train import train
 
 DT, SAMPLES = 2e-3, 1000
 TIME = np.arange(SAMPLES) * DT

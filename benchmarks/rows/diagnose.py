@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._effects.drive import ElectrodeRC
+from pitp_jax._effects.electrode import ElectrodeRC
 
 from ..clock import summary
 from ..subjects import DT, nominal, voltages

@@ -20,7 +20,7 @@ _BLOCK, _PERIOD = 100_000, 200_000  # the target repeats every 200 s
 
 def blocks(samples: int):
     """The target again and again."""
-    whole = np.pad(target(_PERIOD), (0, 0))
+    whole = target(_PERIOD)
     for first in range(0, samples, _BLOCK):
         at = first % _PERIOD
         yield whole[at : at + _BLOCK]

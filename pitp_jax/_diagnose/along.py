@@ -16,14 +16,16 @@ from jax.flatten_util import ravel_pytree
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
+from .._effects.amplifier import Delay
 from .._effects.base import (
     AbstractCouplingEffect,
     AbstractDriveEffect,
+    AbstractEffect,
     AbstractForceEffect,
     AbstractSensorEffect,
     Known,
+    states_of,
 )
-from .._effects.drive import Delay
 from .._model.model import Model
 
 
@@ -99,48 +101,18 @@ def _passes(effects, n: int, input_map):
     unravel = ravel_pytree(effects)[1]
 
     def lane_start(row, start):
-        x, voltage, age = start
-        states = []
-        for e in unravel(row):
-            if isinstance(e, AbstractDriveEffect):
-                states.append(e.initial(voltage))
-            elif isinstance(e, AbstractForceEffect):
-                states.append(e.initial(x, age))
-            elif isinstance(e, AbstractSensorEffect):
-                states.append(e.initial(x))
-            else:
-                states.append(jnp.zeros((0,)))
-        return states
+        return [states_of(e, *start) for e in unravel(row)]
 
     def lane(row, states, now, then, late, nominal):
         """Forces of all forms at this sample (filtered later), direct output columns, and the next states."""
-        force, direct, after, dt = [], [], [], nominal.dt
-
-        def force_of(volts):
-            return input_map.force(volts) / nominal.force
-
-        base = force_of(now.voltage)
+        base = input_map.force(now.voltage) / nominal.force
         instant = Known(now.motion[:n], nominal.coefficients, nominal.rates, base, nominal.blunt, now.motion[n])
-        for e, z in zip(unravel(row), states, strict=True):
-            f, g = jnp.zeros(()), jnp.zeros(())
-            if isinstance(e, AbstractDriveEffect):
-                f = base - force_of(e.film(z, now.voltage))
-                z = e.advance(z, now.voltage, then.voltage, dt)
-            elif isinstance(e, Delay):
-                f = base - force_of(late)
-            elif isinstance(e, AbstractCouplingEffect):
-                f = base - e.couple(base, now.motion[0])
-            elif isinstance(e, AbstractForceEffect):
-                tokens, offset = e.act(z, instant, now.tokens, now.offset)
-                f = (tokens - now.tokens) @ now.motion + offset - now.offset
-                z = e.advance(z, now.motion[0], then.motion[0], dt)
-            elif isinstance(e, AbstractSensorEffect):
-                g = now.run - e.reading(z, now.run)
-                z = e.advance(z, now.run, then.run, dt)
-            force.append(f)
-            direct.append(g)
-            after.append(z)
-        return jnp.stack(force), jnp.stack(direct), after
+        found = [
+            _felt(e, z, instant, (now, then, late), nominal, input_map)
+            for e, z in zip(unravel(row), states, strict=True)
+        ]
+        force, direct, after = zip(*found, strict=True)
+        return jnp.stack(force), jnp.stack(direct), list(after)
 
     lanes = jax.vmap(lane, (0, 0, None, None, 0, None))
 
@@ -165,3 +137,27 @@ def _passes(effects, n: int, input_map):
         return jax.lax.scan(sample, carry, (now, then, late))
 
     return begin, advance
+
+
+def _felt(e: AbstractEffect, z, instant: Known, samples, nominal: Nominal, input_map):
+    """One form: its force (filtered later), its direct share of the output, and its next states.
+
+    `samples`: the columns at this sample, those at the next, and the delayed voltage at this one.
+    """
+    (now, then, late), none = samples, jnp.zeros(())
+
+    def lost(volts):
+        return instant.force - input_map.force(volts) / nominal.force
+
+    if isinstance(e, AbstractDriveEffect):
+        return lost(e.film(z, now.voltage)), none, e.advance(z, now.voltage, then.voltage, nominal.dt)
+    if isinstance(e, Delay):
+        return lost(late), none, z
+    if isinstance(e, AbstractCouplingEffect):
+        return instant.force - e.couple(instant.force, now.motion[0]), none, z
+    if isinstance(e, AbstractForceEffect):
+        tokens, offset = e.act(z, instant, now.tokens, now.offset)
+        force = (tokens - now.tokens) @ now.motion + offset - now.offset
+        return force, none, e.advance(z, now.motion[0], then.motion[0], nominal.dt)
+    assert isinstance(e, AbstractSensorEffect)
+    return none, now.run - e.reading(z, now.run), e.advance(z, now.run, then.run, nominal.dt)

@@ -71,13 +71,11 @@ class Case:
         model: the nominal at the records' rate, with enough substeps for stiff contacts.
         series: one per record, in the order given.
         surroundings: what starts and bounds of effects are taken from.
-        session_known: records do not overlap in time, so their clock is the session's.
     """
 
     model: Model
     series: tuple[Series, ...]
     surroundings: Surroundings
-    session_known: bool
 
     @property
     def dt(self) -> float:
@@ -114,7 +112,7 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
         _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(begin[k]), cut, known)
         for k, r in enumerate(records)
     )
-    return Case(model, series, _surroundings(model, series, known), known)
+    return Case(model, series, _surroundings(model, series, known))
 
 
 def _force(model: Model, voltage):

@@ -15,6 +15,7 @@ from .._model.model import Model
 from .._record.units import base_unit
 from .attribute import Attribution, Judged, bootstrap
 from .case import Case
+from .regress import Screened
 
 GAP = 1.1  # times the floor: no gap up to there
 _FLOOR_DOUBT = 0.03  # relative standard deviation of the noise floor's estimate
@@ -149,49 +150,49 @@ def _relative(c, errors) -> list:
 
 
 def ranking_of(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, ...]:
-    rows, seen = [], set()
-    for j in found.ranking:
-        form = j.candidate.forms[0] if j.candidate.forms else None
-        seen.add(j.names[0])
-        rows.append(
-            Ranked(
-                j.names[0],
-                form.family if form else "parametric",
-                form.form if form else "refitted coefficients",
-                added_of(case, j)[0].parameters,
-                j.train,
-                j.heldout if np.isfinite(j.heldout) else j.train,
-                closed(found.base.heldout, j.heldout, low),
-                _interval(case, found.base, j, low, held),
-                False,
-            )  # fmt: skip
-        )
+    """Every name's best form: those fitted on whole rollouts, then those that were only screened."""
+    rows = [_fitted(case, found, j, low, held) for j in found.ranking]
+    seen = {r.effect for r in rows}
     for s in found.screened:
-        form = s.forms[0]
-        if form.name in seen:
-            continue
-        seen.add(form.name)
-        numbers = zip(form.PARAMETERS, s.values[0], strict=True)
-        told = {
-            p.name: dict(zip(("value", "unit"), physical(case.model, p, v), strict=True)) | {"stderr": None}
-            for p, v in numbers
-        }
-        held_error = float(np.sqrt(max(s.heldout, 0)))
-        rows.append(
-            Ranked(
-                form.name,
-                form.family,
-                form.form,
-                told,
-                float(np.sqrt(max(s.train, 0))),
-                held_error,
-                closed(found.base.heldout, held_error, low),
-                None,
-                True,
-            )  # fmt: skip
-        )
+        if s.names[0] not in seen:
+            seen.add(s.names[0])
+            rows.append(_screened(case, found, s, low))
     order = {c.name: k for k, c in enumerate(CATALOGUE)}
     return tuple(sorted(rows, key=lambda r: (r.screened, r.heldout, order.get(r.effect, 0))))
+
+
+def _fitted(case: Case, found: Attribution, j: Judged, low: float, held) -> Ranked:
+    form = j.candidate.forms[0] if j.candidate.forms else None
+    return Ranked(
+        effect=j.names[0],
+        family=form.family if form else "parametric",
+        form=form.form if form else "refitted coefficients",
+        parameters=added_of(case, j)[0].parameters,
+        train=j.train,
+        heldout=j.heldout if np.isfinite(j.heldout) else j.train,
+        closed_fraction=closed(found.base.heldout, j.heldout, low),
+        ci95=_interval(case, found.base, j, low, held),
+        screened=False,
+    )
+
+
+def _screened(case: Case, found: Attribution, s: Screened, low: float) -> Ranked:
+    form, told = s.forms[0], {}
+    for p, v in zip(form.PARAMETERS, s.values[0], strict=True):
+        value, unit = physical(case.model, p, v)
+        told[p.name] = {"value": value, "unit": unit, "stderr": None}
+    train, heldout = (float(np.sqrt(max(e, 0))) for e in (s.train, s.heldout))
+    return Ranked(
+        effect=form.name,
+        family=form.family,
+        form=form.form,
+        parameters=told,
+        train=train,
+        heldout=heldout,
+        closed_fraction=closed(found.base.heldout, heldout, low),
+        ci95=None,
+        screened=True,
+    )
 
 
 def augmented(case: Case, judged: Judged, model: Model) -> Model:

@@ -6,10 +6,10 @@ from .._plot_lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from .._record.units import OUTPUT_UNITS, base_unit
 from .diagnosis import Diagnosis
 from .found import Trace
+from .tone import steady_tone
 from .words import shown_unit
 
 _CYCLES = 6  # oscillations in the zoom
-_LINE = 0.8  # of an error's energy within three bins of one frequency: a line
 
 
 def output_unit(diagnosis: Diagnosis) -> tuple[float, str]:
@@ -91,24 +91,11 @@ def refitted(diagnosis: Diagnosis) -> bool:
 
 
 def outside_line(diagnosis: Diagnosis) -> tuple[float, float] | None:
-    """A line that the error has in all recordings, whatever the drive: (Hz, least share of the error), or None.
-
-    Two drives at least must differ from it; what answers a drive has the drive's own frequencies.
-    """
-    found = []
-    for t in diagnosis.traces:
-        e = np.where(np.isfinite(t.measured), t.nominal - t.measured, 0.0)
-        dt = (t.time[-1] - t.time[0]) / (len(e) - 1)
-        power = np.abs(np.fft.rfft((e - e.mean()) * np.hanning(len(e)))) ** 2
-        k = int(np.argmax(power[1:])) + 1
-        near = slice(max(k - 3, 0), k + 4)
-        squared = np.abs(np.fft.rfft((t.voltage**2 - np.mean(t.voltage**2)) * np.hanning(len(e)))) ** 2
-        driven = squared[near].sum() / max(squared.sum(), 1e-30)
-        found.append((k / (len(e) * dt), power[near].sum() / max(power.sum(), 1e-30), driven, 1 / (len(e) * dt)))
-    hz, share, driven, width = np.array(found).T
-    if len(hz) < 3 or share.min() < _LINE or np.ptp(hz) > 2 * width.max() or np.count_nonzero(driven < 0.1) < 2:
-        return None
-    return float(np.median(hz)), float(share.min())
+    """A line that the error has in all recordings, whatever the drive: (Hz, least share of the error), or None."""
+    traces = diagnosis.traces
+    errors = [np.where(np.isfinite(t.measured), t.nominal - t.measured, 0.0) for t in traces]
+    intervals = [(t.time[-1] - t.time[0]) / (len(t.time) - 1) for t in traces]
+    return steady_tone(errors, [t.voltage for t in traces], intervals)
 
 
 def time_spent(diagnosis: Diagnosis) -> dict[str, np.ndarray]:

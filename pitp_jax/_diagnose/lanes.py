@@ -16,8 +16,8 @@ from jax.flatten_util import ravel_pytree
 
 from .._between import between
 from .._decode import step
+from .._effects.amplifier import Delay
 from .._effects.base import AbstractEffect
-from .._effects.drive import Delay
 from .._model import augment
 from .._model.model import Model
 from .case import Case

@@ -26,13 +26,11 @@ class Noise:
     Attributes:
         sigma: standard deviation in scaled displacement.
         spectrum: (frequency in Hz, density) of the bands, shape (bands, 2).
-        whitening: taps of the filter that makes it white, shape (p + 1,), first 1.
         source: how it was found.
     """
 
     sigma: float
     spectrum: np.ndarray
-    whitening: np.ndarray
     source: str
 
     def floor_percent(self, span: float) -> float:
@@ -56,9 +54,7 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     if slow.any() and (~slow).any():
         level[slow] = np.minimum(level[slow], 2 * level[~slow][0])
     sigma = float(np.sqrt(np.sum(level * np.diff(edges))))
-    return Noise(
-        sigma, np.stack([middle, level], -1), _whitening(level, edges, dt), "spectrum between the drive's lines"
-    )
+    return Noise(sigma, np.stack([middle, level], -1), "spectrum between the drive's lines")
 
 
 def _edges(samples: int, dt: float) -> np.ndarray:
@@ -84,13 +80,3 @@ def _levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray)
         bins = power[(frequency >= max(low, 1.5 / (len(tail) * dt))) & (frequency < high)]
         found.append(np.quantile(bins, 0.25) / _QUARTILE if len(bins) else 0.0)
     return np.array(found)
-
-
-def _whitening(level: np.ndarray, edges: np.ndarray, dt: float, order: int = 6) -> np.ndarray:
-    """Autoregressive taps from the autocovariance of the spectrum (Yule and Walker)."""
-    fine = np.linspace(0, 0.5 / dt, 2049)
-    density = np.interp(fine, (edges[:-1] + edges[1:]) / 2, level)
-    covariance = np.fft.irfft(density)[: order + 1]
-    matrix = covariance[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
-    taps = np.linalg.solve(matrix + 1e-9 * covariance[0] * np.eye(order), covariance[1:])
-    return np.concatenate([[1.0], -taps])

@@ -13,8 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 import jax
 import numpy as np
 
+from .._effects.amplifier import Delay
 from .._effects.base import AbstractEffect, Start
-from .._effects.drive import Delay
 from .along import Columns, Nominal, compiled, nominal_filter, responses
 from .case import Case, Series
 from .regress import Screening

@@ -11,12 +11,12 @@ import numpy as np
 
 from .case import Case, Series
 from .noise import Noise
+from .tone import steady_tone
 
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency
 _BINS = 10
 _MOST = 0.6  # of the missing force's energy, in the cells that the sentence spans
-_TONE = 0.5  # of a record's residual in one line, in most of the records
 _FLAG = 0.15  # a flagged cell's missing force, rms, beside that of the loudest cell
 
 
@@ -102,21 +102,13 @@ def _harmonics(case: Case, errors, noise: Noise) -> dict:
 
 
 def _tone(case: Case, errors) -> dict | None:
-    """A line at the same frequency in most of several records, whatever their drives: a hum, not the actuator."""
-    lines = []
-    for s, e in zip(case.series, errors, strict=True):
-        power = np.abs(np.fft.rfft(e * (s.weight > 0) * np.hanning(len(e)))) ** 2
-        top = int(np.argmax(power))
-        share = power[max(top - 2, 0) : top + 3].sum() / max(power.sum(), 1e-30)
-        lines.append((top / (len(e) * case.dt), share, 2 / (len(e) * case.dt)))
-    loud = [(hz, share, width) for hz, share, width in lines if share > _TONE]
-    if len(lines) < 3 or 2 * len(loud) <= len(lines):
-        return None
-    hz = float(np.median([line[0] for line in loud]))
-    alike = [share for at, share, width in loud if abs(at - hz) <= width]
-    if 2 * len(alike) <= len(lines):
-        return None
-    return {"hz": hz, "records": len(alike), "share": float(np.mean(alike))}
+    """`steady_tone` of the residuals: its frequency, in how many records, and its least share of one's gap."""
+    found = steady_tone(
+        [e * (s.weight > 0) for s, e in zip(case.series, errors, strict=True)],
+        [s.record.voltage for s in case.series],
+        [case.dt] * len(errors),
+    )
+    return None if found is None else {"hz": found[0], "records": len(errors), "share": found[1]}
 
 
 def _time(case: Case, errors, noise: Noise) -> list[dict]:
@@ -207,8 +199,8 @@ def _sentence(case: Case, out: dict) -> str:
     steady = ""
     if tone is not None:
         steady = (
-            f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap in "
-            f"{tone['records']} records, whatever their drives. "
+            f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap or more in "
+            f"every record, whatever its drive. "
         )
     return steady + (
         f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "

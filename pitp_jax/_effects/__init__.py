@@ -4,7 +4,7 @@ A new effect is one final class and one line here; it is then fitted, ranked, sa
 family's tests. Forces act in this order: velocity and friction see all that comes before them.
 """
 
-from . import coupling, dissipation, drive, inertia, sensor, stiffness, viscoelastic
+from . import amplifier, coupling, dissipation, electrode, inertia, sensor, stiffness, viscoelastic
 from .base import AbstractEffect
 
 CATALOGUE: tuple[type[AbstractEffect], ...] = (
@@ -42,15 +42,15 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     inertia.LoadSlack,
     inertia.HangingSlack,
     inertia.SoftSlack,
-    drive.ElectrodeRC,
-    drive.ElectrodeLadder,
-    drive.SlewLimit,
-    drive.SlewingLag,
-    drive.VoltageClip,
-    drive.RoundedClip,
-    drive.VoltageOffset,
-    drive.Delay,
-    drive.ChargeLeak,
+    electrode.ElectrodeRC,
+    electrode.ElectrodeLadder,
+    amplifier.SlewLimit,
+    amplifier.SlewingLag,
+    amplifier.VoltageClip,
+    amplifier.RoundedClip,
+    amplifier.VoltageOffset,
+    amplifier.Delay,
+    electrode.ChargeLeak,
     coupling.StretchCoupling,
     coupling.SquaredCoupling,
     coupling.DielectricSaturation,

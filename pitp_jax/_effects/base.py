@@ -223,6 +223,17 @@ def lagged(state, x, after, tau, h):
     return state + settle * (x - state) + (1 - settle / fraction) * (after - x)
 
 
+def states_of(effect: AbstractEffect, x, voltage, age) -> Float[Array, " states"]:
+    """An effect's states in an actuator held at X under `voltage` (0 where it rests), at that age of the session."""
+    if isinstance(effect, AbstractDriveEffect):
+        return effect.initial(voltage)
+    if isinstance(effect, AbstractForceEffect):
+        return effect.initial(x, age)
+    if isinstance(effect, AbstractSensorEffect):
+        return effect.initial(x)
+    return nothing()
+
+
 class Known(Instant):
     """An instant whose motion is given (measured, or wanted); `h` only says how sharply friction sets in.
 

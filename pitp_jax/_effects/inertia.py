@@ -52,11 +52,11 @@ class AddedMass(AbstractForceEffect):
         return states
 
 
-def _mode_starts(s: Surroundings, strength):
-    """Resonances below and above the nominal's, within reach of the sampling."""
+def _mode_starts(s: Surroundings, strength, *, most=20.0, ratios=(0.6, 1.6, 2.5, 4.5)):
+    """Resonances below and above the nominal's, within reach of the sampling; `most`: bound of the strength."""
     high = min(20 * s.omega, 1.5 / s.dt)
-    bounds = (1e-4, 0.2 * s.omega, 1e-3), (20.0, high, 0.4)  # with more damping it is a lag
-    return [bounded((strength, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in (0.6, 1.6, 2.5, 4.5)]
+    bounds = (1e-4, 0.2 * s.omega, 1e-3), (most, high, 0.4)  # with more damping it is a lag
+    return [bounded((strength, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in ratios]
 
 
 class Carried(AbstractForceEffect):
@@ -110,11 +110,7 @@ class LoosenedMode(Carried):
     @classmethod
     def starts(cls, s: Surroundings):
         """Over the band; an order-1 nominal has no mass."""
-        if s.inertia <= 0:
-            return []
-        high = min(20 * s.omega, 1.5 / s.dt)
-        bounds = (1e-4, 0.2 * s.omega, 1e-3), (0.9, high, 0.4)
-        return [bounded((0.1, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in (1.2, 1.6, 2.5, 4.5)]
+        return _mode_starts(s, 0.1, most=0.9, ratios=(1.2, 1.6, 2.5, 4.5)) if s.inertia > 0 else []
 
     def act(self, states, now: Instant, tokens, offset):
         """Its pull on the rest of the mass."""

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._effects.amplifier import Delay
 from .._effects.base import (
     AbstractCouplingEffect,
     AbstractDriveEffect,
@@ -18,8 +19,8 @@ from .._effects.base import (
     AbstractSensorEffect,
     Instant,
     Wanted,
+    states_of,
 )
-from .._effects.drive import Delay
 
 if TYPE_CHECKING:
     from .model import Model
@@ -36,14 +37,7 @@ def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, 
 
 def initial(model: "Model", x, voltage, age) -> Float[Array, " states"]:
     """All effects' states of an actuator held at X under `voltage` (0 where it rests), at that age of the session."""
-    parts = [jnp.zeros((0,), jnp.result_type(x))]
-    for effect in model.effects:
-        if isinstance(effect, AbstractDriveEffect):
-            parts.append(effect.initial(voltage))
-        elif isinstance(effect, AbstractForceEffect):
-            parts.append(effect.initial(x, age))
-        elif isinstance(effect, AbstractSensorEffect):
-            parts.append(effect.initial(x))
+    parts = [jnp.zeros((0,), jnp.result_type(x)), *(states_of(e, x, voltage, age) for e in model.effects)]
     return jnp.concatenate([p.astype(parts[0].dtype) for p in parts])
 
 

@@ -21,4 +21,4 @@ def is_sweep(record: Record) -> bool:
     if len(np.unique(counts)) < 4:
         return False
     trend = float(spearmanr(np.arange(_SEGMENTS), counts)[0])  # pyright: ignore[reportArgumentType]
-    return abs(trend) > 0.9 and counts.max() >= 3 * max(counts.min(), 1)
+    return abs(trend) > 0.9 and bool(counts.max() >= 3 * max(counts.min(), 1))

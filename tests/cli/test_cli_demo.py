@@ -9,7 +9,7 @@ import pytest
 from cli_cases import COEFFICIENTS, columns_of, refused, tree
 from scipy.signal import lsim
 
-from pitp_jax import _demo, _demo_files, _file, _train
+from pitp_jax import _demo, _demo_files, _file, _settings
 from pitp_jax._errors import ComputationFailed
 
 
@@ -47,8 +47,8 @@ def test_demo_quick(call, tmp_path):
 
 def test_end_to_end(call, bench, tmp_path, monkeypatch):
     """The four verbs themselves, on a linear actuator, with little training."""
-    short = replace(_train.PRESETS["default"], epochs=3, stages=1, refine_steps=3, width=4, memories=2)
-    monkeypatch.setitem(_train.PRESETS, "default", short)
+    short = replace(_settings.PRESETS["default"], epochs=3, stages=1, refine_steps=3, width=4, memories=2)
+    monkeypatch.setitem(_settings.PRESETS, "default", short)
     nominal, model, records = tmp_path / "nominal", tmp_path / "model", bench / "records"
     assert call("identify", records / "sweep.csv", "--out", nominal, "--order", "2")[0] == 0
     assert call("fit", records, "--nominal", nominal, "--out", model)[0] == 0

@@ -1,20 +1,13 @@
-"""What the amplifier and the electrodes do before the square (port IN): u to the film's V.
+"""What the amplifier does before the square (port IN): u to V.
 
-electrode_rc    tau V' = u - V, once or three times in a row        slew_limit      |V'| <= s, as V' = (u - V) / tau
 voltage_clip    V = min(max(u, -u_max), u_max), hard or rounded     voltage_offset  V = u + V_0
-charge_leak     V = u - kappa q,  q' = (u - q) / tau                delay           V(t) = u(t - T)
-
-u runs linearly between samples; lags are exact for it. A record that rests starts uncharged.
+slew_limit      |V'| <= s, as V' = (u - V) / tau                    delay           V(t) = u(t - T)
 """
-
-from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from .._recurrence import first_order_lags
 from .base import AbstractDriveEffect, AbstractEffect, Parameter, Surroundings, bounded, lagged, nothing, slope
 
 
@@ -110,61 +103,6 @@ class VoltageOffset(_Static):
         return jnp.ones(film.shape, bool)
 
 
-class _Lag(AbstractDriveEffect):
-    """Lags in a row."""
-
-    name, family, port = "electrode_rc", "drive", "IN"
-    PARAMETERS = (Parameter("tau", "s", neutral=0.0, linear=False),)
-    sections: ClassVar[tuple[float, ...]]
-    tau: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Around and below the time scale of the resonance."""
-        low, high = min(0.2 * s.dt, 0.003 / s.omega), 5.0 / s.omega
-        return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.5)]
-
-    def initial(self, voltage):
-        """Settled at the voltage before the record."""
-        return jnp.full((len(self.sections),), voltage)
-
-    def advance(self, states, before, after, h):
-        """Exact for the first lag; its output is taken as linear for the next."""
-        found = []
-        for k, share in enumerate(self.sections):
-            tau = jnp.maximum(share * self.tau, 1e-9)
-            later = lagged(states[k], before, after, tau, h)
-            found.append(later)
-            before, after = states[k], later
-        return jnp.stack(found)
-
-    def film(self, states, voltage):
-        """The last lag's output."""
-        return jnp.where(self.tau > 0, states[-1], voltage)
-
-    def undo(self, film, dt):
-        """By lead, lag by lag."""
-        for share in self.sections:
-            film = film + share * self.tau * slope(film, dt)
-        return film
-
-    def passes(self, film, dt):
-        """Always."""
-        return jnp.ones(film.shape, bool)
-
-
-class ElectrodeRC(_Lag):
-    """Sheet resistance and film capacitance, lumped."""
-
-    form, states, sections = "one lag", 1, (1.0,)
-
-
-class ElectrodeLadder(_Lag):
-    """A resistive electrode charges from its edge inwards: three lags of a diffusion line."""
-
-    form, states, sections = "ladder", 3, (0.8, 0.15, 0.05)
-
-
 class _Slewing(AbstractDriveEffect):
     """|V'| <= 1 / `inverse`, zero being no limit."""
 
@@ -237,46 +175,6 @@ class SlewingLag(_Slewing):
     def undo(self, film, dt):
         """U = V + tau V' below the limit."""
         return film + jnp.where(self.inverse > 0, self.tau * slope(film, dt), 0.0)
-
-
-class ChargeLeak(AbstractDriveEffect):
-    """V = u - kappa q: charge creeps into traps and screens the field."""
-
-    name, form, family, port, states = "charge_leak", "one trap", "drive", "IN", 1
-    PARAMETERS = (Parameter("kappa", neutral=0.0), Parameter("tau", "s"))
-    kappa: Float[Array, ""]
-    tau: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Slower than the resonance, down to the longest record."""
-        low, high = 1.0 / s.omega, 3 * s.duration
-        return [
-            bounded((0.15, tau), (1e-4, low), (0.9, high))
-            for tau in np.geomspace(max(8 / s.omega, s.duration / 100), s.duration / 3, 3)
-        ]
-
-    def initial(self, voltage):
-        """Settled at the voltage before the record."""
-        return jnp.reshape(voltage, (1,))
-
-    def advance(self, states, before, after, h):
-        """Exact for u linear."""
-        return lagged(states, before, after, self.tau, h)
-
-    def film(self, states, voltage):
-        """What the traps leave."""
-        return voltage - self.kappa * states[0]
-
-    def undo(self, film, dt):
-        """U = V + kappa q with q' = (V - (1 - kappa) q) / tau: the trap's own lag, slower by 1 / (1 - kappa)."""
-        tau = self.tau / (1 - self.kappa)
-        level = first_order_lags(film / (1 - self.kappa), tau[None], dt, jnp.zeros((1,), film.dtype))[:, 0]
-        return film + self.kappa * level
-
-    def passes(self, film, dt):
-        """Always."""
-        return jnp.ones(film.shape, bool)
 
 
 class Delay(AbstractEffect):

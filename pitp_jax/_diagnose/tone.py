@@ -1,0 +1,37 @@
+"""A line that the residual has in every record, whatever the drive: a hum, not the actuator.
+
+    |E(f)|^2 has most of its energy within three bins of one f, the same in all records, while the drives' F have not
+
+What answers a drive has the drive's own frequencies, so two drives at least must differ from the line.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+_SHARE = 0.8  # of an error's energy within three bins of one frequency: a line
+
+
+def steady_tone(
+    errors: Sequence[np.ndarray], voltages: Sequence[np.ndarray], intervals: Sequence[float]
+) -> tuple[float, float] | None:
+    """(Hz, least share of a record's error), or None.
+
+    Args:
+        errors: residuals, zero where nothing is measured.
+        voltages: drives, V.
+        intervals: between samples, s.
+    """
+    found = []
+    for e, u, dt in zip(errors, voltages, intervals, strict=True):
+        window = np.hanning(len(e))
+        power = np.abs(np.fft.rfft((e - e.mean()) * window)) ** 2
+        k = int(np.argmax(power[1:])) + 1
+        near = slice(max(k - 3, 0), k + 4)
+        squared = np.abs(np.fft.rfft((u**2 - np.mean(u**2)) * window)) ** 2
+        driven = squared[near].sum() / max(squared.sum(), 1e-30)
+        found.append((k / (len(e) * dt), power[near].sum() / max(power.sum(), 1e-30), driven, 1 / (len(e) * dt)))
+    hz, share, driven, width = np.array(found).T
+    if len(hz) < 3 or share.min() < _SHARE or np.ptp(hz) > 2 * width.max() or np.count_nonzero(driven < 0.1) < 2:
+        return None
+    return float(np.median(hz)), float(share.min())
