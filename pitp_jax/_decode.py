@@ -72,29 +72,27 @@ def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple,
 
 def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " stages"], dt: float):
     """Advance one sample along its stage voltages: `substeps` RK4 steps, tokens read anew at each."""
-    if model.effects:
-        return _step_with_effects(model, state, stages, dt)
-    force = scaled_force(model, stages)
     for k in range(model.substeps):
-        now = (force[2 * k], force[2 * k + 1], force[2 * k + 2])
-        state = state + frozen_increment(model, state, now, dt / model.substeps)
+        state = substep(model, state, stages[2 * k : 2 * k + 3], dt / model.substeps)
     return state
 
 
-def _step_with_effects(model: Model, state, stages, dt: float):
-    """The same with every effect's force frozen beside the tokens, and its states moved on after each substep."""
-    size, h = model.order + model.memory.size, dt / model.substeps
-    for k in range(model.substeps):
-        core, parts = state[:size], augment.split(model, state[size:])
-        volts, parts = augment.films(model, parts, tuple(stages[2 * k : 2 * k + 3]), h)
-        seen = midpoint(model, core, h)
-        forces = augment.coupled(model, tuple(scaled_force(model, v) for v in volts), seen[0])
-        rates = jnp.asarray(model.scales.rates, state.dtype)
-        now = Instant(seen[: model.order], model.coefficients, rates, forces[1], h)
-        tokens, offset = augment.acted(model, parts, now, *model.tokens(seen))
-        after = core + _runge_kutta(model, core, tokens, offset, forces, h)
-        state = jnp.concatenate([after, *augment.moved(model, parts, core[0], after[0], h)])
-    return state
+def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"], h: float, extra=0.0):
+    """One RK4 step of length h (s) along three stage voltages; `extra` is added to the encoder's logits.
+
+    Every effect's force is frozen beside the tokens, and its states are moved on after the step.
+    """
+    size = model.order + model.memory.size
+    core, seen = state[:size], midpoint(model, state[:size], h)
+    logits = model.encoder(seen) + extra
+    if not model.effects:
+        return core + increment(model, core, logits, tuple(scaled_force(model, volts)), h)
+    films, parts = augment.films(model, augment.split(model, state[size:]), tuple(volts), h)
+    forces = augment.coupled(model, tuple(scaled_force(model, v) for v in films), seen[0])
+    now = Instant(seen[: model.order], model.coefficients, jnp.asarray(model.scales.rates, state.dtype), forces[1], h)
+    tokens, offset = augment.acted(model, parts, now, *model.tokens_from(logits))
+    after = core + _runge_kutta(model, core, tokens, offset, forces, h)
+    return jnp.concatenate([after, *augment.moved(model, parts, core[0], after[0], h)])
 
 
 def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:

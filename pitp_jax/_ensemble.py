@@ -16,6 +16,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from ._decode import rollout
+from ._model import augment
 from ._model.model import Model
 from ._predict import at_rate, starts
 from ._record.record import Record
@@ -101,7 +102,7 @@ def _stacked(models: Sequence[Model]) -> Model:
 
 @eqx.filter_jit
 def _run(stack: Model, voltage, dt: float, start):
-    return eqx.filter_vmap(lambda m, s: rollout(m, voltage, dt, s)[:, 0])(stack, start)
+    return eqx.filter_vmap(lambda m, s: augment.readings(m, rollout(m, voltage, dt, s)))(stack, start)
 
 
 def _relative(band: Band, record: Record) -> float:

@@ -1,16 +1,20 @@
 """What training is told: presets, and the parts of a model they stand for.
 
-settings + nominal -> memory (time constants), encoder (at the nominal), drive (its first lag), firmness of the nets
+settings + nominal -> memory (time constants), encoder (at the nominal), drive (its first lag) and other lags
+                      learned with it, firmness of the nets
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from ._dataset import Dataset
+from ._effects.amplifier import Delay
+from ._effects.base import in_scales
+from ._effects.sensor import SensorLag
 from ._errors import BadInput
 from ._model.drive import ElectrodeLag
 from ._model.encoder import CompactEncoder, PaperEncoder
@@ -28,6 +32,9 @@ _WORDS = {
 }
 
 
+PARTS = {"delay": Delay, "sensor_lag": SensorLag}
+
+
 @dataclass(frozen=True)
 class Settings:
     """What a preset fixes; the paper's symbols (Algorithm 1, III-D) in brackets.
@@ -40,6 +47,7 @@ class Settings:
         memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record (to half
             of it: a 50 s record after training on 10 s drifted by 1.3 % of range, against 0.6 %).
         drive: "electrode" (a lag before the square, where there is one, learned from 0.1 / omega_0 on) or "direct".
+        parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on: "delay", "sensor_lag".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
         difference: "stencil" (8th order) or "central" (eq. 8).
         epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
@@ -63,6 +71,7 @@ class Settings:
     memory: str = "fading"
     memories: int = 5
     drive: str = "electrode"
+    parts: tuple[str, ...] = ()
     scaling: str = "rms"
     difference: str = "stencil"
     epochs: int = 8
@@ -84,6 +93,9 @@ class Settings:
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
                 raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")
+        for part in self.parts:
+            if part not in PARTS:
+                raise BadInput(f"settings: part {part!r} is unknown: use {' or '.join(PARTS)}")
 
 
 PRESETS = {
@@ -130,6 +142,18 @@ def with_drive(model: Model, settings: Settings) -> Model:
         return model
     lag = ElectrodeLag(jnp.asarray(np.log(0.1 / model.natural_frequency), jnp.float32))
     return eqx.tree_at(lambda m: m.drive, model, lag)
+
+
+def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
+    """The model with its drive's first lag, the effects of the nominal, and the parts that are asked for.
+
+    An effect that is there from the start is fitted beside the encoder: what it explains the nets need not learn.
+    """
+    begin = jnp.asarray(0.1 / nominal.natural_frequency, jnp.float32)
+    old, new = nominal.scales, model.scales
+    given = tuple(in_scales(e, (old.state, old.force), (new.state, new.force)) for e in nominal.effects)
+    effects = (*given, *(PARTS[part](begin) for part in settings.parts))
+    return replace(with_drive(model, settings), effects=effects)
 
 
 def with_encoder(data: Dataset, settings: Settings, key) -> Model:

@@ -27,7 +27,7 @@ from ._record.record import Record
 from ._refine import refine
 from ._residual import loss
 from ._sensitivity import trainable
-from ._settings import Settings, firmness_of, memory_of, preset_of, with_drive, with_encoder
+from ._settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
 
 _OPTIMISER = optax.scale_by_adam()
 
@@ -68,7 +68,8 @@ def train(
     """Train an encoder on records, starting exactly at the nominal model.
 
     Args:
-        nominal: an identified model; order, input map, hold and output are kept.
+        nominal: an identified model; order, input map, hold and output are kept. Its effects come in with the free
+            runs, and their numbers are fitted along.
         records: the training records, one sampling rate.
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
@@ -76,24 +77,22 @@ def train(
         key: JAX key; the same key, records and machine give the same model.
 
     Raises:
-        BadInput: unknown preset, a nominal with effects, a mesh over several processes, or no usable sample left
-            after filtering.
+        BadInput: unknown preset, a mesh over several processes, or no usable sample left after filtering.
         ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
     """
     settings = preset_of(preset) if settings is None else settings
-    if nominal.effects:
-        raise BadInput("a nominal with effects is not trained: train first, then diagnose the trained model")
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     key_init, key_stages = jax.random.split(key)
-    data = build_dataset(nominal, records, scaling=settings.scaling, difference=settings.difference,
+    bare = replace(nominal, effects=())
+    data = build_dataset(bare, records, scaling=settings.scaling, difference=settings.difference,
                          memory=partial(memory_of, settings, nominal, records))  # fmt: skip
     model = with_encoder(data, settings, key_init)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
-        for found, entry in _improvements(model, data, records, settings, key_stages, progress, mesh):
+        for found, entry in _improvements(model, nominal, data, records, settings, key_stages, progress, mesh):
             best = found
             history.append(entry)
     except KeyboardInterrupt:
@@ -108,14 +107,14 @@ def train(
     return Training(_annotated(best, data, notes), tuple(history), interrupted, notes)
 
 
-def _improvements(model: Model, data: Dataset, records, settings: Settings, key, progress, mesh: Mesh | None):
+def _improvements(model: Model, nominal, data: Dataset, records, settings: Settings, key, progress, mesh: Mesh | None):
     """Yield (best model so far, history entry): the stages on the equation error, then the free runs."""
     best = None
     for best, entry in _stages(model, data, settings, key, progress):
         yield best, entry
     if best is not None and settings.refine_steps:
         yield from refine(
-            with_drive(best, settings), data, records, settings.refine_steps, partial(_report, progress),
+            with_parts(best, nominal, settings), data, records, settings.refine_steps, partial(_report, progress),
             firmness=firmness_of(settings, model), mesh=mesh,
         )  # fmt: skip
 

@@ -161,6 +161,10 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nominal", metavar="NOMINAL", help="start from this model instead of identifying one")
     parser.add_argument("--order", type=_order, metavar="N|auto", help="1 to 6, or auto (default)")
     parser.add_argument("--preset", choices=("default", "paper"), default="default", help="how to train")
+    parser.add_argument(
+        "--learn", action="append", default=[], choices=("delay", "sensor_lag"), metavar="PART",
+        help="also learn a delay or a sensor_lag between amplifier and record (may be given twice)",
+    )  # fmt: skip
     parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random start (default 0)")
     _columns(parser)

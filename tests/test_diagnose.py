@@ -13,7 +13,7 @@ from pitp_jax._diagnose.along import nominal_filter, responses
 from pitp_jax._diagnose.attribute import sides
 from pitp_jax._diagnose.case import build_case, kind, split
 from pitp_jax._diagnose.noise import estimate
-from pitp_jax._effects import stiffness
+from pitp_jax._effects import amplifier, electrode, stiffness
 
 HZ, DT, SAMPLES = 5.0, 4e-3, 1500
 TIME = np.arange(SAMPLES) * DT
@@ -31,10 +31,11 @@ def drives():
     return {k: 600 + 350 * v for k, v in (found | {"steps": steps}).items()}
 
 
-def play(model, noise=NOISE, extra=0.0, seed=0):
-    """Records of a model, one after the other on the session's clock."""
+def play(model, noise=NOISE, extra=0.0, seed=0, louder=()):
+    """Records of a model, one after the other on the session's clock; `louder`: drives at 1.5 times the voltage."""
     rng, found = np.random.default_rng(seed), []
     for k, (name, u) in enumerate(drives().items()):
+        u = 1.5 * u if name in louder else u
         states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))
         x = np.asarray(states[:, 0], float) * model.scales.state[0] + noise * rng.standard_normal(SAMPLES)
         found.append(pitp.Record(name, TIME + 10 * k, u, x + extra * np.sin(2 * np.pi * 17.3 * TIME + k)))
@@ -51,6 +52,7 @@ def test_kinds_and_the_split(nominal):
     records = play(nominal)
     assert [kind(r) for r in records] == ["sweep", "broadband", "sine", "sine", "sine", "sine", "steps"]
     assert split(records) == {"sweep", "sine0", "sine2", "steps"}
+    assert split(records, other=True) == {"sweep", "sine1", "sine3", "steps"}
     fitted, held = sides(build_case(nominal, records))
     assert not set(fitted) & set(held) and len(fitted) + len(held) == 7
 
@@ -129,6 +131,22 @@ def test_no_gap_where_there_is_none(nominal):
     found = pitp.diagnose(nominal, play(nominal, seed=7))
     assert found.verdict == "no_gap" and found.effects == () and found.equivalent == ()
     assert found.gap.closed_fraction is None and found.model.effects == ()
+
+
+def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nominal):
+    """Fitted on the quiet sines nothing clips: the fit is done again on those that were held out."""
+    planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1100)),))
+    found = pitp.diagnose(nominal, play(planted, louder=("sine1", "sine3", "multisine")))
+    assert found.effects == ("voltage_clip",) and "sine1" in found.fitted
+    assert found.gap.closed_fraction > 0.95
+
+
+def test_two_effects_are_both_named(nominal):
+    """A hard spring behind a slow electrode: no single effect comes near, and the strongest is named first."""
+    parts = stiffness.GentStiffening(jnp.asarray(0.25)), electrode.ElectrodeRC(jnp.asarray(0.02))
+    found = pitp.diagnose(nominal, play(replace(nominal, effects=parts)))
+    assert found.verdict == "explained" and set(found.effects) == {"stiffening", "electrode_rc"}
+    assert found.gap.closed_fraction > 0.95 and found.gap.after < 0.5 * found.ranking[0].heldout
 
 
 def test_hum_is_unknown(nominal):

@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 
 from pitp_jax._decode import rest_state, rollout
+from pitp_jax._effects.amplifier import Delay
+from pitp_jax._effects.dissipation import QuadraticDrag
+from pitp_jax._effects.sensor import SensorLag
+from pitp_jax._model import augment
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.memory import NoMemory
 from pitp_jax._sensitivity import Runs, normal_equations, parameters, trainable, with_parameters
@@ -32,7 +36,8 @@ def runs_of(model, samples=SAMPLES):
     """One record from rest, one that starts moving; targets off the runs, weights of zero among the others."""
     rng = np.random.default_rng(4)
     moving = jnp.concatenate([jnp.asarray([0.4, -0.3, 0.2])[: model.order], jnp.full(model.memory.size, 0.3)])
-    start = jnp.stack([rest_state(model), moving.astype(model.coefficients.dtype)])
+    held = augment.initial(model, moving[0], jnp.zeros(()), 0.0)
+    start = jnp.stack([rest_state(model), jnp.concatenate([moving, held]).astype(model.coefficients.dtype)])
     weight = rng.uniform(0.5, 2, (2, samples))
     weight[1, 5:9] = 0
     return Runs(
@@ -46,9 +51,9 @@ def runs_of(model, samples=SAMPLES):
 
 def root_residuals(model, runs, every=1):
     """Sqrt(every w) e at every `every`-th sample, from the plain decoder."""
-    states = jax.vmap(lambda u, s: rollout(model, u, DT, s))(runs.voltage, runs.start)
+    run = jax.vmap(lambda u, s: augment.readings(model, rollout(model, u, DT, s)))(runs.voltage, runs.start)
     last = runs.target.shape[1] // every * every
-    error = jnp.sqrt(every * runs.weight) * (states[..., 0] - runs.target)
+    error = jnp.sqrt(every * runs.weight) * (run - runs.target)
     return error[:, :last:every].ravel()
 
 
@@ -59,7 +64,7 @@ def test_normal_equations_are_those_of_the_plain_rollout(model, double, order, s
         m = double(model(order, substeps, hold))
         runs = runs_of(m)
         vector, counts = parameters(m)
-        assert counts[1:].tolist() == [3, 1] and counts.sum() == len(vector)
+        assert counts[1:].tolist() == [3, 1, 0] and counts.sum() == len(vector)
         found = normal_equations(m, runs, DT, 1, vector)
         residuals = jax.jit(lambda v: root_residuals(with_parameters(m, v), runs))
         r = np.asarray(residuals(jnp.asarray(vector)))
@@ -69,6 +74,25 @@ def test_normal_equations_are_those_of_the_plain_rollout(model, double, order, s
     np.testing.assert_allclose(found.hessian, j.T @ j, rtol=0, atol=1e-10 * np.abs(j.T @ j).max())
     assert (np.abs(j[:, -4:]).max(0) > 1e-4).all()  # memories and the drive do move the run
     assert (np.abs(j).max(0) > 0).mean() > 0.9
+
+
+def test_effects_are_trained_along(model, double):
+    """A delay, a drag and a sensor's lag: their columns too, in logarithms, against the plain rollout's."""
+    with jax.enable_x64(True):
+        parts = Delay(jnp.asarray(3.1e-3)), QuadraticDrag(jnp.asarray(0.4)), SensorLag(jnp.asarray(7e-3))
+        m = double(replace(model(2, 2), effects=parts))
+        runs = runs_of(m)
+        vector, counts = parameters(m)
+        assert counts[1:].tolist() == [3, 1, 3]
+        np.testing.assert_allclose(vector[-3:], np.log([3.1e-3, 0.4, 7e-3]), rtol=1e-6)
+        found = normal_equations(m, runs, DT, 1, vector)
+        residuals = jax.jit(lambda v: root_residuals(with_parameters(m, v), runs))
+        r = np.asarray(residuals(jnp.asarray(vector)))
+        j = np.asarray(jax.jit(jax.jacfwd(residuals))(jnp.asarray(vector)))
+    assert found.cost == pytest.approx(r @ r, rel=1e-12)
+    np.testing.assert_allclose(found.gradient, j.T @ r, rtol=0, atol=1e-10 * np.abs(j.T @ r).max())
+    np.testing.assert_allclose(found.hessian, j.T @ j, rtol=0, atol=1e-10 * np.abs(j.T @ j).max())
+    assert (np.abs(j[:, -3:]).max(0) > 1e-4).all()
 
 
 @pytest.mark.parametrize(("order", "substeps"), [(2, 2), (3, 1)])
@@ -126,13 +150,13 @@ def test_parameters_go_round(model):
     np.testing.assert_allclose(moved.memory.log_tau, m.memory.log_tau + 1, rtol=1e-6)
     np.testing.assert_allclose(moved.drive.log_tau, m.drive.log_tau + 1, rtol=1e-6)
     np.testing.assert_allclose(moved.encoder.fading, m.encoder.fading + 1, rtol=1e-6)
-    assert counts.tolist() == [len(vector) - 4, 3, 1]
+    assert counts.tolist() == [len(vector) - 4, 3, 1, 0]
 
 
 def test_models_with_fewer_parts(model):
     """No memory, no drive, no encoder: the numbers that are there, down to none."""
     bare = eqx.tree_at(lambda m: m.drive, model(), DirectDrive())
-    assert parameters(bare)[1].tolist()[1:] == [3, 0]
+    assert parameters(bare)[1].tolist()[1:] == [3, 0, 0]
     found = normal_equations(bare, runs_of(bare), DT, 1, parameters(bare)[0])
     assert found.hessian.shape == (len(found.gradient),) * 2 and np.isfinite(found.hessian).all()
     assert sum(jax.tree.leaves(trainable(replace(bare, memory=NoMemory())))) > 5

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pitp_jax._effects.electrode import ElectrodeRC
+from pitp_jax._effects.amplifier import Delay
+from pitp_jax._effects.dissipation import QuadraticDrag
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._metrics import rmse
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
@@ -27,17 +28,19 @@ TINY = Settings(width=8, memories=2, epochs=30, stages=2, batch=256, rate=1e-2, 
 KEY = jax.random.key(11)
 
 
-def duffing(a, hz, peak=2000.0, noise=2e-6):
-    """A spring 80 % stiffer at 4 mm: a_0 x (1 + 0.8 (x / 4 mm)^2) + a_1 x' + a_2 x'' = u^2."""
+def duffing(a, hz, peak=2000.0, noise=2e-6, delay=0.0, sensor=0.0):
+    """A spring 80 % stiffer at 4 mm: a_0 x (1 + 0.8 (x / 4 mm)^2) + a_1 x' + a_2 x'' = u^2(t - delay); s y' = x - y."""
 
     def drive(t):
-        return peak / 2 * (1 - np.cos(2 * np.pi * hz * t))
+        return peak / 2 * (1 - np.cos(2 * np.pi * hz * np.maximum(t, 0)))
 
     def slope(t, s):
         spring = a[0] * s[0] * (1 + 0.8 * (s[0] / 4e-3) ** 2)
-        return [s[1], (drive(t) ** 2 - spring - a[1] * s[1]) / a[2]]
+        lag = (s[0] - s[2]) / sensor if sensor else 0.0
+        return [s[1], (drive(t - delay) ** 2 - spring - a[1] * s[1]) / a[2], lag]
 
-    x = solve_ivp(slope, (0, TIME[-1]), [0.0, 0.0], t_eval=TIME, rtol=1e-9, atol=1e-12).y[0]
+    run = solve_ivp(slope, (0, TIME[-1]), [0.0, 0.0, 0.0], t_eval=TIME, rtol=1e-9, atol=1e-12).y
+    x = run[2] if sensor else run[0]
     return Record(
         f"{hz} Hz", TIME, drive(TIME), x + noise * np.random.default_rng(int(10 * hz)).standard_normal(SAMPLES)
     )
@@ -89,10 +92,31 @@ def test_an_unknown_word_is_refused(word):
         Settings(**{word: "typo"})
 
 
-def test_a_nominal_with_effects_is_refused(plant):
-    lagging = replace(plant[0], effects=(ElectrodeRC(jnp.asarray(0.01)),))
-    with pytest.raises(BadInput, match="effects"):
-        train(lagging, plant[1], settings=TINY, key=KEY)
+def test_an_unknown_part_is_refused():
+    with pytest.raises(BadInput, match="part 'typo'"):
+        Settings(parts=("typo",))
+
+
+def test_a_delay_and_a_sensors_lag_are_learned_with_the_model(plant, coefficients):
+    """Both planted in scipy, found by name and number, and worth it on a drive that was not seen."""
+    a, late = coefficients(2, 5.0, 0.15), {"delay": 0.012, "sensor": 0.02}
+    records, held_out = [duffing(a, hz, **late) for hz in (1.0, 2.0, 3.2, 7.3)], [duffing(a, 2.5, **late)]
+    without = replace(TINY, epochs=4, stages=1, refine_steps=25, drive="direct")
+    found = train(plant[0], records, settings=replace(without, parts=("delay", "sensor_lag")), key=KEY).model
+    assert [e.name for e in found.effects] == ["delay", "sensor_lag"]
+    np.testing.assert_allclose([found.effects[0].time, found.effects[1].tau], [0.012, 0.02], rtol=0.15)
+    plain = train(plant[0], records, settings=without, key=KEY).model
+    assert (errors(found, held_out) * 3 < errors(plain, held_out)).all()
+
+
+def test_effects_of_the_nominal_are_fitted_along(plant, coefficients):
+    """A delay given in a model of other scales, half of what it is: it stays an effect, and grows to its length."""
+    a = coefficients(2, 5.0, 0.15)
+    late = replace(plant[0], effects=(Delay(jnp.asarray(0.006)), QuadraticDrag(jnp.asarray(1e-3))))
+    settings = replace(TINY, epochs=4, stages=1, refine_steps=25, drive="direct")
+    found = train(late, [duffing(a, hz, delay=0.012) for hz in (1.0, 2.0, 3.2)], settings=settings, key=KEY).model
+    assert found.scales.state != late.scales.state
+    assert float(found.effects[0].time) == pytest.approx(0.012, rel=0.1)
 
 
 def test_free_runs_improve_on_their_start(plant):

@@ -1,5 +1,7 @@
 """`pitp fit`: records to a trained model."""
 
+from dataclasses import replace
+
 import jax
 
 from .. import _identify, _train
@@ -8,13 +10,14 @@ from .._file import load, save
 from .._model.input_map import INPUT_MAPS
 from .._model.model import Model
 from .._record.reading import read
+from .._settings import preset_of
 from .console import ProgressBar, number, say
 from .outputs import check_files
-from .reports import describe, listed, print_history
+from .reports import describe, in_words, listed, print_history
 from .suits import check_suits
 
 
-def fit(records, out, nominal, order, preset, input_map, seed, input_column, output_column) -> None:
+def fit(records, out, nominal, order, preset, learn, input_map, seed, input_column, output_column) -> None:
     """Train, write the model file, and print how it went.
 
     Args:
@@ -24,6 +27,7 @@ def fit(records, out, nominal, order, preset, input_map, seed, input_column, out
         order: 1 to 6, "auto" or None; must not contradict `nominal`.
         input_map: "square", "linear" or None; must not contradict `nominal`.
         preset: "default" or "paper".
+        learn: parts between amplifier and sensor learned with it, "delay" and "sensor_lag".
         seed: of the random start.
         input_column: name of the voltage column, or None.
         output_column: name of the output column, or None.
@@ -39,7 +43,8 @@ def fit(records, out, nominal, order, preset, input_map, seed, input_column, out
     if start is None:
         start = _identified(read_in, order or "auto", input_map or "square")
     check_suits(start, nominal or "the identified model", read_in)
-    done = _train.train(start, read_in, preset=preset, key=jax.random.key(seed), progress=ProgressBar().update)
+    settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
+    done = _train.train(start, read_in, settings=settings, key=jax.random.key(seed), progress=ProgressBar().update)
     save(out, done.model)
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
@@ -47,6 +52,8 @@ def fit(records, out, nominal, order, preset, input_map, seed, input_column, out
     seconds = number(done.notes.get("seconds"), 3)
     print(f"trained a model of order {told['order']} on {listed([r.name for r in read_in])} in {seconds} s")
     print_history(done.history)
+    for effect in told["effects"]:
+        print(f"with {in_words(effect)}")
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 

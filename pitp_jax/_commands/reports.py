@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from .._diagnose.found import physical
 from .._model.input_map import LinearInput
 from .._model.model import Model
 from .._record.units import base_unit
@@ -56,7 +57,7 @@ def describe(model: Model) -> dict:
         "input_map": "linear" if isinstance(model.input_map, LinearInput) else "square",
         "encoder": type(model.encoder).__name__.removesuffix("Encoder").lower(),
         "memory_states": model.memory.size,
-        "effects": [type(effect).__name__ for effect in model.effects],
+        "effects": [_described(model, effect) for effect in model.effects],
         "hold": model.hold,
         "substeps": model.substeps,
         "coefficients": model.physical_coefficients.tolist(),
@@ -74,10 +75,27 @@ def describe(model: Model) -> dict:
     }
 
 
+def _described(model: Model, effect) -> dict:
+    """Name, form and numbers in physical units."""
+    told = {p.name: physical(model, p, float(getattr(effect, p.name))) for p in effect.PARAMETERS}
+    return {
+        "effect": effect.name,
+        "form": effect.form,
+        "parameters": {name: {"value": value, "unit": unit} for name, (value, unit) in told.items()},
+    }
+
+
+def in_words(effect: dict) -> str:
+    """An effect of `describe` in one line."""
+    numbers = ", ".join(f"{k} {number(v['value'])} {v['unit']}" for k, v in effect["parameters"].items())
+    return f"{effect['effect']} ({effect['form']}): {numbers}"
+
+
 def print_model(told: dict) -> None:
     """The description of a model on standard output."""
-    effects = f", effects {', '.join(told['effects'])}" if told["effects"] else ""
-    print(f"{told['kind']} model of order {told['order']}, input map {told['input_map']}{effects}")
+    print(f"{told['kind']} model of order {told['order']}, input map {told['input_map']}")
+    for effect in told["effects"]:
+        print(f"with {in_words(effect)}")
     rows = zip(told["coefficients"], told["coefficients_stderr"], told["coefficients_unit"], strict=True)
     table = [(f"a{i}", number(a, 6), number(e, 2), unit) for i, (a, e, unit) in enumerate(rows)]
     print_table(("coefficient", "value", "std. error", "unit"), table)

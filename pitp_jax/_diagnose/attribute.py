@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from .._effects import CATALOGUE
+from .._effects import CATALOGUE, REMAINDERS
+from .._effects.base import Start
 from .._effects.viscoelastic import BORDER
 from .case import Case, build_case
 from .fit import Candidate, fit, mean_square, residuals
@@ -24,7 +25,9 @@ from .screen import screen
 
 _NAMES, _FORMS = 5, 12  # finalists
 _CLOSE = 1.03
-_PAIRS = 8
+# pairs of names; those within this factor of the least error show their other forms, that many of each: an end stop
+# behind an electrode was first seen with the electrode's worse form, and lost to a slew limit
+_PAIRS, _NEAR, _FORM_PAIRS = 8, 2.0, 4
 # a second effect must remove at least that share of the gap's energy, and leave little of what one left (or less than
 # it, where the share is large)
 _LEAST, _LITTLE, _LESS, _MUCH = 0.005, 0.35, 0.7, 0.1
@@ -51,6 +54,11 @@ class Judged:
         """Effects it adds."""
         return self.candidate.names
 
+    @property
+    def overall(self) -> float:
+        """Rms over all records, %."""
+        return float(np.sqrt(np.mean([np.mean(e**2) for e in self.errors])))
+
 
 @dataclass(frozen=True)
 class Attribution:
@@ -61,7 +69,7 @@ class Attribution:
         ranking: every name's best single form, best first; those not fitted keep their screening figures.
         screened: the screening of all forms.
         best: the chosen explanation (one or two effects, or the parameter change).
-        equivalent: names these data cannot tell from the first effect.
+        equivalent: names these data cannot tell from the first effect; rivals: what they stand for, in their order.
         noise: the floor.
     """
 
@@ -71,6 +79,7 @@ class Attribution:
     screened: tuple[Screened, ...]
     best: Judged
     equivalent: tuple[str, ...]
+    rivals: tuple[Judged, ...]
     noise: Noise
 
 
@@ -112,31 +121,52 @@ def attribute(
         rivals += _tried(case, catalogue, finalists(screened), factors, True, [], progress)
     if not refit and "parameter_change" not in exclude:
         rivals.append(changed)
-    best = parsimonious(rivals, noise, case)
+    best = parsimonious(rivals)
     noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     _, held = sides(case)
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: j.heldout))
-    factors = best.candidate.factors
+    factors = best.candidate.factors if refit else ones  # what one changed nominal absorbs of two effects misleads
     pair = _second(case, catalogue, screening, best, base, noise, refit, factors, progress)
     if pair:
         best, rivals = pair[0], [r for r in pair[1] if pair[0].names[1] in r.names]
     equal = equivalents(case, best, rivals, noise, held)
-    return Attribution(given, base, ranking, tuple(screened), best, equal, noise)
+    return Attribution(given, base, ranking, tuple(screened), best, *equal, noise)
 
 
 def _tried(case: Case, catalogue, chosen, factors, refit, bare, progress) -> list[Judged]:
-    """The bare candidates and the chosen forms, fitted and judged."""
-    lanes = Lanes(case, _in_order(catalogue, [s.forms[0] for s in chosen]))
+    """The bare candidates and the chosen forms (or pairs of them), fitted and judged."""
+    chosen = _with_remainders(chosen, catalogue)
+    lanes = Lanes(case, _in_order(catalogue, [f for s in chosen for f in s.forms]))
     alone = [Candidate(s.forms, s.values, s.starts, factors, refit) for s in chosen]
-    progress(f"fitting {len(alone)} forms of {len({s.names for s in chosen})} effects")
+    progress(f"fitting {len(alone)} forms of {len({s.names for s in chosen})} effects or pairs")
     fitted = fit(lanes, [*bare, *alone], progress=lambda k, b: progress(f"fit: step {k}, {np.sqrt(b):.3f} %"))
     return judge(lanes, fitted)
+
+
+def _with_remainders(chosen: Sequence[Screened], catalogue) -> list[Screened]:
+    """Beside a form with a limit, what it is where the limit is out of reach."""
+    found = list(chosen)
+    for s in chosen:
+        for k, form in enumerate(s.forms):
+            simple, stay = REMAINDERS.get(form, (None, ()))
+            forms = (*s.forms[:k], simple, *s.forms[k + 1 :])
+            if simple not in catalogue or any(set(f.forms) == set(forms) for f in found):
+                continue
+            kept = [
+                tuple(row[i] for i in stay)
+                for row in (s.values[k], s.starts[k].values, s.starts[k].low, s.starts[k].high)
+            ]
+            values, starts = list(s.values), list(s.starts)
+            values[k], starts[k] = kept[0], Start(*kept[1:])
+            found.append(replace(s, forms=forms, values=tuple(values), starts=tuple(starts)))
+    return found
 
 
 def moved(case: Case, factors: np.ndarray) -> Case:
     """The case around a nominal with other coefficients: a filter far from the plant misleads the screening."""
     coefficients = jnp.asarray(np.asarray(case.model.coefficients, np.float64) * factors, jnp.float32)
-    return build_case(replace(case.model, coefficients=coefficients), [s.record for s in case.series])
+    nominal = replace(case.model, coefficients=coefficients)
+    return build_case(nominal, [s.record for s in case.series], other=case.other)
 
 
 def finalists(screened: list[Screened]) -> list[Screened]:
@@ -166,7 +196,7 @@ def judge(lanes: Lanes, candidates: Sequence[Candidate]) -> list[Judged]:
     return found
 
 
-def parsimonious(rivals: Sequence[Judged], noise: Noise, case: Case) -> Judged:
+def parsimonious(rivals: Sequence[Judged]) -> Judged:
     """The fewest numbers among those within a few per cent of the least held-out error."""
     least = min(r.heldout for r in rivals)
     close = [r for r in rivals if r.heldout <= _CLOSE * least]
@@ -199,23 +229,26 @@ def _second(case: Case, catalogue, screening, first, base: Judged, noise: Noise,
     chosen = pairs(screening, _PAIRS)
     if not chosen:
         return None
-    progress(f"fitting {len(chosen)} pairs of effects")
-    lanes = Lanes(case, _in_order(catalogue, [f for s in chosen for f in s.forms]))
-    tried = [Candidate(s.forms, s.values, s.starts, factors, refit) for s in chosen]
-    fitted = fit(lanes, tried, progress=lambda k, b: progress(f"pairs: step {k}, {np.sqrt(b):.3f} %"))
-    judged = judge(lanes, fitted)
-    best = parsimonious(judged, noise, case)
+    judged = _tried(case, catalogue, chosen, factors, refit, [], progress)
+    done = {frozenset(j.candidate.forms) for j in judged}
+    foremost = [j for j in judged if j.train <= _NEAR * min(j.train for j in judged)]
+    others = [s for j in foremost for s in pairs(screening, _FORM_PAIRS, frozenset(j.names))]
+    others = [s for s in others if frozenset(s.forms) not in done]
+    if others:
+        judged += _tried(case, catalogue, others, factors, refit, [], progress)
+    best = parsimonious(judged)
     left = np.sqrt(max(best.heldout**2 - low**2, 0.0) / max(first.heldout**2 - low**2, 1e-30))
     share = (first.heldout**2 - best.heldout**2) / max(base.heldout**2 - low**2, 1e-30)
     said = " and ".join(best.names)
     progress(f"{said}: leaves {100 * left:.0f} % of what one left, removes {100 * share:.2g} % of the gap")
     pays = share >= _LEAST and (left <= _LITTLE or (left <= _LESS and share >= _MUCH)) and best.train < first.train
-    return (_foremost_first(lanes, best), judged) if pays else None
+    return (_foremost_first(case, catalogue, best), judged) if pays else None
 
 
-def _foremost_first(lanes: Lanes, pair: Judged) -> Judged:
+def _foremost_first(case: Case, catalogue, pair: Judged) -> Judged:
     """The pair with the effect first that leaves more behind when it is taken away."""
     c = pair.candidate
+    lanes = Lanes(case, _in_order(catalogue, c.forms))
     alone = [
         replace(c, forms=(f,), values=(v,), starts=(s,)) for f, v, s in zip(c.forms, c.values, c.starts, strict=True)
     ]
@@ -234,8 +267,8 @@ def _foremost_first(lanes: Lanes, pair: Judged) -> Judged:
     return replace(pair, candidate=turned)
 
 
-def equivalents(case: Case, best: Judged, rivals: Sequence[Judged], noise: Noise, held) -> tuple[str, ...]:
-    """Names whose best form is tied with the first effect of `best` (beside the same second one)."""
+def equivalents(case: Case, best: Judged, rivals: Sequence[Judged], noise: Noise, held) -> tuple[tuple, tuple]:
+    """Names whose best form is tied with the first effect of `best` (beside the same second one), and those forms."""
     low, found = floor(case, noise, held), []
     for r in _by_name(rivals):
         if set(r.names) == set(best.names) or r.candidate.size > best.candidate.size + 1:
@@ -244,8 +277,9 @@ def equivalents(case: Case, best: Judged, rivals: Sequence[Judged], noise: Noise
         excess = max(best.heldout**2 - low**2, (0.1 * low) ** 2)
         near = r.heldout**2 - low**2 < 1.3**2 * excess and best.heldout > 1.1 * low
         if np.quantile(difference, 0.025) <= 0 or near or _same_family_border(case, best, r, low):
-            found.append((r.heldout, next(n for n in r.names if n not in best.names[1:])))
-    return tuple(name for _, name in sorted(found))
+            found.append((r.heldout, next(n for n in r.names if n not in best.names[1:]), r))
+    found.sort(key=lambda row: row[:2])
+    return tuple(name for _, name, _ in found), tuple(r for *_, r in found)
 
 
 def _same_family_border(case: Case, best: Judged, other: Judged, low: float) -> bool:

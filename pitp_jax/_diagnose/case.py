@@ -71,11 +71,13 @@ class Case:
         model: the nominal at the records' rate, with enough substeps for stiff contacts.
         series: one per record, in the order given.
         surroundings: what starts and bounds of effects are taken from.
+        other: which of the two splits this is.
     """
 
     model: Model
     series: tuple[Series, ...]
     surroundings: Surroundings
+    other: bool = False
 
     @property
     def dt(self) -> float:
@@ -93,15 +95,15 @@ class Case:
         return tuple(s for s in self.series if not s.fitted)
 
 
-def build_case(model: Model, records: Sequence[Record]) -> Case:
-    """Roll the nominal out beside every record and take what else a diagnosis needs."""
+def build_case(model: Model, records: Sequence[Record], *, other: bool = False) -> Case:
+    """Roll the nominal out beside every record and take what else a diagnosis needs; `other`: see `split`."""
     if not records:
         raise BadInput("diagnose needs at least one record")
     records = _cut(records)
     model = _finer(at_rate(model, records[0].dt), records[0].dt)
     known = _session_known(records)
     begin, spent = starts(model, records)
-    fitted = split(records)
+    fitted = split(records, other)
     size = max(r.samples for r in records)
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     dtype = model.coefficients.dtype
@@ -112,7 +114,7 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
         _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(begin[k]), cut, known)
         for k, r in enumerate(records)
     )
-    return Case(model, series, _surroundings(model, series, known))
+    return Case(model, series, _surroundings(model, series, known), other)
 
 
 def _force(model: Model, voltage):
@@ -156,11 +158,11 @@ def kind(record: Record) -> str:
     return "sine" if power[max(peak - 3, 1) : peak + 4].sum() > 0.8 * power[1:].sum() else "broadband"
 
 
-def split(records: Sequence[Record]) -> set[str]:
+def split(records: Sequence[Record], other: bool = False) -> set[str]:
     """Names of the records to fit: about half, every kind that has several on both sides, broadband held out.
 
     A drive of its own kind is held out where something else spans the range; sweeps and steps (the only records that
-    tell slow from fast) are fitted. Sines alternate by frequency.
+    tell slow from fast) are fitted. Sines alternate by frequency; `other`: those that were held out are fitted.
     """
     groups: dict[str, list[Record]] = {}
     for r in records:
@@ -169,7 +171,7 @@ def split(records: Sequence[Record]) -> set[str]:
     for name, members in groups.items():
         members = sorted(members, key=_loudest)
         if len(members) > 1:
-            fitted |= {r.name for r in members[::2]}
+            fitted |= {r.name for r in members[int(other) :: 2]}
         elif name in ("sweep", "steps") or len(groups) == 1:
             fitted.add(members[0].name)
     if not fitted:

@@ -12,7 +12,7 @@ import numpy as np
 from .._model.model import Model
 from .._record.record import Record
 from .attribute import Attribution, attribute, floor, sides
-from .case import build_case
+from .case import Case, build_case
 from .found import GAP, Added, Gap, Ranked, Trace, added_of, augmented, gap_of, ranking_of, trace_of
 from .next import Experiment, separate
 from .where import locate
@@ -112,12 +112,15 @@ def diagnose(
     Raises:
         BadInput: no records, or a nominal that diverges on one.
     """
-    case = build_case(model, records)
-    found = attribute(case, refit=refit_nominal, exclude=exclude, progress=progress)
+    how = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
+    case, found, gap, verdict = _concluded(build_case(model, records), **how)
+    if verdict == "unknown" or (verdict == "no_gap" and _elsewhere(case, found)):
+        crossed = build_case(model, records, other=True)
+        if sides(crossed) != sides(case):
+            progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
+            again = _concluded(crossed, **how)
+            case, found, gap, verdict = again if again[3] == "explained" else (case, found, gap, verdict)
     fitted, held = sides(case)
-    low = floor(case, found.noise, held)
-    gap = gap_of(case, found, found.best, low, held)
-    verdict = _verdict(gap, found)
     effects = found.best.names if verdict == "explained" else ()
     added = augmented(case, found.best if verdict == "explained" else found.base, model)
     where = locate(case, [e * s.span / 100 for e, s in zip(found.base.errors, case.series, strict=True)], found.noise)
@@ -125,15 +128,14 @@ def diagnose(
     tied = found.equivalent if verdict != "no_gap" and (gap.closed_fraction or 0.0) > _HELPS else ()
     if tied:
         progress("looking for an experiment that separates the tied names")
-        rival = next(r for r in found.ranking if r.names[0] == tied[0])
-        experiment = separate(case, found.best, rival, found.noise)
+        experiment = separate(case, found.best, found.rivals[0], found.noise)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         equivalent=tied,
         added=added_of(case, found.best) if effects else (),
         gap=gap,
-        ranking=ranking_of(case, found, low, held),
+        ranking=ranking_of(case, found, gap.noise_floor or 0.0, held),
         where=where,
         next_experiment=experiment,
         fitted=tuple(case.series[k].record.name for k in fitted),
@@ -142,6 +144,20 @@ def diagnose(
         traces=tuple(trace_of(case, found, k) for k in range(len(case.series))),
         model=added,
     )
+
+
+def _concluded(case: Case, *, refit: bool, exclude, progress) -> tuple[Case, Attribution, Gap, str]:
+    """What one split of the records says."""
+    found = attribute(case, refit=refit, exclude=exclude, progress=progress)
+    _, held = sides(case)
+    gap = gap_of(case, found, found.best, floor(case, found.noise, held), held)
+    return case, found, gap, _verdict(gap, found)
+
+
+def _elsewhere(case: Case, found: Attribution) -> bool:
+    """Whether the records that were fitted show a gap although those held out show none."""
+    fitted, _ = sides(case)
+    return found.base.train > _DOUBT * floor(case, found.noise, fitted)
 
 
 def _verdict(gap: Gap, found: Attribution) -> str:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._effects import CATALOGUE
-from .._effects.base import Parameter
+from .._effects.base import Parameter, physical_factor
 from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._record.units import base_unit
@@ -110,12 +110,10 @@ def gap_of(case: Case, found: Attribution, after: Judged, low: float, held) -> G
 
 def physical(model: Model, p: Parameter, value: float) -> tuple[float, str]:
     """A number stored in an effect, in physical units."""
-    s = [*model.scales.state, 1.0, 1.0]
-    factor = s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * model.scales.force**p.force
     unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))
     if p.force and not isinstance(model.input_map, SquareInput):
         unit = unit.replace("V^2", "V")
-    return value * factor, unit
+    return value * physical_factor(p, model.scales.state, model.scales.force), unit
 
 
 def added_of(case: Case, judged: Judged) -> tuple[Added, ...]:

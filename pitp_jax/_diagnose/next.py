@@ -88,4 +88,5 @@ def separate(case: Case, a: "Judged", b: "Judged", noise: Noise) -> Experiment:
     best = int(np.argmax(gains))
     name = list(tried)[best]
     record = series[best].record
-    return Experiment((a.names[0], b.names[0]), name, record.time, record.voltage, gains[best])
+    rival = next(n for n in b.names if n not in a.names[1:])
+    return Experiment((a.names[0], rival), name, record.time, record.voltage, gains[best])

@@ -81,8 +81,11 @@ def singles(found: Screening) -> list[Screened]:
     return sorted(best.values(), key=lambda s: s.train)
 
 
-def pairs(found: Screening, count: int) -> list[Screened]:
-    """The best pairs of different names, one per pair of names: all grid points against all, in closed form."""
+def pairs(found: Screening, count: int, within: frozenset[str] = frozenset()) -> list[Screened]:
+    """The best pairs of different names, all grid points against all, in closed form.
+
+    One per pair of names, or, `within` two names, one per pair of their forms.
+    """
     g = _projected(found.fitted, found.nuisance)
     low, high = np.array([_limits(p[0]) for p in found.points]).T
     b, h = g[0, 1:], g[1:, 1:]
@@ -93,13 +96,16 @@ def pairs(found: Screening, count: int) -> list[Screened]:
     names = np.array([p[0].name for p in found.points])
     bad = (first < low[:, None]) | (first > high[:, None])
     left[bad | bad.T | (names[:, None] == names[None])] = np.inf
+    if within:
+        outside = ~np.isin(names, list(within))
+        left[outside] = left[:, outside] = np.inf
     left[np.tril_indices(len(left))] = np.inf
     best: dict = {}
     for flat in np.argsort(left, axis=None)[:200_000]:
         i, j = np.unravel_index(flat, left.shape)
         if not np.isfinite(left[i, j]) or len(best) >= count:
             break
-        key = frozenset((names[i], names[j]))
+        key = frozenset(found.points[m][0] if within else names[m] for m in (i, j))
         if key not in best:
             best[key] = _told(found, [i, j], [first[i, j], first[j, i]])
     return list(best.values())

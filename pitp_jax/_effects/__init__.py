@@ -62,6 +62,12 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     inertia.MountedMode,
 )
 
+# A form whose first number may be out of reach, and what it is then, with the numbers that stay: fitted beside it, so
+# that a name is not won by a limit that nothing touches.
+REMAINDERS: dict[type[AbstractEffect], tuple[type[AbstractEffect], tuple[int, ...]]] = {
+    amplifier.SlewingLag: (electrode.ElectrodeRC, (1,)),
+}
+
 
 def key(effect: type[AbstractEffect] | AbstractEffect) -> str:
     """How a form is named in files and tables: name, then form."""

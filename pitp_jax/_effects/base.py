@@ -268,6 +268,18 @@ def oscillate(states, x, w, zeta, h):
     return jnp.stack([states[0] + h * middle, 2 * middle - states[1]])
 
 
+def physical_factor(p: Parameter, state: tuple[float, ...], force: float) -> float:
+    """What takes a stored value to physical units, `state` and `force` being a model's scales."""
+    s = (*state, 1.0, 1.0)
+    return s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * force**p.force
+
+
+def in_scales(effect: AbstractEffect, old: tuple, new: tuple) -> AbstractEffect:
+    """The same effect in a model of other scales (state, force)."""
+    ratios = [physical_factor(p, *old) / physical_factor(p, *new) for p in effect.PARAMETERS]
+    return type(effect)(*(getattr(effect, p.name) * r for p, r in zip(effect.PARAMETERS, ratios, strict=True)))
+
+
 def bounded(values, low, high) -> Start:
     """A start from three tuples."""
     return Start(tuple(map(float, values)), tuple(map(float, low)), tuple(map(float, high)))

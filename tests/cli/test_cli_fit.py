@@ -4,6 +4,7 @@ import io
 import sys
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import pytest
 from cli_cases import refused, tree
 
@@ -11,6 +12,7 @@ from pitp_jax import _file, _identify, _train
 from pitp_jax._commands.console import ProgressBar, say
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._model.encoder import CompactEncoder
+from pitp_jax._settings import PARTS, PRESETS
 
 
 @pytest.fixture
@@ -31,7 +33,8 @@ def trainer(monkeypatch):
             if self.error:
                 raise self.error
             encoder = CompactEncoder(2, 0, width=4, key=options["key"])
-            model = replace(nominal, encoder=encoder)
+            learned = tuple(PARTS[part](jnp.asarray(0.004)) for part in options["settings"].parts)
+            model = replace(nominal, encoder=encoder, effects=learned)
             return _train.Training(model, ({"stage": 1, "physics": 0.5},), self.interrupted, {"seconds": 1.0})
 
     fake = Trainer([])
@@ -47,11 +50,19 @@ def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
     assert quick_identify == []
     _, names, given = trainer.calls[0]
     assert names == ["sine2", "sine4", "sweep"]
-    assert given["preset"] == "paper"
+    assert given["settings"] == PRESETS["paper"]
     assert "stage 1: 2/2  box 1.5  loss 0.25  best 0.125  about 61 s left" in err
     assert "free runs: 1/1  loss 0.1  best 0.1  about ? left" in err
     assert type(_file.load(out).encoder) is CompactEncoder
     assert "physics 0.5" in text
+
+
+def test_parts_to_learn(call, bench, tmp_path, trainer):
+    options = ["--nominal", bench / "nominal", "--learn", "sensor_lag", "--learn", "delay", "--learn", "delay"]
+    code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options)
+    assert code == 0
+    assert trainer.calls[0][2]["settings"] == replace(PRESETS["default"], parts=("sensor_lag", "delay"))
+    assert "with delay (pure): time 0.004 s" in text
 
 
 def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
