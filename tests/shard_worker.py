@@ -9,12 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax._decode import rest_state, rollout_batch
+from pitp_jax._diagnose.case import build_case
+from pitp_jax._diagnose.lanes import Lane, Lanes
+from pitp_jax._effects.electrode import ElectrodeRC
+from pitp_jax._effects.stiffness import CubicStiffening
 from pitp_jax._inverse import invert_path
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.memory import FadingMemory
 from pitp_jax._model.model import Output, Provenance, linear_model
 from pitp_jax._path import derivatives
+from pitp_jax._record.record import Record
 from pitp_jax._sensitivity import Runs, normal_equations, parameters
 from pitp_jax._shard import records_mesh, sharded_inverse, sharded_normal_equations, sharded_rollout
 
@@ -64,7 +69,21 @@ def errors(me: int, processes: int) -> dict:
 
     sums = sharded_normal_equations(model, runs(mine), DT, 4, vector, mesh)
     whole = normal_equations(model, runs(slice(None)), DT, 4, vector)
-    return found | {name: error(getattr(sums, name), getattr(whole, name)) for name in ("cost", "gradient", "hessian")}
+    found |= {name: error(getattr(sums, name), getattr(whole, name)) for name in ("cost", "gradient", "hessian")}
+    return found | ({"candidates": candidates(model, volts, mesh)} if processes == 1 else {})
+
+
+def candidates(model, volts, mesh):
+    """Rollouts of a diagnosis' candidates, fewer than there is room for."""
+    t = np.arange(SAMPLES) * DT
+    forms = (CubicStiffening, ElectrodeRC)
+    records = [Record(f"r{k}", t, u.astype(float), 1e-4 * np.sin(9 * t) ** 2) for k, u in enumerate(volts[:3])]
+    runs = []
+    for shared in (None, mesh):
+        case = build_case(model, records, mesh=shared)
+        lanes = [Lane(np.array([0.02 * k, 1e-3 * k]), np.full(3, 1 + 0.01 * k), k % 3) for k in range(70)]
+        runs.append(np.stack(Lanes(case, forms).run(lanes)))
+    return error(runs[1], runs[0])
 
 
 def main():

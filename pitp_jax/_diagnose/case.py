@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 
 from .._decode import rollout_batch
 from .._effects.base import Surroundings
@@ -72,12 +73,14 @@ class Case:
         series: one per record, in the order given.
         surroundings: what starts and bounds of effects are taken from.
         other: which of the two splits this is.
+        mesh: devices that share the rollouts; None: the default one.
     """
 
     model: Model
     series: tuple[Series, ...]
     surroundings: Surroundings
     other: bool = False
+    mesh: Mesh | None = None
 
     @property
     def dt(self) -> float:
@@ -95,7 +98,7 @@ class Case:
         return tuple(s for s in self.series if not s.fitted)
 
 
-def build_case(model: Model, records: Sequence[Record], *, other: bool = False) -> Case:
+def build_case(model: Model, records: Sequence[Record], *, other: bool = False, mesh: Mesh | None = None) -> Case:
     """Roll the nominal out beside every record and take what else a diagnosis needs; `other`: see `split`."""
     if not records:
         raise BadInput("diagnose needs at least one record")
@@ -114,7 +117,7 @@ def build_case(model: Model, records: Sequence[Record], *, other: bool = False) 
         _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(begin[k]), cut, known)
         for k, r in enumerate(records)
     )
-    return Case(model, series, _surroundings(model, series, known), other)
+    return Case(model, series, _surroundings(model, series, known), other, mesh)
 
 
 def _force(model: Model, voltage):

@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jax.sharding import Mesh
 
+from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
 from .attribute import Attribution, attribute, floor, sides
@@ -99,6 +101,7 @@ def diagnose(
     refit_nominal: bool = False,
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] = lambda line: None,
+    mesh: Mesh | None = None,
 ) -> Diagnosis:
     """Find the unmodelled effect behind the gap between a nominal model and real recordings.
 
@@ -108,14 +111,17 @@ def diagnose(
         refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
         exclude: names left out of the catalogue.
         progress: called with one line per step.
+        mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
     Raises:
-        BadInput: no records, or a nominal that diverges on one.
+        BadInput: no records, a nominal that diverges on one, or a mesh over several processes.
     """
+    if mesh is not None and mesh.is_multi_process:
+        raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     how = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
-    case, found, gap, verdict = _concluded(build_case(model, records), **how)
+    case, found, gap, verdict = _concluded(build_case(model, records, mesh=mesh), **how)
     if verdict == "unknown" or (verdict == "no_gap" and _elsewhere(case, found)):
-        crossed = build_case(model, records, other=True)
+        crossed = build_case(model, records, other=True, mesh=mesh)
         if sides(crossed) != sides(case):
             progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
             again = _concluded(crossed, **how)

@@ -2,7 +2,8 @@
 
 A composite carries every form in question, neutral unless a lane's numbers say otherwise, so all candidates (and all
 finite differences of each) are rows of one array under one compiled program. Time runs in chunks of fixed length and
-lanes in blocks of fixed width: records of any length, candidates in any number, one compilation.
+lanes in blocks of fixed width: records of any length, candidates in any number, one compilation. Over a mesh every
+device has a block of its own; no lane asks another, so nothing is communicated.
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jax.sharding import PartitionSpec
 
 from .._between import between
 from .._decode import step
@@ -45,7 +47,12 @@ class Lanes:
         for f in self.forms:
             self.places[f] = slice(first, first + len(f.PARAMETERS))
             first += len(f.PARAMETERS)
-        self._advance = jax.jit(_chunk(self.model, case.dt))
+        advance, mesh = _chunk(self.model, case.dt), case.mesh
+        if mesh is not None:
+            by_lane, by_time = PartitionSpec(mesh.axis_names), PartitionSpec(None, mesh.axis_names)
+            ends = (by_lane, by_lane, by_lane, by_time), (by_lane, by_time)
+            advance = jax.shard_map(advance, mesh=mesh, in_specs=ends[0], out_specs=ends[1], check_vma=False)
+        self._advance, self._width = jax.jit(advance), WIDTH * (1 if mesh is None else mesh.size)
         self._stages = [self._staged(s.voltage) for s in case.series]
         self._starts = [self._start(s) for s in case.series]
 
@@ -63,16 +70,16 @@ class Lanes:
         if not lanes:
             return []
         order = sorted(range(len(lanes)), key=lambda k: self.case.series[lanes[k].series].record.samples)
-        blocks = [order[k : k + WIDTH] for k in range(0, len(order), WIDTH)]
+        blocks = [order[k : k + self._width] for k in range(0, len(order), self._width)]
         found: list = [None] * len(lanes)
-        with ThreadPoolExecutor(THREADS) as pool:
+        with ThreadPoolExecutor(THREADS if self.case.mesh is None else 1) as pool:
             for block, rows in zip(blocks, pool.map(lambda b: self._block([lanes[k] for k in b]), blocks), strict=True):
                 for k, row in zip(block, rows, strict=True):
                     found[k] = row
         return found
 
     def _block(self, lanes: list[Lane]) -> list[np.ndarray]:
-        spare = WIDTH - len(lanes)
+        spare = self._width - len(lanes)
         lanes = lanes + [lanes[-1]] * spare
         theta = np.stack([lane.values for lane in lanes]).astype(np.float32)
         base = np.asarray(self.model.coefficients)

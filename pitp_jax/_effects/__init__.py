@@ -26,6 +26,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     dissipation.PlayHysteresis,
     dissipation.DahlHysteresis,
     dissipation.BoucWenHysteresis,
+    dissipation.WenHysteresis,
     sensor.SettlingDrift,
     sensor.LinearDrift,
     inertia.AddedMass,

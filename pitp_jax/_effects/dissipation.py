@@ -2,6 +2,7 @@
 
 hysteresis        f = k kappa mean_j (x - p_j),  p_j a play of half width r_j          (Prandtl and Ishlinskii)
                   f = k kappa z  or  k kappa (z - x),   dz = dx (1 - sgn(dx) z / r)    (Dahl; Bouc and Wen)
+                  f = k kappa z,   dz = dx (1 - |z / r|^n) on loading, dx on unloading   (Wen, beta = gamma)
 coulomb_friction  f = F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see)
                   f = F_c sgn(x'),  F_c tanh(x' / v_s),  or with a rise r exp(-(x'/v_s)^2) at low speed (Stribeck)
 drag              f = c x' |x'|  or  c x' |x'|^p
@@ -92,6 +93,30 @@ class BoucWenHysteresis(_Dahl):
     """f = k kappa (z - x): part of the spring yields."""
 
     form, yields = "Bouc-Wen", True
+
+
+class WenHysteresis(_Dahl):
+    """dz = dx (1 - |z / r|^n) on loading, dz = dx on unloading: between a smooth yield (n < 1) and a stop (n large)."""
+
+    form, yields = "Wen", False
+    PARAMETERS = (*_Dahl.PARAMETERS, Parameter("sharpness"))
+    sharpness: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Narrow and wide, of the sharpness that is usual."""
+        low, high = (1e-4, 0.04 * s.reach, 0.4), (20.0, 3 * s.reach, 8.0)
+        return [bounded((0.3, share * s.reach, 1.5), low, high) for share in (0.1, 0.4)]
+
+    def advance(self, states, x, after, h):
+        """By the midpoint rule, inside the yield."""
+
+        def slope(z):
+            loading = z * (after - x) > 0
+            return 1 - loading * (jnp.abs(z) / self.width + 1e-9) ** self.sharpness
+
+        middle = states + (after - x) / 2 * slope(states)
+        return jnp.clip(states + (after - x) * slope(middle), -self.width, self.width)
 
 
 class _Friction(AbstractForceEffect):
