@@ -15,7 +15,7 @@ from pathlib import Path
 
 from .rows import ROWS
 
-_HEADER = ("row", "median", "p10", "p90", "compile", "peer", "its median", "ratio", "memory")
+_HEADER = ("row", "median", "p10", "p90", "compile", "peer", "its median", "ratio", "floor", "memory")
 
 
 def run(name: str, seconds: float) -> dict:
@@ -41,11 +41,12 @@ def duration(ms: float | None) -> str:
 def cells(name: str, row: dict) -> tuple[str, ...]:
     """One line of the table."""
     if "skipped" in row:
-        return name, "skipped", "", "", "", row["skipped"][:60], "", "", ""
+        return name, "skipped", "", "", "", row["skipped"][:60], "", "", "", ""
     ratio = "-" if row["ratio"] is None else f"{row['ratio']:.3g}"
+    share = f"{row['floor_ms'] / row['median_ms']:.0%}" if row.get("floor_ms") else "-"
     times = (duration(row[key]) for key in ("median_ms", "p10_ms", "p90_ms"))
     return (name, *times, duration(1e3 * row["compile_s"]), row["peer"] or row.get("peer_skipped") or "none",
-            duration(row["peer_median_ms"]), ratio, f"{row['peak_mb']} MB")  # fmt: skip
+            duration(row["peer_median_ms"]), ratio, share, f"{row['peak_mb']} MB")  # fmt: skip
 
 
 def table(rows: dict[str, dict]) -> str:

@@ -17,7 +17,7 @@ from pitp_jax._model.rows import force_rows
 from pitp_jax._spline_filter import fast_derivatives
 
 from .clock import row, take_turns
-from .machine import rates
+from .machine import floor
 from .subjects import DT, target
 
 FAST, PLAIN = "pitp_jax", "pitp_jax, vmapped"
@@ -91,9 +91,8 @@ def network_and_inverse(model: Model, multiply_adds: float, seconds: float) -> d
     truth = np.asarray(plain(model, equation, memory))
     ways = {FAST: lambda: fast(model, equation, memory), PLAIN: lambda: plain(model, equation, memory)}
     others, why = torch_ways(model, equation, memory, truth)
-    found, rate = take_turns(ways | others, seconds), rates()
+    found = take_turns(ways | others, seconds)
     error = float(np.abs(np.asarray(ways[FAST]()) - truth).max() / truth.max())
     read = equation.nbytes + memory.nbytes + truth.nbytes
-    floor = max(2e3 * multiply_adds * len(equation) / (rate["gflops"] * 1e9), 1e3 * read / (rate["gb_per_s"] * 1e9))
     return row(found, FAST, best(found, "PyTorch compiled"), samples=len(equation), error_against_vmapped=error,
-               floor_ms=floor, rates=rate, peer_skipped=why)  # fmt: skip
+               peer_skipped=why, **floor(2 * multiply_adds * len(equation), read))  # fmt: skip

@@ -5,6 +5,7 @@ floor = max(operations / matrix rate, bytes / bandwidth)
 
 import os
 import platform
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -44,3 +45,15 @@ def rates() -> dict:
     flops = np.median([2 * size**3 / once(lambda: product(matrix)) for _ in range(15)])
     copied = np.median([2 * block.nbytes / once(block.copy) for _ in range(9)])
     return {"gflops": float(flops / 1e9), "gb_per_s": float(copied / 1e9)}
+
+
+def floor(operations: float, moved: float) -> dict:
+    """`floor_ms` of so many operations and bytes at the `rates` of this machine."""
+    rate = rates()
+    return {"floor_ms": 1e3 * max(operations / rate["gflops"], moved / rate["gb_per_s"]) / 1e9, "rates": rate}
+
+
+def operations(function: Callable, *args) -> float:
+    """Floating-point operations of one call, as XLA counts them (a root or an exponential as one)."""
+    cost = jax.jit(function).lower(*args).compile().cost_analysis()
+    return float(cost["flops"] + cost.get("transcendentals", 0.0))

@@ -15,8 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._decode import scaled_force
+from pitp_jax._decode import rest_state, scaled_force
+from pitp_jax._decode import step as decoder_step
 from pitp_jax._model.model import Model
+
+from .machine import floor, operations
 
 _STEPS = 1 << 17
 EQUAL, LOOSE = 1e-6, 1e-5  # of the range
@@ -48,6 +51,13 @@ def solve(model: Model, films, start, dt: float, solver, controller, step: float
         return found.ys
 
     return jax.vmap(one)(films, start)
+
+
+def rollout_floor(model, records: int, steps: int) -> dict:
+    """At full matrix rate, which a step of a few hundred operations that wait for each other cannot have."""
+    volts, start = jnp.zeros(2 * model.substeps + 1), rest_state(model)
+    one = operations(lambda s, v: decoder_step(model, s, v, 1e-3), start, volts)
+    return floor(one * records * steps, 4 * records * steps * (1 + start.size))
 
 
 def films(model: Model, voltage, dt: float):

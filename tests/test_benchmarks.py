@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.__main__ import duration, main, table, written
 from benchmarks.clock import row, take_turns
+from benchmarks.machine import floor, operations
 from benchmarks.rows import ROWS
 
 WANTED = {"inverse_default", "inverse_end_to_end", "inverse_paper", "rollout_batch", "rollout_long", "fit_cone",
@@ -67,6 +68,15 @@ def test_table_and_file_keep_earlier_rows(tmp_path, monkeypatch, capsys):
     line = {"median_ms": 2.0, "p10_ms": 1.0, "p90_ms": 3.0, "compile_s": 0.5, "peer": "it", "peer_median_ms": 9.0,
             "ratio": 4.5, "peak_mb": 100}  # fmt: skip
     assert "| 9 ms" in table({"a": line}) and "| 4.5" in table({"a": line})
+    assert "| 25%" in table({"a": line | {"floor_ms": 0.5}})
+
+
+def test_operations_are_those_of_the_arithmetic():
+    """A product of 8 x 16 and 16 x 4 has 2 * 8 * 16 * 4; the floor is what it takes at the matrix rate."""
+    a, b = jnp.ones((8, 16)), jnp.ones((16, 4))
+    assert operations(jnp.matmul, a, b) == pytest.approx(2 * 8 * 16 * 4, rel=0.05)
+    found = floor(1e9, 1.0)
+    assert found["floor_ms"] == pytest.approx(1e3 / found["rates"]["gflops"])
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])

@@ -11,7 +11,7 @@ from pitp_jax._decode import rest_state, rollout_batch
 from pitp_jax._rollout_fast import fast_rollout
 
 from ..clock import row, take_turns
-from ..ode import EQUAL, diffrax_ways, error, films, reference
+from ..ode import EQUAL, diffrax_ways, error, films, reference, rollout_floor
 from ..subjects import DT, default, voltages
 
 RECORDS, STEPS, CHECKED, PART = 32, 10_000, 4, 10
@@ -47,4 +47,4 @@ def measure(seconds: float) -> dict:
     equal = [n for n in ratios if n in errors and "loop" not in n and errors[n] <= max(ours, EQUAL)]
     peer = min(equal, key=lambda n: ratios[n], default=None)
     return row(found, "pitp_jax", peer, scale, records=RECORDS, steps=STEPS, error=ours, errors=errors,
-               ratios=ratios, peer_skipped=why)  # fmt: skip
+               ratios=ratios, peer_skipped=why, **rollout_floor(model, RECORDS, STEPS))  # fmt: skip

@@ -15,7 +15,7 @@ from pitp_jax._parallel import parallel_rollout, rollout_by_size, suits
 from pitp_jax._rollout_fast import fast_rollout
 
 from ..clock import row, take_turns
-from ..ode import films, solve
+from ..ode import films, rollout_floor, solve
 from ..subjects import DT, SAMPLES, default, voltages
 
 
@@ -36,4 +36,5 @@ def measure(seconds: float) -> dict:
     apart = float(np.abs(np.asarray(parallel.states) - truth).max() / np.abs(truth).max())
     chosen = "parallel in time" if suits(1, SAMPLES, jax.default_backend()) else "sequential"
     return row(found, "pitp_jax", "diffrax Tsit5, a step a sample", chosen=chosen, steps=SAMPLES,
-               iterations=int(parallel.iterations), converged=bool(parallel.converged), apart=apart)  # fmt: skip
+               iterations=int(parallel.iterations), converged=bool(parallel.converged), apart=apart,
+               **rollout_floor(model, 1, SAMPLES))  # fmt: skip

@@ -6,6 +6,7 @@ from pitp_jax._decode import rest_state, rollout_batch
 from pitp_jax._rollout_fast import fast_rollout
 
 from ..clock import row, take_turns
+from ..ode import rollout_floor
 from ..subjects import DT, default, voltages
 
 RECORDS, STEPS = 1024, 1000
@@ -17,4 +18,5 @@ def measure(seconds: float) -> dict:
     start = jnp.tile(rest_state(model), (RECORDS, 1))
     ways = {"pitp_jax": lambda: fast_rollout(model, volts, DT, start)}
     ways["pitp_jax, vmapped"] = lambda: rollout_batch(model, volts, DT, start)
-    return row(take_turns(ways, seconds), "pitp_jax", "pitp_jax, vmapped", records=RECORDS, steps=STEPS)
+    return row(take_turns(ways, seconds), "pitp_jax", "pitp_jax, vmapped", records=RECORDS, steps=STEPS,
+               **rollout_floor(model, RECORDS, STEPS))  # fmt: skip
