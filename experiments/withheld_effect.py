@@ -99,6 +99,7 @@ def diagnosed(spec: Spec, case: Case, options) -> dict:
         "true_closed": truth,
         "unseen": bool(spec.names) and case.facts["gap_percent"] < 0.5 * case.facts["floor_percent"],
         "covered": bool(interval[0] <= truth <= interval[1]) if truth is not None and interval else None,
+        "within": score.numbers_within(result.added, case, protocol.KINDS[spec.kind]),
         "ranking": [{k: r.get(k) for k in ("effect", "form", "heldout")} for r in said["ranking"][:6]],
     }
     if case.missing:

@@ -201,7 +201,9 @@ def test_a_whole_run_resumes_and_reports(kit, tmp_path, monkeypatch, capsys):
             "gap": {"closed_fraction": 0.5, "ci95": [-1.0, 1.0]}, "where": {"cells": []},
             "records": {"fitted": [], "heldout": ["sine0", "steps"]},
         }  # fmt: skip
-        return SimpleNamespace(model=nominal, as_json=lambda: said)
+        number = {"d": {"value": 0.0, "unit": "1", "stderr": 0.1}}
+        added = SimpleNamespace(effect="added_mass", form="share", parameters=number)
+        return SimpleNamespace(model=nominal, added=(added,), as_json=lambda: said)
 
     monkeypatch.setitem(vars(pitp), "diagnose", fake)
     options = [
@@ -216,6 +218,8 @@ def test_a_whole_run_resumes_and_reports(kit, tmp_path, monkeypatch, capsys):
     again = kit.script.main(smoke=True, argv=options)
     printed = capsys.readouterr().out
     assert calls == [7] and first == again == [json.loads(p.read_text()) for p in (tmp_path / "rows").glob("*.json")]
+    truth = json.loads(str(np.load(next((tmp_path / "cases").glob("*.npz")))["facts"]))["strengths"]
+    assert first[0]["within"] == [truth[0] <= 0.196]
     assert first[0]["verdict"] == "explained" and first[0]["true_closed"] == 0.0 and first[0]["covered"]
     assert printed.count("labels sealed: sha256") == 2 and "added_mass" in printed.split("opened")[1]
     assert len(pitp.read(next((tmp_path / "csv").iterdir()) / "real")) == 7

@@ -4,6 +4,8 @@
     tie     the name first, or among at most three declared equivalent
     closed  1 - e_after / e_before on the noise-free outputs of the held-out records, e^2 = mean (rms / range)^2
 
+    numbers  where both forms are the same equation: within 1.96 of its own standard error of the true one
+
 An effect whose noise-free gap is below half the noise floor cannot be seen: such cases are counted apart, and no_gap is
 right. In a refit the nominal absorbs `added_mass`, `sensor_gain` and `parameter_change`: no_gap is right there too.
 """
@@ -44,6 +46,31 @@ def true_closed(result, nominal, case: Case, names) -> float | None:
     before = traces if set(names) <= set(traces) else runs(nominal, case, names)
     share = 1 - pooled(runs(result.model, case, names), case, names) / pooled(before, case, names)
     return share if np.isfinite(share) else None
+
+
+def _agreed(case: Case, kind) -> dict[tuple[str, str], dict[str, float]]:
+    """True numbers in physical units, by (name, form) of the catalogue, where that is the withheld one's equation."""
+    (form,), (p,), (c,) = (case.facts[k] for k in ("forms", "strengths", "constants"))
+    second = 1 / (2 * np.pi * case.facts["f0_hz"])
+    signed = c.get("sign", 1.0) * p
+    return {
+        "exact": {("delay", "pure"): {"time": p * second}},
+        "constant": {("voltage_offset", "constant"): {"offset": signed * kind.top}},
+        "rigid": {("added_mass", "share"): {"d": p}},
+        "gain": {("sensor_gain", "share"): {"d": signed}},
+        "second_order": {
+            ("sensor_lag", "second order"): {"tau": p / (2 * c.get("e", 1.0)) * second, "zeta": c.get("e")}
+        },
+    }.get(form, {})
+
+
+def numbers_within(added, case: Case, kind) -> list[bool]:
+    """Whether each number of the one effect found holds the true one in its 95 % interval, where forms agree."""
+    if len(added) != 1 or len(case.facts["forms"]) != 1:
+        return []
+    truth = _agreed(case, kind).get((added[0].effect, added[0].form), {})
+    told = added[0].parameters
+    return [abs(told[k]["value"] - v) <= 1.96 * (told[k]["stderr"] or 0.0) for k, v in truth.items()]
 
 
 def expected(label: str, left_out: bool) -> str:
@@ -112,6 +139,7 @@ def summary(labels: dict, rows: list[dict], *, refit: bool, left_out: bool) -> l
         ("closed fraction, median said", _median(r["closed_fraction"] for r in rows)),
         ("closed fraction, median true", _median(r["true_closed"] for r in rows)),
         ("ci95 covers the true one", _rate(covered)),
+        ("numbers within their 95 % interval", _rate(v for r in rows for v in r.get("within", []))),
         ("where: F1, median", _median(r.get("f1") for r in rows)),
         ("seconds a case, median", _median(r["seconds"] for r in rows)),
     ]
