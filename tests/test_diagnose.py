@@ -12,6 +12,8 @@ from pitp_jax._decode import rest_state, rollout
 from pitp_jax._diagnose.along import nominal_filter, responses
 from pitp_jax._diagnose.attribute import sides
 from pitp_jax._diagnose.case import build_case, kind, split
+from pitp_jax._diagnose.fit import Candidate, fit
+from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
 from pitp_jax._effects import amplifier, electrode, stiffness
 
@@ -131,6 +133,15 @@ def test_no_gap_where_there_is_none(nominal):
     found = pitp.diagnose(nominal, play(nominal, seed=7))
     assert found.verdict == "no_gap" and found.effects == () and found.equivalent == ()
     assert found.gap.closed_fraction is None and found.model.effects == ()
+
+
+def test_a_number_far_from_its_start_is_reached(nominal):
+    """120 V away: steps are limited in shares of the bounds, not in volts."""
+    offset = amplifier.VoltageOffset
+    case = build_case(nominal, play(replace(nominal, effects=(offset(jnp.asarray(150.0)),))))
+    begin = Candidate((offset,), ((30.0,),), (offset.starts(case.surroundings)[0],), np.ones(3), False)
+    (found,) = fit(Lanes(case, (offset,)), [begin])
+    assert found.values[0][0] == pytest.approx(150.0, abs=0.5)
 
 
 def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nominal):

@@ -16,7 +16,9 @@ import numpy as np
 
 import pitp_jax as pitp
 
+from . import plant as integrator
 from .case import Case
+from .catalogue import FORMS
 from .outside import OUTSIDE
 
 ABSORBED = ("added_mass", "sensor_gain", "parameter_change")
@@ -52,15 +54,14 @@ def _agreed(case: Case, kind) -> dict[tuple[str, str], dict[str, float]]:
     """True numbers in physical units, by (name, form) of the catalogue, where that is the withheld one's equation."""
     (form,), (p,), (c,) = (case.facts[k] for k in ("forms", "strengths", "constants"))
     second = 1 / (2 * np.pi * case.facts["f0_hz"])
-    signed = c.get("sign", 1.0) * p
+    signed, zeta = c.get("sign", 1.0) * p, c.get("e", 1.0)
+    part = 1 / kind.rate / integrator.substeps(FORMS["delay"], 1 / kind.rate / second)  # delays come in these
     return {
-        "exact": {("delay", "pure"): {"time": p * second}},
+        "exact": {("delay", "pure"): {"time": round(p * second / part) * part}},
         "constant": {("voltage_offset", "constant"): {"offset": signed * kind.top}},
         "rigid": {("added_mass", "share"): {"d": p}},
         "gain": {("sensor_gain", "share"): {"d": signed}},
-        "second_order": {
-            ("sensor_lag", "second order"): {"tau": p / (2 * c.get("e", 1.0)) * second, "zeta": c.get("e")}
-        },
+        "second_order": {("sensor_lag", "second order"): {"tau": p / (2 * zeta) * second, "zeta": zeta}},
     }.get(form, {})
 
 

@@ -63,6 +63,11 @@ def _free(c: Candidate) -> list[int]:
     return [k for k, (a, b) in enumerate(zip(low, high, strict=True)) if b > a]
 
 
+def _logarithms(c: Candidate) -> np.ndarray:
+    """Which coordinates are logarithms."""
+    return np.array([c.parameters[k].positive for k in _free(c)] + [True] * (len(c.factors) * c.refit), bool)
+
+
 def _coordinates(c: Candidate) -> np.ndarray:
     flat = np.array([v for values in c.values for v in values])
     z = [np.log(max(flat[k], 1e-30)) if c.parameters[k].positive else flat[k] for k in _free(c)]
@@ -200,7 +205,8 @@ class _State:
         d = np.sqrt(np.diag(h) + 1e-12 * max(np.diag(h).max(), 1e-30))
         move = np.zeros(len(z))
         move[free] = -np.linalg.lstsq(h / np.outer(d, d) + self.damping * np.eye(len(g)), g / d, rcond=None)[0] / d
-        return _at(self.candidate, np.clip(z + np.clip(move, -1.0, 1.0), low, high))
+        most = np.where(_logarithms(self.candidate), 1.0, (high - low) / 4)  # once 1 V at a time, for a voltage offset
+        return _at(self.candidate, np.clip(z + np.clip(move, -most, most), low, high))
 
     def judge(self, tried: Candidate, residual: np.ndarray, cost: float):
         """Accept what lowers the error."""
