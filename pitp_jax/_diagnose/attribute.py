@@ -25,9 +25,9 @@ from .screen import screen
 
 _NAMES, _FORMS = 5, 12  # finalists
 _CLOSE = 1.03
-# pairs of names; those within this factor of the least error show their other forms, that many of each: an end stop
+# pairs of names; those foremost, within this factor of the least error, show other forms, that many each: an end stop
 # behind an electrode was first seen with the electrode's worse form, and lost to a slew limit
-_PAIRS, _NEAR, _FORM_PAIRS = 8, 2.0, 4
+_PAIRS, _FOREMOST, _NEAR, _FORM_PAIRS = 8, 4, 2.0, 4
 # a second effect must remove at least that share of the gap's energy, and leave little of what one left (or less than
 # it, where the share is large)
 _LEAST, _LITTLE, _LESS, _MUCH = 0.005, 0.35, 0.7, 0.1
@@ -231,7 +231,8 @@ def _second(case: Case, catalogue, screening, first, base: Judged, noise: Noise,
         return None
     judged = _tried(case, catalogue, chosen, factors, refit, [], progress)
     done = {frozenset(j.candidate.forms) for j in judged}
-    foremost = [j for j in judged if j.train <= _NEAR * min(j.train for j in judged)]
+    foremost = sorted(judged, key=lambda j: j.train)[:_FOREMOST]
+    foremost = [j for j in foremost if j.train <= _NEAR * foremost[0].train]
     others = [s for j in foremost for s in pairs(screening, _FORM_PAIRS, frozenset(j.names))]
     others = [s for s in others if frozenset(s.forms) not in done]
     if others:

@@ -17,6 +17,7 @@ from .lanes import Lane, Lanes
 
 _STEP = 3e-3
 _MOST, _ENOUGH = 16, 2e-3  # iterations, and the relative decrease below which two of them end the fit
+_PROMISE = 2e-4  # and the one promised by the linearised model below which none is made
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,7 @@ def fit(
         best = min(s.cost for s in states)
         for s in active:  # far behind, and not catching up
             s.done = s.done or (iteration >= 3 and s.cost > 30 * best and s.gain < 0.2)
+            s.done = s.done or (iteration >= 5 and s.cost > 2 * best and s.gain < 0.02)
         progress(iteration + 1, best)
     return [s.finished() for s in states]
 
@@ -205,6 +207,10 @@ class _State:
         d = np.sqrt(np.diag(h) + 1e-12 * max(np.diag(h).max(), 1e-30))
         move = np.zeros(len(z))
         move[free] = -np.linalg.lstsq(h / np.outer(d, d) + self.damping * np.eye(len(g)), g / d, rcond=None)[0] / d
+        promised = -(2 * g + h @ move[free]) @ move[free] / max(self.cost, 1e-300)
+        if promised < _PROMISE:
+            self.done = True
+            return self.candidate
         most = np.where(_logarithms(self.candidate), 1.0, (high - low) / 4)  # once 1 V at a time, for a voltage offset
         return _at(self.candidate, np.clip(z + np.clip(move, -most, most), low, high))
 
