@@ -62,12 +62,22 @@ def run(case: str, data: Path, seed: int, smoke: bool, firmness: float | None = 
     print(f"{'record':32s} {'e_rms %':>8s} {'linear':>8s} {'nrmse %':>8s} {'linear':>8s} {'rmse':>10s}")
     for name, (e, n, r) in after.items():
         print(f"{name:32s} {e:8.3f} {before[name][0]:8.2f} {n:8.2f} {before[name][1]:8.2f} {r:10.3g}")
-    for label, k in (("median e_rms %", 0), ("median nrmse %", 1)):
-        a, b = (np.array([row[k] for row in rows.values()]) for rows in (after, before))
-        print(
-            f"{label:20s} {np.median(a):8.3f} (worst {a.max():.3f});  linear {np.median(b):8.2f} (worst {b.max():.2f})"
-        )
+    again = repeats(training, held)
+    for part, names in (("held out", after.keys() - again), ("repeats", again)):
+        for label, k in (("e_rms %", 0), ("nrmse %", 1)) if names else ():
+            a, b = (np.array([rows[n][k] for n in names]) for rows in (after, before))
+            print(f"{part} ({len(names)}), median {label:8s} {np.median(a):8.3f} (worst {a.max():.3f});  "
+                  f"linear {np.median(b):8.2f} (worst {b.max():.2f})")  # fmt: skip
     return after
+
+
+def repeats(training, held) -> set[str]:
+    """Names of held-out records whose voltage is that of a training record."""
+    return {
+        r.name
+        for r in held
+        if any(r.samples == t.samples and np.allclose(r.voltage, t.voltage, atol=1.0) for t in training)
+    }
 
 
 def main(smoke: bool = False, argv=None):
