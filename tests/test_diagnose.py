@@ -15,7 +15,8 @@ from pitp_jax._diagnose.case import build_case, kind, split
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
-from pitp_jax._effects import amplifier, electrode, stiffness
+from pitp_jax._effects import amplifier, electrode, sensor, stiffness
+from pitp_jax._model import augment
 
 HZ, DT, SAMPLES = 5.0, 4e-3, 1500
 TIME = np.arange(SAMPLES) * DT
@@ -39,7 +40,8 @@ def play(model, noise=NOISE, extra=0.0, seed=0, louder=()):
     for k, (name, u) in enumerate(drives().items()):
         u = 1.5 * u if name in louder else u
         states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))
-        x = np.asarray(states[:, 0], float) * model.scales.state[0] + noise * rng.standard_normal(SAMPLES)
+        x = np.asarray(augment.readings(model, states), float) * model.scales.state[0]
+        x = x + noise * rng.standard_normal(SAMPLES)
         found.append(pitp.Record(name, TIME + 10 * k, u, x + extra * np.sin(2 * np.pi * 17.3 * TIME + k)))
     return found
 
@@ -158,6 +160,20 @@ def test_two_effects_are_both_named(nominal):
     found = pitp.diagnose(nominal, play(replace(nominal, effects=parts)))
     assert found.verdict == "explained" and set(found.effects) == {"stiffening", "electrode_rc"}
     assert found.gap.closed_fraction > 0.95 and found.gap.after < 0.5 * found.ranking[0].heldout
+
+
+def test_effects_the_nominal_has_are_kept(nominal):
+    """A model with three lags of its own: no gap on its own records, and a new effect stands beside them."""
+    own = (
+        electrode.ElectrodeRC(jnp.asarray(0.01)),
+        amplifier.Delay(jnp.asarray(7e-3)),
+        sensor.SensorLag(jnp.asarray(8e-3)),
+    )
+    model = replace(nominal, effects=own)
+    assert pitp.diagnose(model, play(model)).verdict == "no_gap"
+    found = pitp.diagnose(model, play(replace(model, effects=(*own, stiffness.GentStiffening(jnp.asarray(0.25))))))
+    assert found.effects == ("stiffening",) and found.gap.closed_fraction > 0.95
+    assert [e.name for e in found.model.effects] == ["electrode_rc", "delay", "sensor_lag", "stiffening"]
 
 
 def test_hum_is_unknown(nominal):

@@ -18,6 +18,7 @@ from jax.sharding import Mesh
 from .._decode import rollout_batch
 from .._effects.base import Surroundings
 from .._errors import BadInput
+from .._model import augment
 from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._predict import at_rate, starts
@@ -110,7 +111,8 @@ def build_case(model: Model, records: Sequence[Record], *, other: bool = False, 
     size = max(r.samples for r in records)
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     dtype = model.coefficients.dtype
-    runs = np.asarray(rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, begin)[..., 0], np.float64)
+    states = rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, begin)
+    runs = np.asarray(jax.vmap(lambda s: augment.readings(model, s))(states), np.float64)
     top = force_band([_force(model, r.voltage) for r in records], records[0].dt)
     cut = min(max(3 * top, 3 * model.natural_frequency / (2 * np.pi)), 0.3 / records[0].dt)
     series = tuple(
@@ -206,7 +208,8 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     span = float(np.ptp(x[seen]))
     weight = 1e4 * counts / (max(counts.sum(), 1) * span**2)
     rest = spent == 0
-    voltage = np.asarray(model.drive.film(jnp.asarray(record.voltage, jnp.float32), record.dt, jnp.asarray(rest)))
+    late = augment.delayed(model, jnp.asarray(record.voltage, jnp.float32), record.dt, jnp.asarray(rest))
+    voltage = np.asarray(model.drive.film(late, record.dt, jnp.asarray(rest)))
     memory = model.memory.trajectory(
         jnp.asarray(motion[:, 0], jnp.float32), record.dt, model.memory.initial(jnp.asarray(motion[0, 0], jnp.float32))
     )
@@ -216,7 +219,7 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     return Series(
         record=record, fitted=fitted, voltage=film, force=_force(model, film) / model.scales.force, motion=motion,
         tokens=np.asarray(tokens), offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest,
-        start=start, age=float(record.time[0]) if known else 0.0, span=span,
+        start=start[: n + model.memory.size], age=float(record.time[0]) if known else 0.0, span=span,
     )  # fmt: skip
 
 

@@ -1,9 +1,9 @@
 """Lanes: many parameter vectors of one composite model rolled out at once, each under its own record.
 
-A composite carries every form in question, neutral unless a lane's numbers say otherwise, so all candidates (and all
-finite differences of each) are rows of one array under one compiled program. Time runs in chunks of fixed length and
-lanes in blocks of fixed width: records of any length, candidates in any number, one compilation. Over a mesh every
-device has a block of its own; no lane asks another, so nothing is communicated.
+A composite carries the nominal's own effects and every form in question, neutral unless a lane's numbers say otherwise,
+so all candidates (and all finite differences of each) are rows of one array under one compiled program. Time runs in
+chunks of fixed length and lanes in blocks of fixed width: records of any length, candidates in any number, one
+compilation. Over a mesh every device has a block of its own; no lane asks another, so nothing is communicated.
 """
 
 from collections.abc import Sequence
@@ -41,13 +41,14 @@ class Lanes:
 
     def __init__(self, case: Case, forms: Sequence[type[AbstractEffect]]):
         self.case, self.forms = case, tuple(forms)
-        self.model = replace(case.model, effects=tuple(f.neutral() for f in self.forms))
-        self.neutral = np.asarray(ravel_pytree(self.model.effects)[0], np.float64) if forms else np.zeros(0)
+        neutral = tuple(f.neutral() for f in self.forms)
+        self.model = replace(case.model, effects=(*case.model.effects, *neutral))
+        self.neutral = np.asarray(ravel_pytree(neutral)[0], np.float64) if forms else np.zeros(0)
         self.places, first = {}, 0
         for f in self.forms:
             self.places[f] = slice(first, first + len(f.PARAMETERS))
             first += len(f.PARAMETERS)
-        advance, mesh = _chunk(self.model, case.dt), case.mesh
+        advance, mesh = _chunk(case.model, neutral, case.dt), case.mesh
         if mesh is not None:
             by_lane, by_time = PartitionSpec(mesh.axis_names), PartitionSpec(None, mesh.axis_names)
             ends = (by_lane, by_lane, by_lane, by_time), (by_lane, by_time)
@@ -115,11 +116,11 @@ def _piece(stages: np.ndarray, first: int) -> np.ndarray:
     return part if len(part) == CHUNK else np.concatenate([part, np.repeat(stages[-1:], CHUNK - len(part), 0)])
 
 
-def _chunk(model: Model, dt: float):
-    unravel = ravel_pytree(model.effects)[1]
+def _chunk(model: Model, forms: tuple, dt: float):
+    unravel = ravel_pytree(forms)[1]
 
     def lane(theta, coefficients, state, stages):
-        here = replace(model, effects=unravel(theta), coefficients=coefficients)
+        here = replace(model, effects=(*model.effects, *unravel(theta)), coefficients=coefficients)
         return step(here, state, stages, dt), augment.reading(here, state)
 
     def run(theta, coefficients, state, stages):

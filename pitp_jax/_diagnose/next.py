@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
+from .._model import augment
 from .._model.input_map import SquareInput
 from .._record.record import Record
 from .case import Case, Series
@@ -68,7 +69,8 @@ def separate(case: Case, a: "Judged", b: "Judged", noise: Noise) -> Experiment:
     series = []
     for voltage in tried.values():
         time = np.arange(len(voltage)) * case.dt
-        film = np.asarray(model.drive.film(jnp.asarray(voltage, jnp.float32), case.dt, jnp.asarray(True)), np.float64)
+        late = augment.delayed(model, jnp.asarray(voltage, jnp.float32), case.dt, True)
+        film = np.asarray(model.drive.film(late, case.dt, jnp.asarray(True)), np.float64)
         blank = np.zeros(len(voltage))
         motion = np.zeros((len(voltage), n + 1))
         record = Record("next", time, voltage, blank)
