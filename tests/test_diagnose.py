@@ -10,9 +10,9 @@ from scipy.signal import lfilter
 import pitp_jax as pitp
 from pitp_jax._decode import rest_state, rollout
 from pitp_jax._diagnose.along import nominal_filter, responses
-from pitp_jax._diagnose.attribute import sides
 from pitp_jax._diagnose.case import build_case, kind, split
 from pitp_jax._diagnose.fit import Candidate, fit
+from pitp_jax._diagnose.judged import sides
 from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
 from pitp_jax._effects import amplifier, electrode, sensor, stiffness

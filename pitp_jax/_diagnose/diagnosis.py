@@ -13,9 +13,10 @@ from jax.sharding import Mesh
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
-from .attribute import Attribution, attribute, floor, sides
+from .attribute import Attribution, attribute
 from .case import Case, build_case
 from .found import GAP, Added, Gap, Ranked, Trace, added_of, augmented, gap_of, ranking_of, trace_of
+from .judged import floor, sides
 from .next import Experiment, separate
 from .where import locate
 

@@ -13,8 +13,9 @@ from .._effects.base import Parameter, physical_factor
 from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._record.units import base_unit
-from .attribute import Attribution, Judged, bootstrap
+from .attribute import Attribution, bootstrap
 from .case import Case
+from .judged import Judged
 from .regress import Screened
 
 GAP = 1.1  # times the floor: no gap up to there

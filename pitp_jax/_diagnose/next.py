@@ -21,7 +21,7 @@ from .lanes import Lanes
 from .noise import Noise
 
 if TYPE_CHECKING:
-    from .attribute import Judged
+    from .judged import Judged
 
 
 @dataclass(frozen=True)
