@@ -32,7 +32,7 @@ class Attribution:
 
     Attributes:
         given: the nominal as given; base: refitted where that was asked for, else the same.
-        ranking: every name's best single form, best first; those not fitted keep their screening figures.
+        ranking: every name's best single form, the one preferred first, then by held-out error.
         screened: the screening of all forms.
         best: the chosen explanation (one or two effects, or the parameter change).
         equivalent: names these data cannot tell from the first effect; rivals: what they stand for, in their order.
@@ -78,7 +78,7 @@ def attribute(
     best = parsimonious(rivals)
     noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     _, held = sides(case)
-    ranking = tuple(sorted(_by_name(rivals), key=lambda j: j.heldout))
+    ranking = tuple(sorted(_by_name(rivals), key=lambda j: (j.names != best.names, j.heldout)))
     factors = best.candidate.factors if refit else ones  # what one changed nominal absorbs of two effects misleads
     pair = second(case, catalogue, screening, best, base, noise, refit, factors, progress)
     if pair:

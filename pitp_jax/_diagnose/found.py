@@ -149,7 +149,7 @@ def _relative(c, errors) -> list:
 
 
 def ranking_of(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, ...]:
-    """Every name's best form: those fitted on whole rollouts, then those that were only screened."""
+    """Every name's best form: those fitted on whole rollouts, the preferred one first, then those only screened."""
     rows = [_fitted(case, found, j, low, held) for j in found.ranking]
     seen = {r.effect for r in rows}
     for s in found.screened:
@@ -157,7 +157,8 @@ def ranking_of(case: Case, found: Attribution, low: float, held) -> tuple[Ranked
             seen.add(s.names[0])
             rows.append(_screened(case, found, s, low))
     order = {c.name: k for k, c in enumerate(CATALOGUE)}
-    return tuple(sorted(rows, key=lambda r: (r.screened, r.heldout, order.get(r.effect, 0))))
+    first = found.ranking[0].names[0]
+    return tuple(sorted(rows, key=lambda r: (r.screened, r.effect != first, r.heldout, order.get(r.effect, 0))))
 
 
 def _fitted(case: Case, found: Attribution, j: Judged, low: float, held) -> Ranked:
