@@ -31,6 +31,7 @@ class OrderFit:
         hold: how the voltage was taken between samples.
         coefficients, stderr: a_0 ... a_n in V^2 s^i / m (V s^i / m for a linear input) and their standard errors,
             robust to correlated residuals (block sandwich), the error of an offset taken from rest included.
+        correlation: of those errors, shape (n + 1, n + 1).
         mae, rms: mean absolute and root mean square error of the free run over observed samples, m (paper, III-D).
         bic: T log(rms^2) + p log T, with T observed samples and p parameters; lower is better.
         natural_hz, damping: of every real pole and pole pair, ascending in frequency.
@@ -45,6 +46,7 @@ class OrderFit:
     hold: Hold
     coefficients: np.ndarray
     stderr: np.ndarray
+    correlation: np.ndarray
     mae: float
     rms: float
     bic: float
@@ -76,6 +78,8 @@ def describe(fit: Fit, problem: OutputError) -> OrderFit:
     coefficients, jacobian = _physical(fit.params[: n + 1], problem)
     roots = np.roots(polynomial(fit.params[:n])[::-1]) * problem.omega
     upper = sorted(roots[roots.imag >= 0], key=abs)
+    of_coefficients = jacobian @ spread[: n + 1, : n + 1] @ jacobian.T
+    stderr = np.sqrt(np.clip(np.diag(of_coefficients), 0, None))
     known = np.sqrt(np.clip(np.diag(spread)[: n + 1], 0, None))
     known[n] /= abs(fit.params[n])
     rms = float(np.sqrt((left**2).sum() / samples))
@@ -83,7 +87,8 @@ def describe(fit: Fit, problem: OutputError) -> OrderFit:
         order=n,
         hold=fit.hold,
         coefficients=coefficients,
-        stderr=np.sqrt(np.clip(np.einsum("ij,jk,ik->i", jacobian, spread[: n + 1, : n + 1], jacobian), 0, None)),
+        stderr=stderr,
+        correlation=of_coefficients / np.maximum(np.outer(stderr, stderr), 1e-300),
         mae=float(np.abs(left).sum() / samples),
         rms=rms,
         bic=float(samples * np.log(rms**2) + len(fit.params) * np.log(samples)),

@@ -1,5 +1,6 @@
 """A diagnosis names what was planted, with its numbers; says no gap where there is none, and unknown where it must."""
 
+import json
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -144,6 +145,24 @@ def test_a_number_far_from_its_start_is_reached(nominal):
     begin = Candidate((offset,), ((30.0,),), (offset.starts(case.surroundings)[0],), np.ones(3), False)
     (found,) = fit(Lanes(case, (offset,)), [begin])
     assert found.values[0][0] == pytest.approx(150.0, abs=0.5)
+
+
+def test_the_nominals_own_doubt_widens_an_effects_interval(nominal):
+    """All coefficients off by one common 1 % are a gain off by 1 %: that much the sensor's gain is not known."""
+    a = nominal.physical_coefficients
+    row = {
+        "order": 2,
+        "coefficients": a.tolist(),
+        "stderr": (0.01 * a).tolist(),
+        "correlation": np.ones((3, 3)).tolist(),
+    }
+    told = nominal.provenance.with_(notes=json.dumps({"identification": {"orders": [row]}}))
+    records = play(replace(nominal, effects=(sensor.SensorGain(jnp.asarray(0.3)),)))
+    sure, unsure = (
+        pitp.diagnose(m, records).added[0].parameters["d"] for m in (nominal, replace(nominal, provenance=told))
+    )
+    assert sure["stderr"] < 1e-3 and unsure["value"] == sure["value"]
+    assert unsure["stderr"] == pytest.approx(0.01 * 1.3, rel=0.02)
 
 
 def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nominal):

@@ -5,7 +5,7 @@ unknown     less than half closed, less than 72 % where after > 1.5 floor, or mo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jax.sharding import Mesh
@@ -15,6 +15,7 @@ from .._model.model import Model
 from .._record.record import Record
 from .attribute import Attribution, attribute
 from .case import Case, build_case
+from .doubt import doubted
 from .found import GAP, Added, Gap, Ranked, Trace, added_of, augmented, gap_of, ranking_of, trace_of
 from .judged import floor, sides
 from .next import Experiment, separate
@@ -127,6 +128,8 @@ def diagnose(
             progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
             again = _concluded(crossed, **how)
             case, found, gap, verdict = again if again[3] == "explained" else (case, found, gap, verdict)
+    if verdict == "explained":
+        found = replace(found, best=doubted(case, found.best, model))
     fitted, held = sides(case)
     effects = found.best.names if verdict == "explained" else ()
     added = augmented(case, found.best if verdict == "explained" else found.base, model)

@@ -117,7 +117,7 @@ def residuals(lanes: Lanes, candidates: Sequence[Candidate], series: Sequence[in
     return found
 
 
-def _stacked(lanes: Lanes, rows: list[np.ndarray], series: Sequence[int]) -> np.ndarray:
+def stacked(lanes: Lanes, rows: list[np.ndarray], series: Sequence[int]) -> np.ndarray:
     """One vector whose square is the pooled mean squared error."""
     parts = []
     for r, k in zip(rows, series, strict=True):
@@ -128,7 +128,7 @@ def _stacked(lanes: Lanes, rows: list[np.ndarray], series: Sequence[int]) -> np.
 
 def mean_square(lanes: Lanes, rows: list[np.ndarray], series: Sequence[int]) -> float:
     """Mean over records of e_rms_percent^2; infinite where a run diverged."""
-    value = float(np.sum(_stacked(lanes, rows, series) ** 2))
+    value = float(np.sum(stacked(lanes, rows, series) ** 2))
     return value if np.isfinite(value) else np.inf
 
 
@@ -143,7 +143,7 @@ def fit(
     series = [k for k, s in enumerate(lanes.case.series) if s.fitted]
     states = [_State(_clip(c)) for c in candidates]
     for state, rows in zip(states, residuals(lanes, [s.candidate for s in states], series), strict=True):
-        state.residual = _stacked(lanes, rows, series)
+        state.residual = stacked(lanes, rows, series)
         state.cost = mean_square(lanes, rows, series)
     for iteration in range(most):
         active = [s for s in states if not s.done]
@@ -154,14 +154,14 @@ def fit(
         slopes = residuals(lanes, [c for c, _ in nearby], series)
         for s in active:
             columns = [
-                (_stacked(lanes, rows, series) - s.residual) / step
+                (stacked(lanes, rows, series) - s.residual) / step
                 for (owner, _), (_, step), rows in zip(moved, nearby, slopes, strict=True)
                 if owner is s
             ]
             s.jacobian = np.nan_to_num(np.stack(columns, 1), posinf=0.0, neginf=0.0)
         tries = [s.proposal() for s in active]
         for s, tried, rows in zip(active, tries, residuals(lanes, tries, series), strict=True):
-            s.judge(tried, _stacked(lanes, rows, series), mean_square(lanes, rows, series))
+            s.judge(tried, stacked(lanes, rows, series), mean_square(lanes, rows, series))
         best = min(s.cost for s in states)
         for s in active:  # far behind, and not catching up
             s.done = s.done or (iteration >= 3 and s.cost > 30 * best and s.gain < 0.2)

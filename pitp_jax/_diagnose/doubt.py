@@ -1,0 +1,55 @@
+"""What the nominal's own doubt adds to that of an effect's numbers: both were read off data with noise.
+
+    dp/da = -(J'J)^-1 J' dr/da,     cov(p) += (dp/da) cov(a) (dp/da)'        J = dr/dp, r the residuals of the fit
+
+A nominal whose gain is 0.2 % off, by one of its own standard errors, moved a sensor's gain by ten of the effect's.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+from .._effects import CATALOGUE
+from .._model.model import Model
+from .case import Case
+from .fit import Candidate, nudged, residuals, stacked
+from .judged import Judged, in_order, sides
+from .lanes import Lanes
+
+_STEP = 3e-3
+
+
+def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
+    """The explanation with a covariance that knows the nominal's; as it is where that is not known, or was fitted."""
+    c, spread = judged.candidate, relative_covariance(nominal)
+    if c.refit or not c.covariance.size or spread is None:
+        return judged
+    lanes = Lanes(case, in_order(CATALOGUE, c.forms))
+    fitted, _ = sides(case)
+    near = [nudged(c, k) for k in range(c.size)]
+    near += [(_changed(c, i), _STEP) for i in range(len(spread))]
+    first, *rows = residuals(lanes, [c, *(tried for tried, _ in near)], fitted)
+    here = stacked(lanes, first, fitted)
+    slopes = [(stacked(lanes, r, fitted) - here) / step for r, (_, step) in zip(rows, near, strict=True)]
+    j = np.nan_to_num(np.stack(slopes, 1), posinf=0.0, neginf=0.0)
+    moved = -np.linalg.lstsq(j[:, : c.size], j[:, c.size :], rcond=1e-9)[0]
+    return replace(judged, candidate=replace(c, covariance=c.covariance + moved @ spread @ moved.T))
+
+
+def _changed(c: Candidate, which: int) -> Candidate:
+    factors = np.array(c.factors, float)
+    factors[which] *= np.exp(_STEP)
+    return replace(c, factors=factors)
+
+
+def relative_covariance(model: Model) -> np.ndarray | None:
+    """Of the logarithms of a_0 ... a_n as `identify` left it in the notes; None where a model was trained since."""
+    notes = json.loads(model.provenance.notes)
+    if "training" in notes:
+        return None
+    for row in notes.get("identification", {}).get("orders", []):
+        if row.get("order") == model.order and "correlation" in row:
+            share = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)
+            return np.asarray(row["correlation"], float) * np.outer(share, share)
+    return None
