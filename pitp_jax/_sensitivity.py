@@ -85,67 +85,79 @@ def normal_equations(model: Model, runs: Runs, dt: float, every: int, vector: np
     return Normal(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
 
 
-@eqx.filter_jit
-def normal_sums(model: Model, runs: Runs, dt: float, every: int):
-    params, static = eqx.partition(model, trainable(model))
-    encoder, build_encoder = ravel_pytree(params.encoder)
-    memory, build_memory = ravel_pytree(params.memory)
-    drive, build_drive = ravel_pytree(params.drive)
-    effects, build_effects = ravel_pytree(params.effects)
-    logs = _logarithmic(model)
-    effects = jnp.where(logs, jnp.log(jnp.where(logs, effects, 1.0)), effects)
-    width, core = 1.0 / model.substeps, model.order + model.memory.size
+class _Numbers:
+    """A model taken apart: its trained numbers as flat vectors, and what each of them is needed for."""
 
-    def with_effects(m, a):
-        built = eqx.combine(build_effects(_stored(model, a, jnp)), static.effects)
-        return eqx.tree_at(lambda m: m.effects, m, built) if model.effects else m
+    def __init__(self, model: Model):
+        self.model = model
+        params, self.static = eqx.partition(model, trainable(model))
+        self.encoder, self._encoder = ravel_pytree(params.encoder)
+        self.memory, self._memory = ravel_pytree(params.memory)
+        self.drive, self._drive = ravel_pytree(params.drive)
+        effects, self._effects = ravel_pytree(params.effects)
+        logs = _logarithmic(model)
+        self.effects = jnp.where(logs, jnp.log(jnp.where(logs, effects, 1.0)), effects)
+        self.count = self.encoder.size + self.memory.size + self.drive.size + self.effects.size
 
-    def stages(r, a):
-        part, m = eqx.combine(build_drive(r), static.drive), with_effects(model, a)
+    def with_effects(self, model: Model, a) -> Model:
+        if not self.model.effects:
+            return model
+        built = eqx.combine(self._effects(_stored(self.model, a, jnp)), self.static.effects)
+        return eqx.tree_at(lambda m: m.effects, model, built)
+
+    def stages(self, runs: Runs, dt: float, r, a):
+        """Film voltages at the stages of every sample of every record."""
+        drive, model = eqx.combine(self._drive(r), self.static.drive), self.with_effects(self.model, a)
 
         def one(u, rest):
-            late = augment.delayed(m, u, dt, rest > 0)
-            return stage_voltages(model, part.film(late, dt, rest > 0))
+            return stage_voltages(model, drive.film(augment.delayed(model, u, dt, rest > 0), dt, rest > 0))
 
         return jax.vmap(one)(runs.voltage, runs.rest)
 
-    def logits(p, features):
-        return eqx.combine(build_encoder(p), static.encoder)(features)
+    def logits(self, p, features):
+        return eqx.combine(self._encoder(p), self.static.encoder)(features)
 
-    def moved(state, extra, q, volts, a):
-        """One substep with `extra` logits along three stage voltages."""
-        m = eqx.tree_at(lambda m: m.memory, model, eqx.combine(build_memory(q), static.memory))
-        return substep(with_effects(m, a), state, volts, dt * width, extra)
+    def moved(self, state, extra, q, volts, a, h: float):
+        """The state after one substep with `extra` logits along three stage voltages."""
+        memory = eqx.combine(self._memory(q), self.static.memory)
+        model = eqx.tree_at(lambda m: m.memory, self.model, memory)
+        return substep(self.with_effects(model, a), state, volts, h, extra)
 
-    def seen(state, a):
-        return augment.reading(with_effects(model, a), state)
+    def reading(self, state, a):
+        return augment.reading(self.with_effects(self.model, a), state)
 
-    zero = jnp.zeros((model.order + 2,), encoder.dtype)
+
+@eqx.filter_jit
+def normal_sums(model: Model, runs: Runs, dt: float, every: int):
+    """C, J'we and J'WJ of `normal_equations`, as JAX arrays."""
+    n, h, core = _Numbers(model), dt / model.substeps, model.order + model.memory.size
+    zero = jnp.zeros((model.order + 2,), n.encoder.dtype)
 
     def advance(state, answer, volts, volts_by):
         for k in range(model.substeps):
-            here = (state, zero, memory, volts[2 * k : 2 * k + 3], effects)
-            by_state, by_logits, by_memory, by_volts, by_effects = jax.jacfwd(moved, (0, 1, 2, 3, 4))(*here)
-            by_weights = jax.jacrev(logits)(encoder, midpoint(model, state[:core], dt * width))
-            by_drive, by_delay = jnp.split(by_volts @ volts_by[2 * k : 2 * k + 3], [drive.size], axis=1)
+            here = (state, zero, n.memory, volts[2 * k : 2 * k + 3], n.effects, h)
+            by_state, by_logits, by_memory, by_volts, by_effects = jax.jacfwd(n.moved, (0, 1, 2, 3, 4))(*here)
+            by_weights = jax.jacrev(n.logits)(n.encoder, midpoint(model, state[:core], h))
+            by_drive, by_delay = jnp.split(by_volts @ volts_by[2 * k : 2 * k + 3], [n.drive.size], axis=1)
             new = [by_logits @ by_weights, by_memory, by_drive, by_effects + by_delay]
             answer = by_state @ answer + jnp.concatenate(new, 1)
-            state = moved(*here)
+            state = n.moved(*here)
         return state, answer
 
     def sensed(state, answer):
         """The reading and its slope."""
-        by_state, by_effects = jax.jacfwd(seen, (0, 1))(state, effects)
-        direct = jnp.zeros((count,), answer.dtype).at[count - effects.size :].set(by_effects)
-        return seen(state, effects), by_state @ answer + direct
+        if not model.effects:
+            return state[0], answer[0]
+        by_state, by_effects = jax.jacfwd(n.reading, (0, 1))(state, n.effects)
+        direct = jnp.zeros((n.count,), answer.dtype).at[n.count - n.effects.size :].set(by_effects)
+        return n.reading(state, n.effects), by_state @ answer + direct
 
     def block(carry, item):
         """`every` samples; the error and its slope are taken at the first."""
         (state, answer), (hessian, gradient, cost) = carry
         pairs, target, weight = item
-        reading, slope = jax.vmap(sensed)(state, answer) if model.effects else (state[:, 0], answer[:, 0])
-        error = reading - target
-        weighted = weight[:, None] * slope
+        reading, slope = jax.vmap(sensed)(state, answer)
+        error, weighted = reading - target, weight[:, None] * slope
         sums = hessian + weighted.T @ slope, gradient + weighted.T @ error, cost + jnp.sum(weight * error**2)
         runs_on = jax.lax.scan(lambda c, p: (jax.vmap(advance)(*c, *p), None), (state, answer), pairs)[0]
         return (runs_on, sums), None
@@ -156,11 +168,11 @@ def normal_sums(model: Model, runs: Runs, dt: float, every: int):
         ordered = jnp.moveaxis(values[:, : count * every], 0, 1)
         return ordered.reshape(count, every, *ordered.shape[1:])
 
-    along = jax.jacfwd(lambda v: stages(v[: drive.size], v[drive.size :]))(jnp.concatenate([drive, effects]))
-    pairs = grid(stages(drive, effects)), grid(along)
-    count = encoder.size + memory.size + drive.size + effects.size
+    both = jnp.concatenate([n.drive, n.effects])
+    along = jax.jacfwd(lambda v: n.stages(runs, dt, v[: n.drive.size], v[n.drive.size :]))(both)
+    pairs = grid(n.stages(runs, dt, n.drive, n.effects)), grid(along)
     records, states = runs.start.shape
-    start = runs.start, jnp.zeros((records, states, count), encoder.dtype)
-    sums = jnp.zeros((count, count)), jnp.zeros((count,)), jnp.zeros(())
+    start = runs.start, jnp.zeros((records, states, n.count), n.encoder.dtype)
+    sums = jnp.zeros((n.count, n.count)), jnp.zeros((n.count,)), jnp.zeros(())
     items = (pairs, grid(runs.target)[:, 0], every * grid(runs.weight)[:, 0])
     return jax.lax.scan(block, (start, sums), items)[0][1][::-1]

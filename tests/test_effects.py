@@ -13,7 +13,7 @@ from pitp_jax._decode import rest_state, rollout
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.lanes import Lane, Lanes
-from pitp_jax._effects import CATALOGUE, dissipation, key, sensor, stiffness, viscoelastic
+from pitp_jax._effects import CATALOGUE, dissipation, hysteresis, key, sensor, stiffness, viscoelastic
 from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._model import augment
 
@@ -203,7 +203,7 @@ def test_friction_takes_a_fixed_length_off_every_swing(linear):
 
 def test_a_play_remembers_where_it_was_pushed():
     """A stop element's force after a triangle: hand-computed."""
-    play = dissipation.PlayHysteresis(jnp.asarray(1.0), jnp.asarray(1.0))
+    play = hysteresis.PlayHysteresis(jnp.asarray(1.0), jnp.asarray(1.0))
     states = play.initial(jnp.asarray(0.0), 0.0)
     for x in (2.0, 1.0):
         states = play.advance(states, 0.0, jnp.asarray(x), 0.0)

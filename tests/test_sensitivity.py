@@ -57,21 +57,27 @@ def root_residuals(model, runs, every=1):
     return error[:, :last:every].ravel()
 
 
+def against_the_plain_rollout(m, runs, vector):
+    """Hold C, J'We and J'WJ against forward differentiation through the decoder's own scan; its J."""
+    found = normal_equations(m, runs, DT, 1, vector)
+    residuals = jax.jit(lambda v: root_residuals(with_parameters(m, v), runs))
+    r = np.asarray(residuals(jnp.asarray(vector)))
+    j = np.asarray(jax.jit(jax.jacfwd(residuals))(jnp.asarray(vector)))
+    assert found.cost == pytest.approx(r @ r, rel=1e-12)
+    np.testing.assert_allclose(found.gradient, j.T @ r, rtol=0, atol=1e-10 * np.abs(j.T @ r).max())
+    np.testing.assert_allclose(found.hessian, j.T @ j, rtol=0, atol=1e-10 * np.abs(j.T @ j).max())
+    return j
+
+
 @pytest.mark.parametrize(("order", "substeps", "hold"), CASES)
 def test_normal_equations_are_those_of_the_plain_rollout(model, double, order, substeps, hold):
-    """C, J'We and J'WJ against forward differentiation through the decoder's own scan."""
+    """Every trained kind of number, at every order, with and without substeps."""
     with jax.enable_x64(True):
         m = double(model(order, substeps, hold))
         runs = runs_of(m)
         vector, counts = parameters(m)
         assert counts[1:].tolist() == [3, 1, 0] and counts.sum() == len(vector)
-        found = normal_equations(m, runs, DT, 1, vector)
-        residuals = jax.jit(lambda v: root_residuals(with_parameters(m, v), runs))
-        r = np.asarray(residuals(jnp.asarray(vector)))
-        j = np.asarray(jax.jit(jax.jacfwd(residuals))(jnp.asarray(vector)))
-    assert found.cost == pytest.approx(r @ r, rel=1e-12)
-    np.testing.assert_allclose(found.gradient, j.T @ r, rtol=0, atol=1e-10 * np.abs(j.T @ r).max())
-    np.testing.assert_allclose(found.hessian, j.T @ j, rtol=0, atol=1e-10 * np.abs(j.T @ j).max())
+        j = against_the_plain_rollout(m, runs, vector)
     assert (np.abs(j[:, -4:]).max(0) > 1e-4).all()  # memories and the drive do move the run
     assert (np.abs(j).max(0) > 0).mean() > 0.9
 
@@ -85,13 +91,7 @@ def test_effects_are_trained_along(model, double):
         vector, counts = parameters(m)
         assert counts[1:].tolist() == [3, 1, 3]
         np.testing.assert_allclose(vector[-3:], np.log([3.1e-3, 0.4, 7e-3]), rtol=1e-6)
-        found = normal_equations(m, runs, DT, 1, vector)
-        residuals = jax.jit(lambda v: root_residuals(with_parameters(m, v), runs))
-        r = np.asarray(residuals(jnp.asarray(vector)))
-        j = np.asarray(jax.jit(jax.jacfwd(residuals))(jnp.asarray(vector)))
-    assert found.cost == pytest.approx(r @ r, rel=1e-12)
-    np.testing.assert_allclose(found.gradient, j.T @ r, rtol=0, atol=1e-10 * np.abs(j.T @ r).max())
-    np.testing.assert_allclose(found.hessian, j.T @ j, rtol=0, atol=1e-10 * np.abs(j.T @ j).max())
+        j = against_the_plain_rollout(m, runs, vector)
     assert (np.abs(j[:, -3:]).max(0) > 1e-4).all()
 
 

@@ -13,11 +13,9 @@ import numpy as np
 from .._effects import CATALOGUE
 from .._model.model import Model
 from .case import Case
-from .fit import Candidate, nudged, residuals, stacked
+from .fit import nudged, residuals, stacked
 from .judged import Judged, in_order, sides
 from .lanes import Lanes
-
-_STEP = 3e-3
 
 
 def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
@@ -27,20 +25,14 @@ def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
         return judged
     lanes = Lanes(case, in_order(CATALOGUE, c.forms))
     fitted, _ = sides(case)
-    near = [nudged(c, k) for k in range(c.size)]
-    near += [(_changed(c, i), _STEP) for i in range(len(spread))]
+    open_to_both = replace(c, refit=True)
+    near = [nudged(open_to_both, k) for k in range(open_to_both.size)]
     first, *rows = residuals(lanes, [c, *(tried for tried, _ in near)], fitted)
     here = stacked(lanes, first, fitted)
     slopes = [(stacked(lanes, r, fitted) - here) / step for r, (_, step) in zip(rows, near, strict=True)]
     j = np.nan_to_num(np.stack(slopes, 1), posinf=0.0, neginf=0.0)
     moved = -np.linalg.lstsq(j[:, : c.size], j[:, c.size :], rcond=1e-9)[0]
     return replace(judged, candidate=replace(c, covariance=c.covariance + moved @ spread @ moved.T))
-
-
-def _changed(c: Candidate, which: int) -> Candidate:
-    factors = np.array(c.factors, float)
-    factors[which] *= np.exp(_STEP)
-    return replace(c, factors=factors)
 
 
 def relative_covariance(model: Model) -> np.ndarray | None:

@@ -4,7 +4,7 @@ A new effect is one final class and one line here; it is then fitted, ranked, sa
 family's tests. Forces act in this order: velocity and friction see all that comes before them.
 """
 
-from . import amplifier, coupling, dissipation, electrode, inertia, sensor, stiffness, viscoelastic
+from . import amplifier, coupling, dissipation, electrode, hysteresis, inertia, sensor, stiffness, viscoelastic
 from .base import AbstractEffect
 
 CATALOGUE: tuple[type[AbstractEffect], ...] = (
@@ -23,10 +23,10 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     viscoelastic.Relaxation,
     viscoelastic.SpreadRelaxation,
     viscoelastic.LosingRelaxation,
-    dissipation.PlayHysteresis,
-    dissipation.DahlHysteresis,
-    dissipation.BoucWenHysteresis,
-    dissipation.WenHysteresis,
+    hysteresis.PlayHysteresis,
+    hysteresis.DahlHysteresis,
+    hysteresis.BoucWenHysteresis,
+    hysteresis.WenHysteresis,
     sensor.SettlingDrift,
     sensor.LinearDrift,
     inertia.AddedMass,

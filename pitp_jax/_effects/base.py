@@ -9,6 +9,7 @@ known. An effect at its neutral parameters vanishes exactly, so a model may carr
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -221,6 +222,29 @@ def lagged(state, x, after, tau, h):
     fraction = h / tau
     settle = -jnp.expm1(-fraction)
     return state + settle * (x - state) + (1 - settle / fraction) * (after - x)
+
+
+def lags_in_a_row(states, x, after, taus: Sequence, h):
+    """The states of first-order lags behind each other: exact for the first, whose output the next takes as linear."""
+    found = []
+    for state, tau in zip(states, taus, strict=True):
+        later = lagged(state, x, after, jnp.maximum(tau, 1e-9), h)
+        found.append(later)
+        x, after = state, later
+    return jnp.stack(found)
+
+
+def lead(values: Float[Array, " time"], taus: Sequence, dt: float) -> Float[Array, " time"]:
+    """What lags in a row made these smooth values of: v + tau v', lag by lag."""
+    for tau in taus:
+        values = values + tau * slope(values, dt)
+    return values
+
+
+def lag_starts(s: Surroundings) -> list[Start]:
+    """Of one time constant, around and below the time scale of the resonance."""
+    low, high = min(0.2 * s.dt, 0.003 / s.omega), 5.0 / s.omega
+    return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.5)]
 
 
 def states_of(effect: AbstractEffect, x, voltage, age) -> Float[Array, " states"]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._recurrence import first_order_lags
-from .base import AbstractDriveEffect, Parameter, Surroundings, bounded, lagged, slope
+from .base import AbstractDriveEffect, Parameter, Surroundings, bounded, lag_starts, lagged, lags_in_a_row, lead
 
 
 class _Lag(AbstractDriveEffect):
@@ -26,8 +26,11 @@ class _Lag(AbstractDriveEffect):
     @classmethod
     def starts(cls, s: Surroundings):
         """Around and below the time scale of the resonance."""
-        low, high = min(0.2 * s.dt, 0.003 / s.omega), 5.0 / s.omega
-        return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.5)]
+        return lag_starts(s)
+
+    @property
+    def _taus(self):
+        return [share * self.tau for share in self.sections]
 
     def initial(self, voltage):
         """Settled at the voltage before the record."""
@@ -35,13 +38,7 @@ class _Lag(AbstractDriveEffect):
 
     def advance(self, states, before, after, h):
         """Exact for the first lag; its output is taken as linear for the next."""
-        found = []
-        for k, share in enumerate(self.sections):
-            tau = jnp.maximum(share * self.tau, 1e-9)
-            later = lagged(states[k], before, after, tau, h)
-            found.append(later)
-            before, after = states[k], later
-        return jnp.stack(found)
+        return lags_in_a_row(states, before, after, self._taus, h)
 
     def film(self, states, voltage):
         """The last lag's output."""
@@ -49,9 +46,7 @@ class _Lag(AbstractDriveEffect):
 
     def undo(self, film, dt):
         """By lead, lag by lag."""
-        for share in self.sections:
-            film = film + share * self.tau * slope(film, dt)
-        return film
+        return lead(film, self._taus, dt)
 
     def passes(self, film, dt):
         """Always."""

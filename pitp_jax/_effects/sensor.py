@@ -17,7 +17,9 @@ from .base import (
     Parameter,
     Surroundings,
     bounded,
-    lagged,
+    lag_starts,
+    lags_in_a_row,
+    lead,
     nothing,
     oscillate,
     slope,
@@ -64,8 +66,11 @@ class _SensorLag(AbstractSensorEffect):
     @classmethod
     def starts(cls, s: Surroundings):
         """Around and below the time scale of the resonance."""
-        low, high = min(0.2 * s.dt, 0.003 / s.omega), 5.0 / s.omega
-        return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.5)]
+        return lag_starts(s)
+
+    @property
+    def _taus(self):
+        return [share * self.tau for share in self.sections]
 
     def initial(self, x):
         """Settled at X."""
@@ -73,12 +78,7 @@ class _SensorLag(AbstractSensorEffect):
 
     def advance(self, states, x, after, h):
         """Exact for the first lag; its output is taken as linear for the next."""
-        found = []
-        for k, share in enumerate(self.sections):
-            later = lagged(states[k], x, after, jnp.maximum(share * self.tau, 1e-9), h)
-            found.append(later)
-            x, after = states[k], later
-        return jnp.stack(found)
+        return lags_in_a_row(states, x, after, self._taus, h)
 
     def reading(self, states, x):
         """The last lag's output."""
@@ -86,9 +86,7 @@ class _SensorLag(AbstractSensorEffect):
 
     def undo(self, y, dt):
         """By lead, lag by lag."""
-        for share in self.sections:
-            y = y + share * self.tau * slope(y, dt)
-        return y
+        return lead(y, self._taus, dt)
 
 
 class SensorLag(_SensorLag):
