@@ -6,6 +6,7 @@
 A part belongs to a file only by its line in one of five registries: input maps, encoders, memories, drives, effects.
 """
 
+import base64
 import json
 import math
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from ._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
 from ._model.input_map import LinearInput, SquareInput
 from ._model.memory import ElapsedTime, FadingMemory, NoMemory
 from ._model.model import Model, Output, Provenance, Scales
+from ._record.long_record import LongRecord
 
 LARGEST = 4096  # no size of a part is near this; a larger one is not worth building to find out
 
@@ -121,8 +123,23 @@ def describe(model: Model) -> dict:
             "slew": float(source.slew),
             "region": [[float(v) for v in pair] for pair in source.region],
         },
+        "long_record": _packed(source.long_record),
         "notes": _notes_out(source.notes),
     }
+
+
+def _packed(long: LongRecord | None) -> dict | None:
+    if long is None:
+        return None
+    voltage, displacement = (base64.b64encode(b).decode("ascii") for b in (long.voltage, long.displacement))
+    return {"dt": long.dt, "step": long.step, "rest": long.rest, "voltage": voltage, "displacement": displacement}
+
+
+def _unpacked(stored: dict | None) -> LongRecord | None:
+    if stored is None:
+        return None
+    series = (base64.b64decode(stored[k], validate=True) for k in ("voltage", "displacement"))
+    return LongRecord(float(stored["dt"]), int(stored["step"]), bool(stored["rest"]), *series)
 
 
 def _named(registry: dict[str, Part], part) -> dict:
@@ -161,6 +178,7 @@ def build(header: dict) -> Model:
         slew=float(source["slew"]),
         region=tuple((float(a), float(b)) for a, b in source["region"]),
         notes=notes,
+        long_record=_unpacked(header.get("long_record")),
     )
     if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")

@@ -22,6 +22,7 @@ from ._order import Fit, OrderFit, advice, choose, describe, summary
 from ._output_error import OutputError, build_problem, fastest_logs, normal_equations, residual
 from ._poles import polynomial
 from ._polish import polish
+from ._record.long_record import thinned
 from ._record.record import Record
 from ._record.sweeps import is_sweep as is_sweep
 from ._starts import equation_error_roots, linear_start, peak_roots
@@ -85,7 +86,7 @@ def identify(
         raise ComputationFailed(advice(chosen, described))
     orders = tuple(chosen if d.order == chosen.order else d for d in described)
     orders = orders if order == "auto" else (chosen,)
-    model = _to_model(chosen, records, input_map, orders)
+    model = _to_model(chosen, records, input_map, orders, problem.rest)
     return Identification(model, chosen, orders, dict(zip([r.name for r in records], problem.rest, strict=True)))
 
 
@@ -135,11 +136,13 @@ def _least_squares(params: np.ndarray, order: int, hold: Hold, problem: OutputEr
     return Fit(found, order, hold, cost, converged) if np.isfinite(cost) else None
 
 
-def _to_model(chosen: OrderFit, records, input_map: str, orders) -> Model:
+def _to_model(chosen: OrderFit, records, input_map: str, orders, rest) -> Model:
     """Scaled model: state scales are the rms of the identified model's own derivatives over the records."""
     n = chosen.order
     a = chosen.coefficients
-    force_scale = max(float(np.abs(INPUT_MAPS[input_map]().force(r.voltage)).max()) for r in records)
+    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage)) for r in records]
+    force_scale = max(float(np.abs(f).max()) for f in forces)
+    longest = int(np.argmax([r.samples for r in records]))
     x_rms = float(np.sqrt(np.mean(np.concatenate([r.displacement[r.observed] - chosen.offset for r in records]) ** 2)))
     omega = (a[0] / a[n]) ** (1 / n)
     dt = records[0].dt
@@ -154,6 +157,7 @@ def _to_model(chosen: OrderFit, records, input_map: str, orders) -> Model:
         ),
         slew=max(float(np.abs(np.diff(r.voltage)).max()) / dt for r in records),
         notes=json.dumps({"identification": summary(chosen, orders, records)}),
+        long_record=thinned(records[longest], forces[longest], rest[longest]),
     )
     return linear_model(
         a,

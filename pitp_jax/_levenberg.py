@@ -25,6 +25,10 @@ class Normal(NamedTuple):
     gradient: np.ndarray
     hessian: np.ndarray
 
+    def plus(self, other: "Normal") -> "Normal":
+        """Of both sums together."""
+        return Normal(self.cost + other.cost, self.gradient + other.gradient, self.hessian + other.hessian)
+
 
 def minimise(normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, bool]:
     """Parameters of least cost from `params` on, none above `upper`, and whether the tolerance was met.

@@ -4,10 +4,10 @@
 
 Levenberg-Marquardt, first on windows of six periods from their filtered states (on the Peano-HASEL, whose free runs
 left the data by 77 % at first, whole records led nowhere), then on whole records from their own starts, as predictions
-run. Every trained number is free: encoder weights, memory and drive time constants, and those of effects the model was
-given. The equation error is fast and blind to what accumulates. On two actuators this took the held-out median from
-0.91 to 0.27 % (cone) and from 0.75 to 0.41 % (roll), where 600 steps of Adam on short windows had taken longer. The
-first samples of every record are used, up to a budget in all.
+run. Creep that outlasts them is met beside (`_slow`). Every trained number is free: encoder weights, memory and drive
+time constants, and those of effects the model was given. The equation error is fast and blind to what accumulates. On
+two actuators this took the held-out median from 0.91 to 0.27 % (cone) and from 0.75 to 0.41 % (roll), where 600 steps
+of Adam on short windows had taken longer. The first samples of every record are used, up to a budget in all.
 """
 
 import time
@@ -29,6 +29,7 @@ from ._predict import starts
 from ._record.record import Record
 from ._sensitivity import Runs, normal_equations, parameters, trainable, with_parameters
 from ._shard import sharded_normal_equations
+from ._slow import SlowBalance
 
 _BUDGET = 400_000  # samples in all
 _SHORT_STEPS, _PERIODS = 12, 6.0
@@ -44,15 +45,16 @@ def refine(
     report,
     *,
     firmness: float = _PRIOR,
+    slow: SlowBalance | None = None,
     mesh: Mesh | None = None,
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
 
-    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`.
+    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: what else is to be met.
     """
     dt = records[0].dt
     short = _windows(model, data, records)
-    rest = report, firmness, mesh
+    rest = report, firmness, slow, mesh
     for found, entry in _descend(_tamed(model, short, dt), short, dt, _SHORT_STEPS, "short runs", *rest):
         model = found
         yield found, entry
@@ -61,7 +63,15 @@ def refine(
 
 
 def _descend(
-    model: Model, runs: Runs, dt: float, count: int, stage: str, report, firmness: float, mesh: Mesh | None
+    model: Model,
+    runs: Runs,
+    dt: float,
+    count: int,
+    stage: str,
+    report,
+    firmness: float,
+    slow: SlowBalance | None,
+    mesh: Mesh | None,
 ) -> Iterator[tuple[Model, dict]]:
     start, sizes = parameters(model)
     every = _thinning(model, dt)
@@ -75,7 +85,8 @@ def _descend(
         else:
             found = sharded_normal_equations(model, runs, dt, every, v, mesh)
         prior = Normal((rho * away) @ away, rho * away, np.diag(rho))
-        return Normal(found.cost + prior.cost, found.gradient + prior.gradient, found.hessian + prior.hessian)
+        found = found.plus(prior)
+        return found if slow is None else found.plus(slow.normal(model, v))
 
     costs, began = [], time.monotonic()
     for k, (vector, here, done) in enumerate(steps(normal, start, np.full(len(start), np.inf))):
@@ -137,9 +148,14 @@ def _begun(model: Model, features: np.ndarray, voltage: float):
     return jnp.concatenate([jnp.asarray(features), held])
 
 
+def run_samples(records: Sequence[Record]) -> int:
+    """How many samples the longest free run has."""
+    return min(max(r.samples for r in records), max(_BUDGET // len(records), 1000))
+
+
 def _whole(model: Model, records: Sequence[Record]) -> Runs:
     """Padded arrays of the first samples; what an initial state was estimated from has no weight."""
-    size = min(max(r.samples for r in records), max(_BUDGET // len(records), 1000))
+    size = run_samples(records)
     shape = len(records), size
     voltage, target, weight = (np.zeros(shape, np.float32) for _ in range(3))
     start, spent = starts(model, records)

@@ -21,6 +21,7 @@ from ._model.encoder import CompactEncoder, PaperEncoder
 from ._model.input_map import SquareInput
 from ._model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory
 from ._model.model import Model
+from ._record.long_record import LongRecord
 from ._record.record import Record
 
 _WORDS = {
@@ -45,7 +46,8 @@ class Settings:
         offset: whether the compact encoder has an offset token.
         memory: "fading", "elapsed" or "none".
         memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record (to half
-            of it: a 50 s record after training on 10 s drifted by 1.3 % of range, against 0.6 %).
+            of it: a 50 s record after training on 10 s drifted by 1.3 % of range, against 0.6 %), or to a quarter of
+            the one the nominal keeps, where that outlasts training (`_slow`).
         drive: "electrode" (a lag before the square, where there is one, learned from 0.1 / omega_0 on) or "direct".
         parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on: "delay", "sensor_lag".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
@@ -114,9 +116,15 @@ def preset_of(name: str) -> Settings:
     return PRESETS[name]
 
 
-def memory_of(settings: Settings, nominal: Model, records: Sequence[Record]) -> AbstractMemory:
-    """The memory a preset asks for, its time constants from the resonance and the longest record."""
+def memory_of(
+    settings: Settings, nominal: Model, records: Sequence[Record], long: LongRecord | None = None
+) -> AbstractMemory:
+    """The memory a preset asks for, its time constants from the resonance to the longest record.
+
+    Or to a quarter of the `long` one, in which a lag can settle.
+    """
     longest = max(r.samples for r in records) * records[0].dt
+    longest = longest if long is None else max(longest, long.seconds / 4)
     if settings.memory == "none":
         return NoMemory()
     if settings.memory == "elapsed":

@@ -23,11 +23,13 @@ from jax.sharding import Mesh
 from ._dataset import Dataset, build_dataset
 from ._errors import BadInput, ComputationFailed
 from ._model.model import Model
+from ._record.long_record import LongRecord
 from ._record.record import Record
-from ._refine import refine
+from ._refine import refine, run_samples
 from ._residual import loss
 from ._sensitivity import trainable
 from ._settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
+from ._slow import OUTLASTS, SlowBalance, slow_balance, widened
 
 _OPTIMISER = optax.scale_by_adam()
 
@@ -85,14 +87,12 @@ def train(
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     key_init, key_stages = jax.random.split(key)
-    bare = replace(nominal, effects=())
-    data = build_dataset(bare, records, scaling=settings.scaling, difference=settings.difference,
-                         memory=partial(memory_of, settings, nominal, records))  # fmt: skip
+    data, slow = _prepared(nominal, records, settings)
     model = with_encoder(data, settings, key_init)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
-        for found, entry in _improvements(model, nominal, data, records, settings, key_stages, progress, mesh):
+        for found, entry in _improvements(model, nominal, data, slow, records, settings, key_stages, progress, mesh):
             best = found
             history.append(entry)
     except KeyboardInterrupt:
@@ -103,11 +103,35 @@ def train(
         raise BadInput("settings allow no training stage: set stages to 1 or more")
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "samples": int(data.equation.force.shape[0]),
+             "creep_held_to_s": round(slow.seconds, 1) if slow else None,
              "interrupted": interrupted}  # fmt: skip
-    return Training(_annotated(best, data, notes), tuple(history), interrupted, notes)
+    return Training(_annotated(best, data, slow, notes), tuple(history), interrupted, notes)
 
 
-def _improvements(model: Model, nominal, data: Dataset, records, settings: Settings, key, progress, mesh: Mesh | None):
+def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:
+    """What training reads; with the slow balance where the nominal keeps a record that outlasts the free runs.
+
+    Not where the nominal has effects of its own, which that balance would not hold.
+    """
+
+    def dataset(long: LongRecord | None) -> Dataset:
+        return build_dataset(replace(nominal, effects=()), records, scaling=settings.scaling,
+                             difference=settings.difference,
+                             memory=partial(memory_of, settings, nominal, records, long))  # fmt: skip
+
+    long, seen = nominal.provenance.long_record, run_samples(records) * records[0].dt
+    fits = settings.memory == "fading" and settings.refine_steps > 0 and not nominal.effects
+    if long and fits and long.seconds > OUTLASTS * seen:
+        data = dataset(long)
+        if slow := slow_balance(data.model, long, data.region):
+            return replace(data, region=widened(data.region, slow.features(data.model))), slow
+    return dataset(None), None
+
+
+def _improvements(
+    model: Model, nominal, data: Dataset, slow: SlowBalance | None, records, settings: Settings, key, progress,
+    mesh: Mesh | None,
+):  # fmt: skip
     """Yield (best model so far, history entry): the stages on the equation error, then the free runs."""
     best = None
     for best, entry in _stages(model, data, settings, key, progress):
@@ -115,7 +139,7 @@ def _improvements(model: Model, nominal, data: Dataset, records, settings: Setti
     if best is not None and settings.refine_steps:
         yield from refine(
             with_parts(best, nominal, settings), data, records, settings.refine_steps, partial(_report, progress),
-            firmness=firmness_of(settings, model), mesh=mesh,
+            firmness=firmness_of(settings, model), slow=slow, mesh=mesh,
         )  # fmt: skip
 
 
@@ -194,7 +218,7 @@ def _epoch(params, static, state, data, box, rate, settings: Settings, key):
     return params, state, tuple(parts.mean(0))
 
 
-def _region(model: Model, data: Dataset) -> tuple[tuple[float, float], ...]:
+def _region(model: Model, data: Dataset, slow: SlowBalance | None) -> tuple[tuple[float, float], ...]:
     """Lowest and highest value of every feature, with the memories as they were learned."""
     n, seen = model.order, []
     for found, valid in zip(data.features, data.valid, strict=True):
@@ -203,11 +227,14 @@ def _region(model: Model, data: Dataset) -> tuple[tuple[float, float], ...]:
         )
         seen.append(np.concatenate([found[:, :n], past], -1)[valid])
     rows = np.concatenate(seen)
-    return tuple((float(a), float(b)) for a, b in zip(rows.min(0), rows.max(0), strict=True))
+    region = tuple((float(a), float(b)) for a, b in zip(rows.min(0), rows.max(0), strict=True))
+    return widened(region, slow.features(model)) if slow else region
 
 
-def _annotated(model: Model, data: Dataset, notes: dict) -> Model:
+def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, notes: dict) -> Model:
     """The model with its trained region and the training summary in its provenance."""
     old = json.loads(model.provenance.notes)
-    provenance = replace(model.provenance, region=_region(model, data), notes=json.dumps({**old, "training": notes}))
+    provenance = replace(
+        model.provenance, region=_region(model, data, slow), notes=json.dumps({**old, "training": notes})
+    )
     return replace(model, provenance=provenance)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._record.long_record import LongRecord
 from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
@@ -35,6 +36,7 @@ class Provenance:
         slew: highest voltage slew seen, V/s.
         region: per feature (S then memory, scaled) lowest and highest value trained on.
         notes: JSON text, the identification and training summary `pitp info` prints.
+        long_record: the longest record the nominal was identified on, which training holds creep to.
     """
 
     dt: float
@@ -44,6 +46,7 @@ class Provenance:
     slew: float = float("inf")
     region: tuple[tuple[float, float], ...] = ()
     notes: str = "{}"
+    long_record: LongRecord | None = None
 
     def with_(self, **changes) -> "Provenance":
         """A copy with some fields replaced."""

@@ -1,0 +1,162 @@
+"""Creep beyond the training records: the kept record, its balance's slopes, and a creep of minutes that is learned."""
+
+import base64
+import hashlib
+import json
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import StateSpace, lsim
+
+from pitp_jax import _slow
+from pitp_jax._dataset import build_dataset
+from pitp_jax._file import load, save
+from pitp_jax._identify import identify
+from pitp_jax._model.memory import FadingMemory
+from pitp_jax._predict import predict
+from pitp_jax._record.long_record import thinned
+from pitp_jax._record.record import Record
+from pitp_jax._sensitivity import parameters, with_parameters
+from pitp_jax._settings import PRESETS, with_encoder
+from pitp_jax._train import train
+
+DT, OMEGA, TAU, SHARE = 0.02, 2 * np.pi, 15.0, 0.5  # s, rad/s, s; creep's share of the stiffness
+
+
+def creeping(voltage):
+    """x'' + 0.3 w x' + w^2 (x + share (x - z)) = w^2 u^2,  z' = (x - z) / tau, at rest before; in mm for kV."""
+    a = np.array([[0, 1, 0], [-(OMEGA**2) * (1 + SHARE), -0.3 * OMEGA, OMEGA**2 * SHARE], [1 / TAU, 0, -1 / TAU]])
+    system = StateSpace(a, [[0], [OMEGA**2], [0]], [[1, 0, 0]], [[0]])
+    return lsim(system, (1e-3 * voltage) ** 2, DT * np.arange(len(voltage)))[1]
+
+
+def record(name, seconds, phase, peak=1000.0, seed=0):
+    """0 to `peak` V along (1 - cos phase) / 2; 0.1 % of noise."""
+    t = DT * np.arange(round(seconds / DT))
+    voltage = peak * (1 - np.cos(phase(t))) / 2
+    x = creeping(voltage)
+    noise = 1e-3 * np.ptp(x) * np.random.default_rng(seed).standard_normal(len(t))
+    return Record(name, t, voltage, 1e-3 * (x + noise))
+
+
+def sine(hz, seconds, **how):
+    return record(f"{hz} Hz, {seconds} s, {how}", seconds, lambda t: 2 * np.pi * hz * t, **how)
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    return record("sweep", 120, lambda t: 2 * np.pi * (0.1 * t + 2.4 * t**2 / 240), peak=800)
+
+
+@pytest.fixture(scope="module")
+def nominal(sweep):
+    return identify([sweep], order=2).model
+
+
+@pytest.fixture(scope="module")
+def records():
+    return [
+        sine(hz, 8, peak=peak, seed=k)
+        for k, (hz, peak) in enumerate(((0.25, 1000), (0.6, 1000), (1.1, 1000), (2.0, 1000)))
+    ]
+
+
+def test_the_longest_record_is_kept_as_it_was(sweep):
+    voltage, fine = sweep.voltage, replace(sweep, displacement=sweep.displacement.copy())
+    fine.displacement[1000:1100] = np.nan
+    kept = thinned(fine, voltage**2, True)
+    back = kept.record()
+    assert kept.step > 1 and back.samples - fine.samples < kept.step
+    assert kept.seconds == pytest.approx(120, abs=kept.step * DT) and hash(kept) == hash(
+        thinned(fine, voltage**2, True)
+    )
+    inside = slice(50, fine.samples - 50)
+    assert np.std((back.voltage[: fine.samples] - voltage)[inside]) < 1e-3 * np.ptp(voltage)
+    missing = ~back.observed[: fine.samples]
+    assert missing[1000:1100].all() and missing.sum() < 100 + 2 * kept.step
+    seen = np.flatnonzero(~missing[inside]) + 50
+    away = seen[(seen < 900) | (seen > 1200)]
+    left = (back.displacement[: fine.samples] - fine.displacement)[away]
+    assert np.std(left) < 1.2e-3 * np.ptp(sweep.displacement)  # the noise it was given
+
+
+def test_a_nominal_keeps_it_on_file(nominal, tmp_path):
+    save(tmp_path / "m", nominal)
+    assert load(tmp_path / "m").provenance.long_record == nominal.provenance.long_record
+    assert nominal.provenance.long_record is not None
+
+
+def test_a_file_without_one_is_still_read(nominal, tmp_path):
+    """As older files are: the line is not there."""
+    save(tmp_path / "m", nominal)
+    magic, _, rest = (tmp_path / "m").read_bytes().split(b"\n", 2)
+    first = rest.index(b'"long_record"')
+    last = rest.index(b"\n", first) + 1
+    assert base64.b64decode(json.loads(b"{" + rest[first : last - 2] + b"}")["long_record"]["voltage"])
+    rest = rest[:first] + rest[last:]
+    digest = hashlib.sha256(rest).hexdigest().encode()
+    (tmp_path / "old").write_bytes(magic + b"\nsha256 " + digest + b"\n" + rest)
+    assert load(tmp_path / "old").provenance == replace(nominal.provenance, long_record=None)
+
+
+def test_slopes_are_those_of_the_cost(nominal, records, double):
+    """Central differences along random directions, in float64."""
+    memory = FadingMemory(jnp.log(jnp.asarray([0.3, 5.0, 30.0], jnp.float32)))
+    data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda: memory)
+    settings = replace(PRESETS["default"], memories=3, width=4)
+    model = with_encoder(data, settings, jax.random.key(1))
+    balance = _slow.slow_balance(data.model, nominal.provenance.long_record, data.region)
+    rng = np.random.default_rng(0)
+    start = parameters(model)[0]
+    start = start + 0.1 * rng.standard_normal(len(start))
+    with jax.enable_x64(True):
+        exact, wide = replace(balance, series=double(balance.series)), double(model)
+        here = exact.normal(wide, start)
+        for _ in range(4):
+            d = rng.standard_normal(len(start))
+            d /= np.linalg.norm(d)
+            up, down = (exact.normal(wide, start + s * 1e-5 * d).cost for s in (1, -1))
+            assert (up - down) / 2e-5 == pytest.approx(2 * here.gradient @ d, rel=1e-4, abs=1e-8 * here.cost)
+    assert here.cost > 0 and np.allclose(np.diag(here.hessian) >= 0, True)
+    assert balance.normal(model, start).cost == pytest.approx(here.cost, rel=1e-3)
+    assert with_parameters(model, start).memory.log_tau.shape == (3,)
+
+
+def test_what_training_covers_counts_and_nothing_else(nominal, records):
+    """The sweep meets the resonance, which the two slowest records do not."""
+    data = build_dataset(nominal, records[:2], scaling="rms", difference="stencil",
+                         memory=lambda: FadingMemory(jnp.zeros(1)))  # fmt: skip
+    long = nominal.provenance.long_record
+    everything = _slow.slow_balance(data.model, long, [(-1e3, 1e3)] * 3)
+    covered = _slow.slow_balance(data.model, long, data.region)
+    assert np.count_nonzero(covered.scale) < 95 <= np.count_nonzero(everything.scale)
+    assert _slow.slow_balance(data.model, long, [(-1e-6, 1e-6)] * 3) is None
+    low, high = np.array(data.region)[:2].T
+    rows = covered.features(data.model)
+    assert (rows[:, :2] >= low).all() and (rows[:, :2] <= high).all() and rows.shape[1] == 3
+
+
+@pytest.mark.parametrize("changes", [{"memory": "none"}, {"memory": "elapsed"}, {"refine_steps": 0}])
+def test_other_memories_take_no_notice(nominal, records, changes):
+    short = replace(PRESETS["default"], **({"stages": 1, "epochs": 1, "refine_steps": 1, "width": 4} | changes))
+    assert train(nominal, records, settings=short, key=jax.random.key(0)).notes["creep_held_to_s"] is None
+
+
+def test_creep_that_outlasts_training_is_learned_from_the_sweep(nominal, records):
+    """A minute of a sine after 8 s of training: the last 20 s, against training that knows no sweep."""
+    settings = replace(PRESETS["default"], stages=1, epochs=2, refine_steps=15, width=4, memories=4)
+    forgetful = replace(nominal, provenance=nominal.provenance.with_(long_record=None))
+    held_out = sine(0.5, 60, seed=9)
+
+    def late(start):
+        found = train(start, records, settings=settings, key=jax.random.key(0))
+        left = predict(found.model, [held_out])[0].displacement - held_out.displacement
+        return 100 * np.sqrt(np.mean(left[-1000:] ** 2)) / np.ptp(held_out.displacement), found
+
+    with_sweep, found = late(nominal)
+    without, _ = late(forgetful)
+    assert found.notes["creep_held_to_s"] == pytest.approx(120, abs=1)
+    assert with_sweep < 0.5 and with_sweep < 0.3 * without
