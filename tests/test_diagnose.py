@@ -16,7 +16,7 @@ from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.judged import sides
 from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
-from pitp_jax._effects import amplifier, electrode, sensor, stiffness
+from pitp_jax._effects import CATALOGUE, amplifier, electrode, sensor, stiffness
 from pitp_jax._model import augment
 
 HZ, DT, SAMPLES = 5.0, 4e-3, 1500
@@ -216,6 +216,17 @@ def test_a_moved_coefficient_is_a_parameter_change_and_a_heavier_load_added_mass
     refitted = pitp.diagnose(nominal, play(heavier), refit_nominal=True)
     assert refitted.verdict == "no_gap"
     np.testing.assert_allclose(refitted.shift, [1.0, 1.0, 1.2], rtol=0.02)
+
+
+def test_what_has_one_form_has_no_excuse_for_what_it_leaves(nominal):
+    """A sensor's lag passes for a delay in part only: excused for a nominal of unknown quality, not for a good one."""
+    lag = replace(nominal, effects=(sensor.SensorLag(jnp.asarray(0.015)),))
+    others = {c.name for c in CATALOGUE if c.name != "delay"} | {"parameter_change"}
+    records = play(lag)
+    known = pitp.identify(play(nominal, seed=1), order=2).model
+    excused, not_excused = (pitp.diagnose(m, records, exclude=sorted(others)) for m in (nominal, known))
+    assert excused.effects == ("delay",) and excused.gap.after > 2.5 * excused.gap.noise_floor
+    assert not_excused.verdict == "unknown" and not_excused.gap.closed_fraction > 0.72
 
 
 def test_no_records_is_bad_input(nominal):

@@ -35,6 +35,14 @@ def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
     return replace(judged, candidate=replace(c, covariance=c.covariance + moved @ spread @ moved.T))
 
 
+def own_misfit(model: Model) -> float:
+    """What the nominal left of the records it was identified on, over their noise (at least 1); inf if not known."""
+    notes = json.loads(model.provenance.notes)
+    told = {} if "training" in notes else notes.get("identification", {})
+    left = [row["rms"] for row in told.get("orders", []) if row.get("order") == model.order]
+    return max(left[0] / told["noise_std"], 1.0) if left and told.get("noise_std") else float("inf")
+
+
 def relative_covariance(model: Model) -> np.ndarray | None:
     """Of the logarithms of a_0 ... a_n as `identify` left it in the notes; None where a model was trained since."""
     notes = json.loads(model.provenance.notes)

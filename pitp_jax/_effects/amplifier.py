@@ -82,6 +82,7 @@ class VoltageOffset(_Static):
     """V = u + V_0."""
 
     name, form = "voltage_offset", "constant"
+    only = True
     PARAMETERS = (Parameter("offset", "V", positive=False, neutral=0.0),)
     offset: Float[Array, ""]
 
@@ -181,6 +182,7 @@ class Delay(AbstractEffect):
     """V(t) = u(t - T): a shift of the whole record, so it is no step but a map of the array."""
 
     name, form, family, port = "delay", "pure", "drive", "IN"
+    only = True
     PARAMETERS = (Parameter("time", "s", neutral=0.0, linear=False),)
     time: Float[Array, ""]
 

@@ -125,6 +125,7 @@ class AbstractEffect(eqx.Module):
     """One form of one effect; its fields are scalars, named in PARAMETERS.
 
     `name` is what a diagnosis prints, `form` one way to write it down, `port` where it enters: IN, SQ, K, C, M, T, OUT.
+    `only`: there is no other way to write it down, so where it is the cause, it leaves noise.
     """
 
     name: ClassVar[str]
@@ -133,6 +134,7 @@ class AbstractEffect(eqx.Module):
     port: ClassVar[str]
     PARAMETERS: ClassVar[tuple[Parameter, ...]]
     states: ClassVar[int] = 0
+    only: ClassVar[bool] = False
 
     @classmethod
     @abstractmethod

@@ -30,6 +30,7 @@ class AddedMass(AbstractForceEffect):
     """A share d more mass."""
 
     name, form, family, port = "added_mass", "share", "inertia", "M"
+    only = True
     PARAMETERS = (Parameter("d", positive=False, neutral=0.0),)
     d: Float[Array, ""]
 

@@ -30,6 +30,7 @@ class SensorGain(AbstractSensorEffect):
     """A wrong scale factor."""
 
     name, form, family, port = "sensor_gain", "share", "sensor", "OUT"
+    only = True
     PARAMETERS = (Parameter("d", positive=False, neutral=0.0),)
     d: Float[Array, ""]
 
