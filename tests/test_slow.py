@@ -17,6 +17,7 @@ from pitp_jax._file import load, save
 from pitp_jax._identify import identify
 from pitp_jax._model.memory import FadingMemory
 from pitp_jax._predict import predict
+from pitp_jax._record import long_record
 from pitp_jax._record.long_record import thinned
 from pitp_jax._record.record import Record
 from pitp_jax._sensitivity import parameters, with_parameters
@@ -81,6 +82,14 @@ def test_the_longest_record_is_kept_as_it_was(sweep):
     away = seen[(seen < 900) | (seen > 1200)]
     left = (back.displacement[: fine.samples] - fine.displacement)[away]
     assert np.std(left) < 1.2e-3 * np.ptp(sweep.displacement)  # the noise it was given
+
+
+def test_of_a_record_too_long_to_follow_its_beginning_is_kept(sweep, monkeypatch):
+    monkeypatch.setattr(long_record, "_READ", 2000)
+    kept = thinned(sweep, sweep.voltage**2, True)
+    assert kept.seconds == pytest.approx(2000 * DT, abs=kept.step * DT)
+    rests = replace(sweep, voltage=np.where(np.arange(sweep.samples) < 2000, 0.0, sweep.voltage))
+    assert thinned(rests, rests.voltage**2, True) is None
 
 
 def test_a_nominal_keeps_it_on_file(nominal, tmp_path):

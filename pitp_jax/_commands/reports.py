@@ -115,9 +115,11 @@ def print_model(told: dict) -> None:
 def _print_training(told: dict) -> None:
     training = told["training"]
     cut = ", interrupted" if training.get("interrupted") else ""
+    long = training.get("creep_held_to_s")
+    held = f", creep held to {number(long, 3)} s of what the nominal was identified on" if long else ""
     print(
         f"trained on {listed(training.get('records', []))} ({training.get('samples', '?')} samples) in "
-        f"{number(training.get('seconds'), 3)} s{cut}; encoder {told['encoder']}, "
+        f"{number(training.get('seconds'), 3)} s{cut}{held}; encoder {told['encoder']}, "
         f"{told['memory_states']} memory states"
     )
     print_history(training.get("history", []))

@@ -6,7 +6,7 @@ Read back, it is band-limited between the samples kept: linear between them, the
 would be off by 2 % at 15 Hz.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import decimate, resample_poly
@@ -16,6 +16,7 @@ from .record import Record
 
 _PER_PERIOD = 4.0  # samples kept of a period of f_max
 _MOST = 150_000  # samples kept in all
+_READ = 1_000_000  # samples of the record that count: every fitting step follows its memories along them
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,18 @@ class LongRecord:
         return kept if self.step == 1 else resample_poly(kept, self.step, 1, padtype="line")
 
 
-def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord:
-    """Keep a record. `force`: the equation's drive (V^2 or V), shape (T,)."""
+def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
+    """Keep a record, or its beginning; None where nothing happens in it.
+
+    `force`: the equation's drive (V^2 or V), shape (T,).
+    """
+    if record.samples > _READ:
+        time, voltage, displacement = (a[:_READ] for a in (record.time, record.voltage, record.displacement))
+        if not np.isfinite(displacement).any():
+            return None
+        record, force = replace(record, time=time, voltage=voltage, displacement=displacement), force[:_READ]
+    if np.ptp(force) == 0:
+        return None
     step = int(1 / (_PER_PERIOD * force_band([force], record.dt) * record.dt))
     step = max(step, -(-record.samples // _MOST), 1)
     step = min(step, max(record.samples // 64, 1))  # what `Record` asks for
