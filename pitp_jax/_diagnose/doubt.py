@@ -39,7 +39,7 @@ def own_misfit(model: Model) -> float:
     """What the nominal left of the records it was identified on, over their noise (at least 1); inf if not known."""
     notes = json.loads(model.provenance.notes)
     told = {} if "training" in notes else notes.get("identification", {})
-    left = [row["rms"] for row in told.get("orders", []) if row.get("order") == model.order]
+    left = [row["rms"] for row in told.get("orders", []) if row.get("order") == model.order and "rms" in row]
     return max(left[0] / told["noise_std"], 1.0) if left and told.get("noise_std") else float("inf")
 
 
