@@ -99,7 +99,7 @@ def first_order_lags(
     return jnp.concatenate([start[None], states.reshape(blocks * length, -1)[: steps - 1]])
 
 
-def lag_after(start: Array, before: Array, now: Array, tau: Array, dt: float) -> Array:
+def lag_after(start, before, now, tau, dt) -> Array:
     """Lags one sample of dt (s) on, x linear from `before` to `now`: one step of `first_order_lags`."""
     settle = -jnp.expm1(-dt / tau)
     return start + settle * (before - start) + (1 - settle * tau / dt) * (now - before)

@@ -37,19 +37,22 @@ def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
 
 def own_misfit(model: Model) -> float:
     """What the nominal left of the records it was identified on, over their noise (at least 1); inf if not known."""
-    notes = json.loads(model.provenance.notes)
-    told = {} if "training" in notes else notes.get("identification", {})
-    left = [row["rms"] for row in told.get("orders", []) if row.get("order") == model.order and "rms" in row]
-    return max(left[0] / told["noise_std"], 1.0) if left and told.get("noise_std") else float("inf")
+    row, noise = _identified(model)
+    return max(row["rms"] / noise, 1.0) if "rms" in row and noise else float("inf")
 
 
 def relative_covariance(model: Model) -> np.ndarray | None:
-    """Of the logarithms of a_0 ... a_n as `identify` left it in the notes; None where a model was trained since."""
-    notes = json.loads(model.provenance.notes)
-    if "training" in notes:
+    """Of the logarithms of a_0 ... a_n; None where it is not known."""
+    row, _ = _identified(model)
+    if "correlation" not in row:
         return None
-    for row in notes.get("identification", {}).get("orders", []):
-        if row.get("order") == model.order and "correlation" in row:
-            share = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)
-            return np.asarray(row["correlation"], float) * np.outer(share, share)
-    return None
+    share = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)
+    return np.asarray(row["correlation"], float) * np.outer(share, share)
+
+
+def _identified(model: Model) -> tuple[dict, float | None]:
+    """The order's row as `identify` left it in the notes, and the noise; nothing where a model was trained since."""
+    notes = json.loads(model.provenance.notes)
+    told = {} if "training" in notes else notes.get("identification", {})
+    rows = [row for row in told.get("orders", []) if row.get("order") == model.order]
+    return (rows[0] if rows else {}), told.get("noise_std")

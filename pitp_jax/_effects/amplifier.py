@@ -8,7 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .base import AbstractDriveEffect, AbstractEffect, Parameter, Surroundings, bounded, lagged, nothing, slope
+from .._model.drive import slope
+from .._recurrence import lag_after
+from .base import AbstractDriveEffect, AbstractEffect, Parameter, Surroundings, bounded, nothing
 
 
 class _Static(AbstractDriveEffect):
@@ -171,7 +173,7 @@ class SlewingLag(_Slewing):
 
     def advance(self, states, before, after, h):
         """Along the lag."""
-        return self.towards(states, lagged(states, before, after, self.tau, h), h)
+        return self.towards(states, lag_after(states, before, after, self.tau, h), h)
 
     def undo(self, film, dt):
         """U = V + tau V' below the limit."""

@@ -9,7 +9,6 @@ known. An effect at its neutral parameters vanishes exactly, so a model may carr
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -219,36 +218,6 @@ class AbstractSensorEffect(AbstractEffect):
         """The X behind a smooth reading; the reading itself where that is not known."""
 
 
-def lagged(state, x, after, tau, h):
-    """The first-order lag z' = (x - z) / tau after h, exact for x linear in between."""
-    fraction = h / tau
-    settle = -jnp.expm1(-fraction)
-    return state + settle * (x - state) + (1 - settle / fraction) * (after - x)
-
-
-def lags_in_a_row(states, x, after, taus: Sequence, h):
-    """The states of first-order lags behind each other: exact for the first, whose output the next takes as linear."""
-    found = []
-    for state, tau in zip(states, taus, strict=True):
-        later = lagged(state, x, after, jnp.maximum(tau, 1e-9), h)
-        found.append(later)
-        x, after = state, later
-    return jnp.stack(found)
-
-
-def lead(values: Float[Array, " time"], taus: Sequence, dt: float) -> Float[Array, " time"]:
-    """What lags in a row made these smooth values of: v + tau v', lag by lag."""
-    for tau in taus:
-        values = values + tau * slope(values, dt)
-    return values
-
-
-def lag_starts(s: Surroundings) -> list[Start]:
-    """Of one time constant, around and below the time scale of the resonance."""
-    low, high = min(0.2 * s.dt, 0.003 / s.omega), 5.0 / s.omega
-    return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.5)]
-
-
 def states_of(effect: AbstractEffect, x, voltage, age) -> Float[Array, " states"]:
     """An effect's states in an actuator held at X under `voltage` (0 where it rests), at that age of the session."""
     if isinstance(effect, AbstractDriveEffect):
@@ -280,18 +249,6 @@ class Wanted(Known):
     def highest(self, tokens, offset):
         """As given."""
         return self.last
-
-
-def slope(values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """First derivative by central differences of 4th order (2nd next to the ends, 1st at them)."""
-    inner = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12 * dt)
-    return jnp.asarray(jnp.gradient(values, dt)).at[2:-2].set(inner)
-
-
-def oscillate(states, x, w, zeta, h):
-    """(z, z' in 1/s) after h of z'' = w^2 (X - z) - 2 zeta w z', by the implicit midpoint rule."""
-    middle = (states[1] + h / 2 * w**2 * (x - states[0])) / (1 + (h * w / 2) ** 2 + h * zeta * w)
-    return jnp.stack([states[0] + h * middle, 2 * middle - states[1]])
 
 
 def physical_factor(p: Parameter, state: tuple[float, ...], force: float) -> float:

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._recurrence import first_order_lags
-from .base import AbstractDriveEffect, Parameter, Surroundings, bounded, lag_starts, lagged, lags_in_a_row, lead
+from .._recurrence import first_order_lags, lag_after
+from .base import AbstractDriveEffect, Parameter, Surroundings, bounded
+from .lags import lag_starts, lags_in_a_row, lead
 
 
 class _Lag(AbstractDriveEffect):
@@ -88,7 +89,7 @@ class ChargeLeak(AbstractDriveEffect):
 
     def advance(self, states, before, after, h):
         """Exact for u linear."""
-        return lagged(states, before, after, self.tau, h)
+        return lag_after(states, before, after, self.tau, h)
 
     def film(self, states, voltage):
         """What the traps leave."""

@@ -22,8 +22,8 @@ from .base import (
     Surroundings,
     bounded,
     nothing,
-    oscillate,
 )
+from .lags import oscillate
 
 
 class AddedMass(AbstractForceEffect):

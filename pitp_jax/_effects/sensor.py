@@ -10,6 +10,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._model.drive import slope
 from .base import (
     AbstractForceEffect,
     AbstractSensorEffect,
@@ -17,13 +18,9 @@ from .base import (
     Parameter,
     Surroundings,
     bounded,
-    lag_starts,
-    lags_in_a_row,
-    lead,
     nothing,
-    oscillate,
-    slope,
 )
+from .lags import lag_starts, lags_in_a_row, lead, oscillate
 
 
 class SensorGain(AbstractSensorEffect):

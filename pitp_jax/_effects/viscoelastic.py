@@ -11,7 +11,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .base import AbstractForceEffect, Instant, Parameter, Surroundings, bounded, lagged
+from .._recurrence import lag_after
+from .base import AbstractForceEffect, Instant, Parameter, Surroundings, bounded
 
 BORDER = 15.0  # tau omega_0
 
@@ -57,7 +58,7 @@ class _Branches(AbstractForceEffect):
 
     def advance(self, states, x, after, h):
         """Exact for X linear."""
-        return lagged(states, x, after, self._taus(), h)
+        return lag_after(states, x, after, self._taus(), h)
 
 
 class Creep(_Branches):

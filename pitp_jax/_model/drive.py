@@ -60,9 +60,7 @@ class ElectrodeLag(AbstractDrive):
 
     def lead(self, film, dt):
         """U = V + tau V', V' by central differences of 4th order: of 2nd next to the ends, one-sided of 1st at them."""
-        slope = jnp.asarray(jnp.gradient(film, dt))
-        inner = (8 * (film[3:-1] - film[1:-3]) - (film[4:] - film[:-4])) / (12 * dt)
-        return film + jnp.exp(self.log_tau) * slope.at[2:-2].set(inner)
+        return film + jnp.exp(self.log_tau) * slope(film, dt)
 
     def undo(self, film, dt, first):
         """U_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c: alternates, and decays by dt / (3 tau) a sample."""
@@ -72,3 +70,9 @@ class ElectrodeLag(AbstractDrive):
         drive = (film[1:] - (1 - settle) * film[:-1]) / slope
         keep = -(settle - slope) / slope
         return scalar_recurrence(keep, drive, first)
+
+
+def slope(values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+    """First derivative by central differences of 4th order (2nd next to the ends, 1st at them)."""
+    inner = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12 * dt)
+    return jnp.asarray(jnp.gradient(values, dt)).at[2:-2].set(inner)
