@@ -11,9 +11,12 @@ from scipy.signal import lfilter
 import pitp_jax as pitp
 from pitp_jax._decode import rest_state, rollout
 from pitp_jax._diagnose.along import nominal_filter, responses
+from pitp_jax._diagnose.attribute import Attribution
 from pitp_jax._diagnose.case import build_case, kind, split
+from pitp_jax._diagnose.diagnosis import _verdict
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._diagnose.judged import sides
+from pitp_jax._diagnose.found import Gap
+from pitp_jax._diagnose.judged import Judged, sides
 from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
 from pitp_jax._effects import CATALOGUE, amplifier, electrode, sensor, stiffness
@@ -71,7 +74,9 @@ def test_the_noise_floor_is_that_of_the_noise(nominal, colour):
         e = lfilter([1.0], [1.0, -colour], rng.standard_normal(SAMPLES)) * np.sqrt(1 - colour**2) * 1e-3
         gap = 0.05 * np.sin(2 * np.pi * (0.5 + k) * TIME) if k > 1 else 0.0
         errors.append(e + gap + 0.0 * s.run)
-    assert estimate(case, errors).sigma == pytest.approx(1e-3, rel=0.2 if colour else 0.1)
+    found = estimate(case, errors)
+    assert found.sigma == pytest.approx(1e-3, rel=0.2 if colour else 0.1)
+    assert found.sensor == pytest.approx(found.sigma, rel=0.05)
 
 
 def test_the_screening_filter_is_the_nominal(nominal):
@@ -200,6 +205,21 @@ def test_hum_is_unknown(nominal):
     assert found.verdict == "unknown" and found.effects == ()
     assert found.where["tone"]["hz"] == pytest.approx(17.3, abs=0.2) and found.where["tone"]["records"] == 7
     assert found.where["summary"].startswith("A steady tone at 17")
+
+
+def test_an_actuator_that_is_struck_is_unknown(linear):
+    """Blows at random are as broad as noise, and no effect explains them; but no sensor's noise has the resonance."""
+    fast = linear(hz=4 * HZ, dt=DT)
+    case = build_case(fast, play(fast, noise=0.0))
+    w, rng = 2 * np.pi * 4 * HZ * DT, np.random.default_rng(5)
+    ring = [1.0, -2 * np.exp(-0.1 * w) * np.cos(w), np.exp(-0.2 * w)]
+    white = rng.standard_normal((len(case.series), 2 * SAMPLES))
+    gap = Gap(1.0, 1.0, 1.0, 0.95, "", None, None)
+    bare = Judged(Candidate((), (), (), np.ones(3), False), (), 1.0, 1.0)
+    for errors, verdict in ((white, "no_gap"), (lfilter([1.0], ring, white), "unknown")):
+        noise = estimate(case, [1e-3 * e[SAMPLES:] for e in errors])
+        assert ("peaks at the resonance" in noise.source) == (verdict == "unknown")
+        assert _verdict(gap, Attribution(bare, bare, (), (), bare, (), (), noise), 1.0) == verdict
 
 
 @pytest.mark.slow

@@ -2,8 +2,9 @@
 
 no_gap      before <= 1.1 floor, or <= 1.4 floor where no effect closes 72 % (the floor itself is an estimate: of 50
             draws of AR(0.9) noise one was read 14 % low and called creep, which closed 53 %)
-unknown     less than half closed, less than 72 % where after > 1.5 floor, more than three names tied, or an effect
-            that can be written in one way only leaves more than twice what a nominal without any leaves
+unknown     no gap, but the floor is more than a sensor makes; less than half closed, less than 72 % where
+            after > 1.5 floor, more than three names tied, or an effect that can be written in one way only leaves
+            more than twice what a nominal without any leaves
 """
 
 from collections.abc import Callable, Sequence
@@ -21,6 +22,7 @@ from .doubt import doubted, own_misfit
 from .found import GAP, Added, Gap, Ranked, Trace, added_of, augmented, gap_of, ranking_of, trace_of
 from .judged import floor, sides
 from .next import Experiment, separate
+from .noise import STRUCK
 from .where import locate
 
 _FAR, _TIES = 1.5, 3
@@ -178,7 +180,7 @@ def _verdict(gap: Gap, found: Attribution, own: float) -> str:
     low = gap.noise_floor or 0.0
     share = gap.closed_fraction or 0.0
     if gap.before <= GAP * low or (gap.before <= _DOUBT * low and share < _CLOSED):
-        return "no_gap"
+        return "unknown" if found.noise.sigma > STRUCK * found.noise.sensor else "no_gap"
     if share < _HALF or (gap.after > _FAR * low and share < _CLOSED) or len(found.equivalent) > _TIES:
         return "unknown"
     no_excuse = all(f.only for f in found.best.candidate.forms)  # a parameter change has no form at all

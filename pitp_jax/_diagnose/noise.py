@@ -7,6 +7,10 @@ The lower quartile (0.2877 of an exponential variable's mean) passes between the
 it leave, and keeps a hum a gap; noise is broad in frequency and alike in all records. Only the last 60 % of a record is
 used, after its transients. Below a quarter of the resonance the level is held to at most twice what lies above: slow
 residuals are creep and drift before they are noise. The 5th difference read 0.24 of the truth for AR(0.9) noise.
+
+What strikes an actuator at random is as broad as noise, but passes through the actuator: it peaks at the resonance and
+falls as 1/f^4 behind it, where AR(0.9) noise falls as 1/f^2 at most. `sensor` is what is left without such a peak: on
+tuning seeds sigma / sensor is 1.00 for all of 40 healthy cases and 2.2 to 11 for 16 with impulses or dropouts.
 """
 
 from dataclasses import dataclass
@@ -17,6 +21,7 @@ from .case import Case
 
 _QUARTILE = -np.log(0.75)
 _BINS = 24
+STRUCK = 1.5  # sigma over sensor from where the actuator itself is disturbed
 
 
 @dataclass(frozen=True)
@@ -25,11 +30,13 @@ class Noise:
 
     Attributes:
         sigma: standard deviation in scaled displacement.
+        sensor: the part of it that a sensor can make: without what peaks at the resonance.
         spectrum: (frequency in Hz, density) of the bands, shape (bands, 2).
         source: how it was found.
     """
 
     sigma: float
+    sensor: float
     spectrum: np.ndarray
     source: str
 
@@ -50,11 +57,25 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     level = np.quantile(levels, 0.25 if len(levels) > 3 else 0.0, axis=0) / (1 - low * np.minimum(spread, 0.5))
     level = np.minimum(level, levels.mean(0))
     middle = np.sqrt(edges[:-1] * np.maximum(edges[1:], 1e-12))
-    slow = middle < case.surroundings.omega / (2 * np.pi) / 4
+    resonance = case.surroundings.omega / (2 * np.pi)
+    slow = middle < resonance / 4
     if slow.any() and (~slow).any():
         level[slow] = np.minimum(level[slow], 2 * level[~slow][0])
-    sigma = float(np.sqrt(np.sum(level * np.diff(edges))))
-    return Noise(sigma, np.stack([middle, level], -1), "spectrum between the drive's lines")
+    sigma, sensor = (
+        float(np.sqrt(np.sum(v * np.diff(edges)))) for v in (level, _without_peak(middle, level, resonance))
+    )
+    source = "spectrum between the drive's lines"
+    if sigma > STRUCK * sensor:
+        source += ", which peaks at the resonance as no sensor's noise does: something strikes the actuator"
+    return Noise(sigma, sensor, np.stack([middle, level], -1), source)
+
+
+def _without_peak(frequency: np.ndarray, level: np.ndarray, resonance: float) -> np.ndarray:
+    """Levels below 4 resonances held to twice a rise as 1/f^2 from each band above."""
+    near = frequency < 4 * resonance
+    f = np.maximum(frequency[near], frequency[:2].max() / 2)
+    above = np.triu(2 * level[near] * (f / f[:, None]) ** 2, 1) + np.tril(np.full((len(f), len(f)), np.inf))
+    return np.concatenate([np.minimum(level[near], above.min(1)), level[~near]])
 
 
 def _edges(samples: int, dt: float) -> np.ndarray:

@@ -52,9 +52,9 @@ class Screening:
 def _limits(form) -> tuple[float, float]:
     """What a column's factor may be: a strength of either sign, a linear one, or one the grid must come close to."""
     strength = form.PARAMETERS[0]
-    if not strength.positive:
-        return -5.0, 5.0
-    return (0.0, 30.0) if strength.linear else (0.7, 1.4)
+    if strength.linear:
+        return (0.0 if strength.positive else -30.0), 30.0
+    return (0.7, 1.4) if strength.positive else (-5.0, 5.0)
 
 
 def _projected(gram: np.ndarray, q: int) -> np.ndarray:

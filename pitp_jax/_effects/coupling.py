@@ -19,9 +19,8 @@ class StretchCoupling(AbstractCouplingEffect):
 
     @classmethod
     def starts(cls, s: Surroundings):
-        """Either sign."""
-        most = 0.95 / s.reach
-        return [bounded((sign * 0.1 / s.reach,), (-most,), (4 * most,)) for sign in (1, -1)]
+        """Either sign; far up, since an actuator that snaps in one record has a reach its others never see."""
+        return [bounded((sign * 0.1 / s.reach,), (-0.95 / s.reach,), (12.0 / s.reach,)) for sign in (1, -1)]
 
     def couple(self, force, x):
         """Never a push."""
@@ -41,9 +40,8 @@ class SquaredCoupling(AbstractCouplingEffect):
 
     @classmethod
     def starts(cls, s: Surroundings):
-        """Either sign."""
-        most = 1.0 / s.reach
-        return [bounded((sign * 0.1 / s.reach,), (-most,), (3 * most,)) for sign in (1, -1)]
+        """Either sign, as far up."""
+        return [bounded((sign * 0.1 / s.reach,), (-1.0 / s.reach,), (12.0 / s.reach,)) for sign in (1, -1)]
 
     def couple(self, force, x):
         """Never a push."""
