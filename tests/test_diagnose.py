@@ -14,6 +14,7 @@ from pitp_jax._diagnose.along import nominal_filter, responses
 from pitp_jax._diagnose.attribute import Attribution
 from pitp_jax._diagnose.case import build_case, kind, split
 from pitp_jax._diagnose.diagnosis import _verdict
+from pitp_jax._diagnose.doubt import doubted
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.found import Gap
 from pitp_jax._diagnose.judged import Judged, sides
@@ -60,7 +61,8 @@ def test_kinds_and_the_split(nominal):
     records = play(nominal)
     assert [kind(r) for r in records] == ["sweep", "broadband", "sine", "sine", "sine", "sine", "steps"]
     assert split(records) == {"sweep", "sine0", "sine2", "steps"}
-    assert split(records, other=True) == {"sweep", "sine1", "sine3", "steps"}
+    assert split(records, "second") == {"sweep", "sine1", "sine3", "steps"}
+    assert split(records, "none") == {r.name for r in records}
     fitted, held = sides(build_case(nominal, records))
     assert not set(fitted) & set(held) and len(fitted) + len(held) == 7
 
@@ -178,6 +180,26 @@ def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nomi
     assert found.gap.closed_fraction > 0.95
 
 
+def test_a_clip_that_only_one_drive_reaches_is_judged_where_it_is(nominal):
+    """Nothing else than the sweep comes near the limit: no gap on what is held out, and none either way round."""
+    planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1340)),))
+    others = {c.name for c in CATALOGUE} - {"voltage_clip", "stiffening"}
+    found = pitp.diagnose(nominal, play(planted, louder=("sweep",)), exclude=sorted(others))
+    assert found.effects == ("voltage_clip",) and found.heldout == () and len(found.fitted) == 7
+    assert found.added[0].parameters["inverse"]["value"] == pytest.approx(1 / 1340, rel=0.01)
+
+
+def test_a_long_delay_is_read(nominal):
+    """Two thirds of a period of the resonance."""
+    case = build_case(nominal, play(replace(nominal, effects=(amplifier.Delay(jnp.asarray(0.13)),))))
+    starts = amplifier.Delay.starts(case.surroundings)
+    fitted = fit(
+        Lanes(case, (amplifier.Delay,)),
+        [Candidate((amplifier.Delay,), (s.values,), (s,), np.ones(3), False) for s in starts],
+    )
+    assert min(fitted, key=lambda c: c.train).values[0][0] == pytest.approx(0.13, rel=1e-3)
+
+
 def test_two_effects_are_both_named(nominal):
     """A hard spring behind a slow electrode: no single effect comes near, and the strongest is named first."""
     parts = stiffness.GentStiffening(jnp.asarray(0.25)), electrode.ElectrodeRC(jnp.asarray(0.02))
@@ -236,6 +258,29 @@ def test_a_moved_coefficient_is_a_parameter_change_and_a_heavier_load_added_mass
     refitted = pitp.diagnose(nominal, play(heavier), refit_nominal=True)
     assert refitted.verdict == "no_gap"
     np.testing.assert_allclose(refitted.shift, [1.0, 1.0, 1.2], rtol=0.02)
+
+
+def test_a_refit_reads_the_sensors_zero_anew(nominal):
+    """A nominal whose zero is 4 um off, twice the noise, as one that was identified without the effect."""
+    off = replace(nominal, output=replace(nominal.output, offset=4e-6))
+    planted = replace(nominal, effects=(amplifier.VoltageOffset(jnp.asarray(60.0)),))
+    found = pitp.diagnose(off, play(planted), refit_nominal=True)
+    assert found.effects == ("voltage_offset",)
+    told = found.added[0].parameters["offset"]
+    assert abs(told["value"] - 60.0) < 3 * told["stderr"] < 6.0
+    assert found.model.output.offset == pytest.approx(0.0, abs=5e-7)
+    np.testing.assert_allclose(found.shift, 1.0, rtol=0.01)
+
+
+def test_a_refit_does_not_know_the_hold(nominal):
+    """A zero-order hold is half a sample of delay: so little is a delay known behind one, and no more."""
+    held = replace(nominal, hold="zoh")
+    case = build_case(held, play(nominal))
+    begin = Candidate((amplifier.Delay,), ((0.02,),), (amplifier.Delay.starts(case.surroundings)[0],), np.ones(3), True)
+    judged = Judged(replace(begin, covariance=np.zeros((5, 5))), (), 1.0, 1.0)
+    told = doubted(case, judged, held).candidate.covariance
+    np.testing.assert_allclose(np.sqrt(np.diag(told)) * 0.02, [DT / 2, 0, 0, 0, 0])
+    np.testing.assert_array_equal(doubted(case, judged, nominal).candidate.covariance, 0.0)
 
 
 def test_what_has_one_form_has_no_excuse_for_what_it_leaves(nominal):

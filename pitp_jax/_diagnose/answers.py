@@ -28,7 +28,7 @@ def lead(d: Diagnosis) -> str:
     if d.verdict == "no_gap":
         if _moved(d):
             return f"As given, the model was off by {of_range(d.gap.unrefitted)} of range; refitted, {_left(d)}."
-        return f"On recordings the fit never saw, {_left(d)}. There is no effect to add."
+        return f"On {_judged_on(d)}, {_left(d)}. There is no effect to add."
     if d.verdict == "explained":
         what = "; ".join(plain(name) for name in d.effects)
         return f"{what[:1].upper()}{what[1:]}. {_far(d)}"
@@ -42,7 +42,7 @@ def lead(d: Diagnosis) -> str:
         )
     if (d.gap.closed_fraction or 0) < 0.2:
         return (
-            "No candidate reduces the error on recordings the fit never saw: either something disturbs the rig "
+            f"No candidate reduces the error on {_judged_on(d)}: either something disturbs the rig "
             "from outside, or the cause has a form the catalogue does not hold."
         )
     return (
@@ -66,7 +66,11 @@ def _far(d: Diagnosis) -> str:
     adding = "Adding it" if len(d.effects) == 1 else "Adding both" if d.effects else "The best candidate"
     adding = "Refitting them" if d.effects == ("parameter_change",) else adding
     before, after = of_range(d.gap.before), of_range(d.gap.after)
-    return f"{adding} takes the error on recordings the fit never saw from {before} to {after} of range."
+    return f"{adding} takes the error on {_judged_on(d)} from {before} to {after} of range."
+
+
+def _judged_on(d: Diagnosis) -> str:
+    return "recordings the fit never saw" if d.heldout else "the recordings it was fitted on"
 
 
 def _where(d: Diagnosis) -> str:

@@ -91,7 +91,7 @@ def moved(case: Case, factors: np.ndarray) -> Case:
     """The case around a nominal with other coefficients: a filter far from the plant misleads the screening."""
     coefficients = jnp.asarray(np.asarray(case.model.coefficients, np.float64) * factors, jnp.float32)
     nominal = replace(case.model, coefficients=coefficients)
-    return build_case(nominal, [s.record for s in case.series], other=case.other, mesh=case.mesh)
+    return build_case(nominal, [s.record for s in case.series], how=case.split, mesh=case.mesh)
 
 
 def finalists(screened: list[Screened]) -> list[Screened]:

@@ -9,6 +9,7 @@ the fit never saw, not on another part of the same one.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ from .._record.preprocess import force_band, preprocess
 from .._record.record import Record
 from .._record.sweeps import is_sweep
 
+Split = Literal["first", "second", "none"]
 BUDGET = 240_000  # samples in all; longer sets are cut record by record
 
 
@@ -73,14 +75,14 @@ class Case:
         model: the nominal at the records' rate, with enough substeps for stiff contacts.
         series: one per record, in the order given.
         surroundings: what starts and bounds of effects are taken from.
-        other: which of the two splits this is.
+        split: which of the splits this is.
         mesh: devices that share the rollouts; None: the default one.
     """
 
     model: Model
     series: tuple[Series, ...]
     surroundings: Surroundings
-    other: bool = False
+    split: Split = "first"
     mesh: Mesh | None = None
 
     @property
@@ -99,15 +101,15 @@ class Case:
         return tuple(s for s in self.series if not s.fitted)
 
 
-def build_case(model: Model, records: Sequence[Record], *, other: bool = False, mesh: Mesh | None = None) -> Case:
-    """Roll the nominal out beside every record and take what else a diagnosis needs; `other`: see `split`."""
+def build_case(model: Model, records: Sequence[Record], *, how: Split = "first", mesh: Mesh | None = None) -> Case:
+    """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`."""
     if not records:
         raise BadInput("diagnose needs at least one record")
     records = _cut(records)
     model = _finer(at_rate(model, records[0].dt), records[0].dt)
     known = _session_known(records)
     begin, spent = starts(model, records)
-    fitted = split(records, other)
+    fitted = split(records, how)
     size = max(r.samples for r in records)
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     dtype = model.coefficients.dtype
@@ -119,7 +121,7 @@ def build_case(model: Model, records: Sequence[Record], *, other: bool = False, 
         _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(begin[k]), cut, known)
         for k, r in enumerate(records)
     )
-    return Case(model, series, _surroundings(model, series, known), other, mesh)
+    return Case(model, series, _surroundings(model, series, known), how, mesh)
 
 
 def _force(model: Model, voltage):
@@ -163,12 +165,15 @@ def kind(record: Record) -> str:
     return "sine" if power[max(peak - 3, 1) : peak + 4].sum() > 0.8 * power[1:].sum() else "broadband"
 
 
-def split(records: Sequence[Record], other: bool = False) -> set[str]:
+def split(records: Sequence[Record], how: Split = "first") -> set[str]:
     """Names of the records to fit: about half, every kind that has several on both sides, broadband held out.
 
     A drive of its own kind is held out where something else spans the range; sweeps and steps (the only records that
-    tell slow from fast) are fitted. Sines alternate by frequency; `other`: those that were held out are fitted.
+    tell slow from fast) are fitted. Sines alternate by frequency; `second`: those that were held out are fitted;
+    `none`: all are fitted, and none is held out.
     """
+    if how == "none":
+        return {r.name for r in records}
     groups: dict[str, list[Record]] = {}
     for r in records:
         groups.setdefault(kind(r), []).append(r)
@@ -176,7 +181,7 @@ def split(records: Sequence[Record], other: bool = False) -> set[str]:
     for name, members in groups.items():
         members = sorted(members, key=_loudest)
         if len(members) > 1:
-            fitted |= {r.name for r in members[int(other) :: 2]}
+            fitted |= {r.name for r in members[how == "second" :: 2]}
         elif name in ("sweep", "steps") or len(groups) == 1:
             fitted.add(members[0].name)
     if not fitted:

@@ -44,7 +44,7 @@ class Diagnosis:
         equivalent: names these data cannot tell from effects[0].
         added: the same effects with form and parameters, as the augmented model carries them.
         gap, ranking, where, next_experiment: as CONTRACT.md names them.
-        fitted, heldout: record names.
+        fitted, heldout: record names; where nothing was held out, effects are judged on what they were fitted on.
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
         traces: every record beside the nominal and the best explanation.
         model: the nominal with the effects added (and its coefficients refitted where asked for).
@@ -95,7 +95,8 @@ class Diagnosis:
             lines.append(f"cannot be told from: {', '.join(self.equivalent)}")
         closed = "" if g.closed_fraction is None else f", {abs(100 * g.closed_fraction):.0f} % of the gap closed"
         known = "unknown" if g.noise_floor is None else f"{g.noise_floor:.2f} %"
-        lines.append(f"held-out error {g.before:.2f} -> {g.after:.2f} % of range (noise floor {known}){closed}")
+        side = "held-out" if self.heldout else "fitted"
+        lines.append(f"{side} error {g.before:.2f} -> {g.after:.2f} % of range (noise floor {known}){closed}")
         if self.verdict != "no_gap":
             lines.append(self.where["summary"])
         return "\n".join(lines)
@@ -127,15 +128,19 @@ def diagnose(
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     how = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
     case, found, gap, verdict = _concluded(build_case(model, records, mesh=mesh), **how)
-    if verdict == "unknown" or (verdict == "no_gap" and _elsewhere(case, found)):
-        crossed = build_case(model, records, other=True, mesh=mesh)
+    elsewhere = verdict == "no_gap" and _elsewhere(case, found)
+    if verdict == "unknown" or elsewhere:
+        crossed = build_case(model, records, how="second", mesh=mesh)
         if sides(crossed) != sides(case):
             progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
             again = _concluded(crossed, **how)
             case, found, gap, verdict = again if again[3] == "explained" else (case, found, gap, verdict)
+    if elsewhere and verdict == "no_gap":
+        progress("once more, with nothing held out: the gap is in the fitted drives alone")
+        case, found, gap, verdict = _concluded(build_case(model, records, how="none", mesh=mesh), **how)
     if verdict == "explained":
         found = replace(found, best=doubted(case, found.best, model))
-    fitted, held = sides(case)
+    _, judged = sides(case)
     effects = found.best.names if verdict == "explained" else ()
     added = augmented(case, found.best if verdict == "explained" else found.base, model)
     where = locate(case, [e * s.span / 100 for e, s in zip(found.base.errors, case.series, strict=True)], found.noise)
@@ -150,11 +155,11 @@ def diagnose(
         equivalent=tied,
         added=added_of(case, found.best) if effects else (),
         gap=gap,
-        ranking=ranking_of(case, found, gap.noise_floor or 0.0, held),
+        ranking=ranking_of(case, found, gap.noise_floor or 0.0, judged),
         where=where,
         next_experiment=experiment,
-        fitted=tuple(case.series[k].record.name for k in fitted),
-        heldout=tuple(case.series[k].record.name for k in held),
+        fitted=tuple(s.record.name for s in case.fitted),
+        heldout=tuple(s.record.name for s in case.heldout),
         shift=np.asarray((found.best if effects else found.base).candidate.factors),
         traces=tuple(trace_of(case, found, k) for k in range(len(case.series))),
         model=added,

@@ -2,9 +2,11 @@
 
     minimise  sum over fitted records of  mean_t (100 (y(t; p) - y_measured(t)) / range)^2
 
-Positive numbers are fitted by their logarithm, within their bounds; in a refit the nominal's coefficients come along
-(by theirs). Slopes are forward differences: limits, plays and friction have them almost everywhere, and a difference
-of 0.3 % stands far above the rounding of a float32 rollout. A run that diverges is a rejected step.
+Positive numbers are fitted by their logarithm, within their bounds. In a refit the nominal's coefficients come along
+(by theirs), and the sensor's zero, which an identification without the effect has read wrong: 4 um of it moved a
+voltage offset by 17 of its standard errors. Slopes are forward differences: limits, plays and friction have them almost
+everywhere, and a difference of 0.3 % stands far above the rounding of a float32 rollout. A run that diverges is a
+rejected step.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,6 +18,7 @@ from .._effects.base import AbstractEffect, Parameter, Start
 from .lanes import Lane, Lanes
 
 _STEP = 3e-3
+_ZERO = 0.2  # farthest that a sensor's zero may be off, scaled
 _MOST, _ENOUGH = 16, 2e-3  # iterations, and the relative decrease below which two of them end the fit
 _PROMISE = 2e-4  # and the one promised by the linearised model below which none is made
 
@@ -29,9 +32,10 @@ class Candidate:
         values: their parameters, form by form.
         starts: their bounds.
         factors: on the nominal's coefficients, shape (n + 1,).
-        refit: whether those are fitted too.
+        refit: whether those are fitted too, and the zero.
         train: mean squared error on fitted records, (1 %)^2.
-        covariance: of the fitted coordinates (logarithms where positive), effect parameters first; block sandwich.
+        covariance: of the fitted coordinates (logarithms where positive): effects, factors, zero; block sandwich.
+        zero: reading of the resting sensor beside the nominal's, scaled.
     """
 
     forms: tuple[type[AbstractEffect], ...]
@@ -41,6 +45,7 @@ class Candidate:
     refit: bool
     train: float = np.inf
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    zero: float = 0.0
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -55,7 +60,7 @@ class Candidate:
     @property
     def size(self) -> int:
         """Numbers that are fitted."""
-        return len(_free(self)) + (len(self.factors) if self.refit else 0)
+        return len(_free(self)) + (len(self.factors) + 1 if self.refit else 0)
 
 
 def _free(c: Candidate) -> list[int]:
@@ -66,20 +71,22 @@ def _free(c: Candidate) -> list[int]:
 
 def _logarithms(c: Candidate) -> np.ndarray:
     """Which coordinates are logarithms."""
-    return np.array([c.parameters[k].positive for k in _free(c)] + [True] * (len(c.factors) * c.refit), bool)
+    nominal = [True] * len(c.factors) + [False] if c.refit else []
+    return np.array([c.parameters[k].positive for k in _free(c)] + nominal, bool)
 
 
 def _coordinates(c: Candidate) -> np.ndarray:
     flat = np.array([v for values in c.values for v in values])
     z = [np.log(max(flat[k], 1e-30)) if c.parameters[k].positive else flat[k] for k in _free(c)]
-    return np.concatenate([z, np.log(c.factors)]) if c.refit else np.array(z)
+    return np.concatenate([z, np.log(c.factors), [c.zero]]) if c.refit else np.array(z)
 
 
 def _bounds(c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     ends = []
     for side, bounds in enumerate(([v for s in c.starts for v in s.low], [v for s in c.starts for v in s.high])):
         z = [np.log(bounds[k]) if c.parameters[k].positive else bounds[k] for k in _free(c)]
-        ends.append(np.concatenate([z, np.full(len(c.factors), (-1.5, 1.5)[side])]) if c.refit else np.array(z))
+        nominal = np.append(np.full(len(c.factors), 1.5), _ZERO) * (-1, 1)[side]
+        ends.append(np.concatenate([z, nominal]) if c.refit else np.array(z))
     return ends[0], ends[1]
 
 
@@ -92,7 +99,9 @@ def _at(c: Candidate, z: np.ndarray) -> Candidate:
     for f in c.forms:
         values.append(tuple(flat[first : first + len(f.PARAMETERS)]))
         first += len(f.PARAMETERS)
-    return replace(c, values=tuple(values), factors=np.exp(z[len(free) :]) if c.refit else c.factors)
+    if not c.refit:
+        return replace(c, values=tuple(values))
+    return replace(c, values=tuple(values), factors=np.exp(z[len(free) : -1]), zero=float(z[-1]))
 
 
 def lane_of(lanes: Lanes, c: Candidate, series: int) -> Lane:
@@ -112,7 +121,7 @@ def residuals(lanes: Lanes, candidates: Sequence[Candidate], series: Sequence[in
         for j, k in enumerate(series):
             s = lanes.case.series[k]
             y = runs[i * len(series) + j].astype(np.float64)
-            row.append((y - (s.run - s.error)) * (s.weight > 0) * 100 / s.span)
+            row.append((y + candidates[i].zero - (s.run - s.error)) * (s.weight > 0) * 100 / s.span)
         found.append(row)
     return found
 
@@ -179,8 +188,7 @@ def nudged(c: Candidate, k: int) -> tuple[Candidate, float]:
     """The candidate with one coordinate moved, towards the inside of its bounds."""
     z = _coordinates(c)
     low, high = _bounds(c)
-    free = _free(c)
-    linear = k < len(free) and not c.parameters[free[k]].positive
+    linear = not _logarithms(c)[k]
     step = max(2e-2 * abs(z[k]), 1e-4 * (high[k] - low[k])) if linear else _STEP
     step = -step if z[k] + step > high[k] else step
     z[k] += step

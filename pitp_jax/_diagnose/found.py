@@ -145,7 +145,7 @@ def _relative(c, errors) -> list:
     """Standard errors of the coefficients' factors, where they were fitted."""
     if errors is None or not c.refit:
         return [None] * len(c.factors)
-    return [float(e * f) or None for e, f in zip(errors[-len(c.factors) :], c.factors, strict=True)]
+    return [float(e * f) or None for e, f in zip(errors[-1 - len(c.factors) : -1], c.factors, strict=True)]
 
 
 def ranking_of(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, ...]:
@@ -196,13 +196,17 @@ def _screened(case: Case, found: Attribution, s: Screened, low: float) -> Ranked
 
 
 def augmented(case: Case, judged: Judged, model: Model) -> Model:
-    """The nominal with a candidate's effects, its coefficients, and the substeps it was fitted with."""
+    """The nominal with a candidate's effects, its coefficients and zero, and the substeps it was fitted with."""
     c = judged.candidate
     pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: CATALOGUE.index(fv[0]))
     effects = tuple(f(*(jnp.asarray(v, jnp.float32) for v in values)) for f, values in pairs)
     coefficients = (np.asarray(model.coefficients, np.float64) * c.factors).astype(np.float32)
     substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
-    return replace(model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps)
+    output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
+    return replace(
+        model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps,
+        output=output,
+    )  # fmt: skip
 
 
 def trace_of(case: Case, found: Attribution, k: int) -> Trace:

@@ -190,9 +190,9 @@ class Delay(AbstractEffect):
 
     @classmethod
     def starts(cls, s: Surroundings):
-        """A part of a sample to a part of a period."""
-        low, high = 0.02 * s.dt, max(1.5 / s.omega, 4 * s.dt)
-        return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.4)]
+        """A part of a sample to a period of the resonance: behind a bus or a filter it may be that late."""
+        low, high = 0.02 * s.dt, max(6.0 / s.omega, 4 * s.dt)
+        return [bounded((share / s.omega,), (low,), (high,)) for share in (0.1, 0.4, 1.5)]
 
     def shifted(self, voltage: Float[Array, " time"], dt, before):
         """U a time T earlier, linear between samples; `before` the first one."""
