@@ -154,6 +154,7 @@ def fit(
     for state, rows in zip(states, residuals(lanes, [s.candidate for s in states], series), strict=True):
         state.residual = stacked(lanes, rows, series)
         state.cost = mean_square(lanes, rows, series)
+        state.done = state.done or not np.isfinite(state.cost)
     for iteration in range(most):
         active = [s for s in states if not s.done]
         if not active:
@@ -208,7 +209,7 @@ class _State:
         z, (low, high) = _coordinates(self.candidate), _bounds(self.candidate)
         h, g = self.jacobian.T @ self.jacobian, self.jacobian.T @ self.residual
         free = ~(((z <= low) & (g > 0)) | ((z >= high) & (g < 0)))
-        if not free.any() or not np.isfinite(self.cost):
+        if not free.any():
             self.done = True
             return self.candidate
         h, g = h[np.ix_(free, free)], g[free]
