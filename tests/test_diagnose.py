@@ -314,6 +314,15 @@ def test_what_has_one_form_has_no_excuse_for_what_it_leaves(nominal):
     assert not_excused.verdict == "unknown" and not_excused.gap.closed_fraction > 0.72
 
 
+def test_an_excluded_effect_does_not_come_back_inside_another_form(nominal):
+    """A slew limit with a lag, its limit out of reach, is the lag: left out with it."""
+    records = play(replace(nominal, effects=(electrode.ElectrodeRC(jnp.asarray(0.02)),)))
+    others = sorted({c.name for c in CATALOGUE} - {"slew_limit", "electrode_rc"} | {"parameter_change"})
+    assert pitp.diagnose(nominal, records, exclude=others).effects == ("electrode_rc",)
+    found = pitp.diagnose(nominal, records, exclude=[*others, "electrode_rc"])
+    assert found.effects == () and {r.form for r in found.ranking} == {"rate limit"}
+
+
 def test_no_records_is_bad_input(nominal):
     with pytest.raises(pitp.BadInput, match="at least one record"):
         pitp.diagnose(nominal, [])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from .._effects import CATALOGUE
+from .._effects import CATALOGUE, REMAINDERS
 from .._effects.viscoelastic import BORDER
 from .case import Case, build_case
 from .fit import Candidate
@@ -56,8 +56,10 @@ def attribute(
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] = lambda line: None,
 ) -> Attribution:
-    """Fit, judge and compare every effect of the catalogue but the excluded names."""
-    catalogue = tuple(c for c in CATALOGUE if c.name not in exclude)
+    """Fit, judge and compare every effect of the catalogue but the excluded names, and what holds one as its rest."""
+    catalogue = tuple(
+        c for c in CATALOGUE if c.name not in exclude and not (c in REMAINDERS and REMAINDERS[c][0].name in exclude)
+    )
     noise = estimate(case, [s.error for s in case.series])
     ones = np.ones(case.model.order + 1)
     progress("screening every form")

@@ -117,7 +117,7 @@ def diagnose(
         model: an identified linear model or a trained one.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
-        exclude: names left out of the catalogue.
+        exclude: names left out of the catalogue, and with electrode_rc the slew limit that has a lag.
         progress: called with one line per step.
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
