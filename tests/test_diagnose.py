@@ -18,7 +18,8 @@ from pitp_jax._diagnose.diagnosis import _verdict
 from pitp_jax._diagnose.doubt import doubted
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.found import Gap
-from pitp_jax._diagnose.judged import Judged, sides
+from pitp_jax._diagnose.hold import settled
+from pitp_jax._diagnose.judged import Judged, judge, sides
 from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
 from pitp_jax._effects import CATALOGUE, amplifier, electrode, sensor, stiffness
@@ -301,6 +302,23 @@ def test_a_refit_does_not_know_the_hold(nominal):
     told = doubted(case, judged, held).candidate.covariance
     np.testing.assert_allclose(np.sqrt(np.diag(told)) * 0.02, [DT / 2, 0, 0, 0, 0])
     np.testing.assert_array_equal(doubted(case, judged, nominal).candidate.covariance, 0.0)
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_a_refit_settles_the_hold_once_the_effect_is_known(nominal, hold):
+    """A nominal that took its hold from lagged records: under the wrong one tau was read half a sample short."""
+    held = replace(nominal, hold="zoh")
+    lag = sensor.SensorLag(jnp.asarray(0.02))
+    records = play(replace(nominal, hold=hold, effects=(lag,)))
+    case = build_case(held, records)
+    begin = Candidate(
+        (sensor.SensorLag,), ((0.015,),), (sensor.SensorLag.starts(case.surroundings)[0],), np.ones(3), True
+    )
+    lanes = Lanes(case, (sensor.SensorLag,))
+    (best,) = judge(lanes, fit(lanes, [begin]))
+    found, model = settled(case, best, held)
+    assert model.hold == hold
+    assert found.candidate.values[0][0] == pytest.approx(0.02, rel=5e-3)
 
 
 def test_what_has_one_form_has_no_excuse_for_what_it_leaves(nominal):

@@ -20,6 +20,7 @@ from .attribute import Attribution, attribute
 from .case import Case, build_case
 from .doubt import doubted, own_misfit
 from .found import GAP, Added, Gap, Ranked, Trace, added_of, augmented, gap_of, ranking_of, trace_of
+from .hold import settled
 from .judged import floor, sides
 from .next import Experiment, separate
 from .noise import STRUCK
@@ -138,9 +139,11 @@ def diagnose(
     if elsewhere and verdict == "no_gap":
         progress("once more, with nothing held out: the gap is in the fitted drives alone")
         case, found, gap, verdict = _concluded(build_case(model, records, how="none", mesh=mesh), **how)
-    if verdict == "explained":
-        found = replace(found, best=doubted(case, found.best, model))
     _, judged = sides(case)
+    if verdict == "explained":
+        best, model = settled(case, found.best, model)
+        found = replace(found, best=doubted(case, best, model))
+        gap = gap_of(case, found, found.best, gap.noise_floor or 0.0, judged)
     effects = found.best.names if verdict == "explained" else ()
     added = augmented(case, found.best if verdict == "explained" else found.base, model)
     where = locate(case, [e * s.span / 100 for e, s in zip(found.base.errors, case.series, strict=True)], found.noise)
