@@ -79,7 +79,7 @@ def _where(d: Diagnosis) -> str:
     share = d.where["records"].get(worst(d).name, 0.0)
     unit = d.model.provenance.displacement_unit
     loud = max(d.where["frequency"], key=lambda row: row["share"])
-    big = f"{figure(loud['band_hz'][0], 2)} to {figure(loud['band_hz'][1], 2)} Hz"
+    big = f"{figure(loud['band_hz'][0])} to {figure(loud['band_hz'][1])} Hz"
     facts = gathers(d.where, time_spent(d), unit)[:2]
     worst_line = f"Worst held-out recording: {worst(d).name}, {percent(share)} of the gap."
     return page.card("Where", big, tag("p", d.where["summary"]), page.bullets([*facts, worst_line]))
