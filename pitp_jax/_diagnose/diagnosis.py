@@ -130,7 +130,7 @@ def diagnose(
     how = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
     case, found, gap, verdict = _concluded(build_case(model, records, mesh=mesh), **how)
     elsewhere = verdict == "no_gap" and _elsewhere(case, found)
-    if verdict == "unknown" or elsewhere:
+    if elsewhere or (verdict == "unknown" and not _hopeless(case, found)):
         crossed = build_case(model, records, how="second", mesh=mesh)
         if sides(crossed) != sides(case):
             progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
@@ -181,6 +181,12 @@ def _elsewhere(case: Case, found: Attribution) -> bool:
     """Whether the records that were fitted show a gap although those held out show none."""
     fitted, _ = sides(case)
     return found.base.train > _DOUBT * floor(case, found.noise, fitted)
+
+
+def _hopeless(case: Case, found: Attribution) -> bool:
+    """The fitted records have a gap, and no effect takes a tenth off it: the other way round it is the same."""
+    least = min(j.train for j in (*found.ranking, found.best))
+    return found.base.train > _DOUBT * floor(case, found.noise, sides(case)[0]) and least > 0.9 * found.base.train
 
 
 def _verdict(gap: Gap, found: Attribution, own: float) -> str:
