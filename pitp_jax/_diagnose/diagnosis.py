@@ -9,6 +9,7 @@ unknown     no gap, but the floor is more than a sensor makes; less than half cl
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jax.sharding import Mesh
@@ -17,7 +18,7 @@ from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
 from .attribute import Attribution, attribute
-from .case import Case, build_case
+from .case import Case, Split, build_case, split
 from .doubt import doubted, own_misfit
 from .found import GAP, Added, Gap, Ranked, Trace, added_of, augmented, gap_of, ranking_of, trace_of
 from .hold import settled
@@ -128,17 +129,7 @@ def diagnose(
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     how = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
-    case, found, gap, verdict = _concluded(build_case(model, records, mesh=mesh), **how)
-    elsewhere = verdict == "no_gap" and _elsewhere(case, found)
-    if elsewhere or (verdict == "unknown" and not _hopeless(case, found)):
-        crossed = build_case(model, records, how="second", mesh=mesh)
-        if sides(crossed) != sides(case):
-            progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
-            again = _concluded(crossed, **how)
-            case, found, gap, verdict = again if again[3] == "explained" else (case, found, gap, verdict)
-    if elsewhere and verdict == "no_gap":
-        progress("once more, with nothing held out: the gap is in the fitted drives alone")
-        case, found, gap, verdict = _concluded(build_case(model, records, how="none", mesh=mesh), **how)
+    case, found, gap, verdict = _over_splits(model, records, mesh, how)
     _, judged = sides(case)
     if verdict == "explained":
         best, model = settled(case, found.best, model)
@@ -169,12 +160,37 @@ def diagnose(
     )
 
 
-def _concluded(case: Case, *, refit: bool, exclude, progress) -> tuple[Case, Attribution, Gap, str]:
+class _Said(NamedTuple):
     """What one split of the records says."""
-    found = attribute(case, refit=refit, exclude=exclude, progress=progress)
-    _, held = sides(case)
-    gap = gap_of(case, found, found.best, floor(case, found.noise, held), held)
-    return case, found, gap, _verdict(gap, found, own_misfit(case.model))
+
+    case: Case
+    found: Attribution
+    gap: Gap
+    verdict: str
+
+
+def _over_splits(model: Model, records, mesh: Mesh | None, how: dict) -> _Said:
+    """Split one way; then the other, where an effect may act in few drives; then not at all."""
+
+    def said(how_split: Split) -> _Said:
+        case = build_case(model, records, how=how_split, mesh=mesh)
+        found = attribute(case, **how)
+        _, judged = sides(case)
+        gap = gap_of(case, found, found.best, floor(case, found.noise, judged), judged)
+        return _Said(case, found, gap, _verdict(gap, found, own_misfit(case.model)))
+
+    first, progress = said("first"), how["progress"]
+    elsewhere = first.verdict == "no_gap" and _elsewhere(first.case, first.found)
+    others_fitted = split(records, "first") != split(records, "second")
+    if others_fitted and (elsewhere or (first.verdict == "unknown" and not _hopeless(first.case, first.found))):
+        progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
+        second = said("second")
+        if second.verdict == "explained":
+            return second
+    if elsewhere:
+        progress("once more, with nothing held out: the gap is in the fitted drives alone")
+        return said("none")
+    return first
 
 
 def _elsewhere(case: Case, found: Attribution) -> bool:
