@@ -81,7 +81,8 @@ def _where(d: Diagnosis) -> str:
     loud = max(d.where["frequency"], key=lambda row: row["share"])
     big = f"{figure(loud['band_hz'][0])} to {figure(loud['band_hz'][1])} Hz"
     facts = gathers(d.where, time_spent(d), unit)[:2]
-    worst_line = f"Worst held-out recording: {worst(d).name}, {percent(share)} of the gap."
+    side = "held-out recording" if d.heldout else "recording"
+    worst_line = f"Worst {side}: {worst(d).name}, {percent(share)} of the gap."
     return page.card("Where", big, tag("p", d.where["summary"]), page.bullets([*facts, worst_line]))
 
 

@@ -128,8 +128,8 @@ def diagnose(
     """
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
-    how = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
-    case, found, gap, verdict = _over_splits(model, records, mesh, how)
+    options = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
+    case, found, gap, verdict = _over_splits(model, records, mesh, options)
     _, judged = sides(case)
     if verdict == "explained":
         best, model = settled(case, found.best, model)
@@ -169,18 +169,18 @@ class _Said(NamedTuple):
     verdict: str
 
 
-def _over_splits(model: Model, records, mesh: Mesh | None, how: dict) -> _Said:
+def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Said:
     """Split one way; then the other, where an effect may act in few drives; then not at all."""
 
-    def said(how_split: Split) -> _Said:
-        case = build_case(model, records, how=how_split, mesh=mesh)
-        found = attribute(case, **how)
+    def said(how: Split) -> _Said:
+        case = build_case(model, records, how=how, mesh=mesh)
+        found = attribute(case, **options)
         _, judged = sides(case)
         gap = gap_of(case, found, found.best, floor(case, found.noise, judged), judged)
         return _Said(case, found, gap, _verdict(gap, found, own_misfit(case.model)))
 
-    first, progress = said("first"), how["progress"]
-    elsewhere = first.verdict == "no_gap" and _elsewhere(first.case, first.found)
+    first, progress = said("first"), options["progress"]
+    elsewhere = first.verdict == "no_gap" and _fitted_show_it(first.case, first.found)
     others_fitted = split(records, "first") != split(records, "second")
     if others_fitted and (elsewhere or (first.verdict == "unknown" and not _hopeless(first.case, first.found))):
         progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
@@ -193,8 +193,8 @@ def _over_splits(model: Model, records, mesh: Mesh | None, how: dict) -> _Said:
     return first
 
 
-def _elsewhere(case: Case, found: Attribution) -> bool:
-    """Whether the records that were fitted show a gap although those held out show none."""
+def _fitted_show_it(case: Case, found: Attribution) -> bool:
+    """Whether the records that were fitted show a gap."""
     fitted, _ = sides(case)
     return found.base.train > _DOUBT * floor(case, found.noise, fitted)
 
@@ -202,7 +202,7 @@ def _elsewhere(case: Case, found: Attribution) -> bool:
 def _hopeless(case: Case, found: Attribution) -> bool:
     """The fitted records have a gap, and no effect takes a tenth off it: the other way round it is the same."""
     least = min(j.train for j in (*found.ranking, found.best))
-    return found.base.train > _DOUBT * floor(case, found.noise, sides(case)[0]) and least > 0.9 * found.base.train
+    return _fitted_show_it(case, found) and least > 0.9 * found.base.train
 
 
 def _verdict(gap: Gap, found: Attribution, own: float) -> str:

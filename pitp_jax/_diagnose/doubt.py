@@ -32,12 +32,12 @@ def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
     lanes = Lanes(case, in_order(CATALOGUE, c.forms))
     fitted, _ = sides(case)
     open_to_both = replace(c, refit=True)
-    near = [nudged(open_to_both, k) for k in range(open_to_both.size)]
+    near = [nudged(open_to_both, k) for k in range(open_to_both.size - 1)]  # the zero stays
     first, *rows = residuals(lanes, [c, *(tried for tried, _ in near)], fitted)
     here = stacked(lanes, first, fitted)
     slopes = [(stacked(lanes, r, fitted) - here) / step for r, (_, step) in zip(rows, near, strict=True)]
     j = np.nan_to_num(np.stack(slopes, 1), posinf=0.0, neginf=0.0)
-    moved = -np.linalg.lstsq(j[:, : c.size], j[:, c.size : -1], rcond=1e-9)[0]
+    moved = -np.linalg.lstsq(j[:, : c.size], j[:, c.size :], rcond=1e-9)[0]
     return replace(judged, candidate=replace(c, covariance=c.covariance + moved @ spread @ moved.T))
 
 

@@ -150,6 +150,7 @@ def fit(
 ) -> list[Candidate]:
     """Every candidate at its least squares on the fitted records."""
     series = [k for k, s in enumerate(lanes.case.series) if s.fitted]
+    level = stacked(lanes, [(s.weight > 0) * 100 / s.span for s in lanes.case.fitted], series)  # slope of the zero
     states = [_State(_clip(c)) for c in candidates]
     for state, rows in zip(states, residuals(lanes, [s.candidate for s in states], series), strict=True):
         state.residual = stacked(lanes, rows, series)
@@ -159,7 +160,7 @@ def fit(
         active = [s for s in states if not s.done]
         if not active:
             break
-        moved = [(s, k) for s in active for k in range(s.candidate.size)]
+        moved = [(s, k) for s in active for k in range(s.candidate.size - s.candidate.refit)]
         nearby = [nudged(s.candidate, k) for s, k in moved]
         slopes = residuals(lanes, [c for c, _ in nearby], series)
         for s in active:
@@ -168,6 +169,7 @@ def fit(
                 for (owner, _), (_, step), rows in zip(moved, nearby, slopes, strict=True)
                 if owner is s
             ]
+            columns += [level] if s.candidate.refit else []
             s.jacobian = np.nan_to_num(np.stack(columns, 1), posinf=0.0, neginf=0.0)
         tries = [s.proposal() for s in active]
         for s, tried, rows in zip(active, tries, residuals(lanes, tries, series), strict=True):

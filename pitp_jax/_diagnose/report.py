@@ -59,8 +59,9 @@ def _captions(d: Diagnosis) -> dict[str, str]:
         "by part of a recording.",
         "force": "Share of the missing force (what the equation lacks along the measured motion) by displacement, "
         "velocity and voltage.",
-        "ranking": "Share of the held-out gap each effect closes by itself, with its 95 % interval: 100 % leaves only "
-        "noise. Blue: named; orange: tied with it; pale: only screened, not fitted on whole recordings.",
+        "ranking": f"Share of the {'held-out ' if d.heldout else ''}gap each effect closes by itself, with its 95 % "
+        "interval: 100 % leaves only noise. Blue: named; orange: tied with it; pale: only screened, not fitted on "
+        "whole recordings.",
     }
 
 

@@ -66,9 +66,9 @@ class ElectrodeLag(AbstractDrive):
         """U_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c: alternates, and decays by dt / (3 tau) a sample."""
         fraction = (dt / jnp.exp(self.log_tau)).astype(film.dtype)
         settle = -jnp.expm1(-fraction)
-        slope = 1 - settle / fraction
-        drive = (film[1:] - (1 - settle) * film[:-1]) / slope
-        keep = -(settle - slope) / slope
+        rise = 1 - settle / fraction
+        drive = (film[1:] - (1 - settle) * film[:-1]) / rise
+        keep = -(settle - rise) / rise
         return scalar_recurrence(keep, drive, first)
 
 

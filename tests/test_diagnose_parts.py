@@ -1,0 +1,117 @@
+"""What a diagnosis is made of: the split, the noise floor, the screening filter, and fits that reach their numbers."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from played import DT, HZ, SAMPLES, TIME, nominal_of, play
+from scipy.signal import lfilter
+
+import pitp_jax._diagnose.fit as fitting
+from pitp_jax._diagnose.along import nominal_filter, responses
+from pitp_jax._diagnose.attribute import Attribution
+from pitp_jax._diagnose.case import build_case, kind, split
+from pitp_jax._diagnose.diagnosis import _verdict
+from pitp_jax._diagnose.fit import Candidate, fit
+from pitp_jax._diagnose.found import Gap
+from pitp_jax._diagnose.judged import Judged, sides
+from pitp_jax._diagnose.lanes import Lanes
+from pitp_jax._diagnose.noise import estimate
+from pitp_jax._effects import CATALOGUE, amplifier
+
+
+@pytest.fixture(scope="module")
+def nominal(linear):
+    return nominal_of(linear)
+
+
+def test_kinds_and_the_split(nominal):
+    records = play(nominal)
+    assert [kind(r) for r in records] == ["sweep", "broadband", "sine", "sine", "sine", "sine", "steps"]
+    assert split(records) == {"sweep", "sine0", "sine2", "steps"}
+    assert split(records, "second") == {"sweep", "sine1", "sine3", "steps"}
+    assert split(records, "none") == {r.name for r in records}
+    fitted, held = sides(build_case(nominal, records))
+    assert not set(fitted) & set(held) and len(fitted) + len(held) == 7
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_the_noise_floor_is_that_of_the_noise(nominal, colour):
+    """Beside a gap of lines: white within 10 %; AR(0.9), steep within a band of these short records, within 20 %."""
+    case = build_case(nominal, play(nominal, noise=0.0))
+    rng, errors = np.random.default_rng(1), []
+    for k, s in enumerate(case.series):
+        e = lfilter([1.0], [1.0, -colour], rng.standard_normal(SAMPLES)) * np.sqrt(1 - colour**2) * 1e-3
+        gap = 0.05 * np.sin(2 * np.pi * (0.5 + k) * TIME) if k > 1 else 0.0
+        errors.append(e + gap + 0.0 * s.run)
+    found = estimate(case, errors)
+    assert found.sigma == pytest.approx(1e-3, rel=0.2 if colour else 0.1)
+    assert found.sensor == pytest.approx(found.sigma, rel=0.05)
+
+
+def test_the_screening_filter_is_the_nominal(nominal):
+    """Its response to a force linear between samples is the rollout's, and the transfer function the same recursion."""
+    case = build_case(nominal, play(nominal, noise=0.0))
+    s = case.series[0]
+    f, x = nominal_filter(nominal, DT), np.zeros(2)
+    found = [0.0]
+    for before, after in zip(s.force[:-1], s.force[1:], strict=True):
+        x = f.a @ x + f.b * before + f.c * after
+        found.append(x[0])
+    np.testing.assert_allclose(found, s.run, atol=2e-3 * s.span)  # the square of a linear voltage is not linear
+    step = np.where(np.arange(SAMPLES) > 5, s.force, 0.0)
+    slow, x = [0.0], np.zeros(2)
+    for before, after in zip(step[:-1], step[1:], strict=True):
+        x = f.a @ x + f.b * before + f.c * after
+        slow.append(x[0])
+    np.testing.assert_allclose(responses(nominal, DT, step[:, None])[:, 0], slow, atol=1e-9 * s.span)
+
+
+def test_a_number_far_from_its_start_is_reached(nominal):
+    """120 V away: steps are limited in shares of the bounds, not in volts."""
+    offset = amplifier.VoltageOffset
+    case = build_case(nominal, play(replace(nominal, effects=(offset(jnp.asarray(150.0)),))))
+    begin = Candidate((offset,), ((30.0,),), (offset.starts(case.surroundings)[0],), np.ones(3), False)
+    (found,) = fit(Lanes(case, (offset,)), [begin])
+    assert found.values[0][0] == pytest.approx(150.0, abs=0.5)
+
+
+def test_a_start_that_diverges_is_left_where_it_is(nominal, monkeypatch):
+    """In silence (warnings are errors here) though float32 left inf where it overflowed, beside one that is fitted."""
+    coupling = next(c for c in CATALOGUE if c.form == "quadratic" and c.name == "stretch_coupling")
+    case = build_case(nominal, play(nominal))
+    (start, _) = coupling.starts(case.surroundings)
+    begin = [Candidate((coupling,), ((b,),), (start,), np.ones(3), False) for b in (12 / case.surroundings.reach, 0.02)]
+    finite = fitting.residuals
+    overflowed = lambda *a: [[np.where(np.isnan(r), np.inf, r) for r in rows] for rows in finite(*a)]  # noqa: E731
+    monkeypatch.setattr(fitting, "residuals", overflowed)
+    wild, tame = fit(Lanes(case, (coupling,)), begin)
+    assert wild.train == np.inf and wild.values == begin[0].values
+    assert tame.train < 0.2 and abs(tame.values[0][0]) < 0.01
+
+
+def test_a_long_delay_is_read(nominal):
+    """Two thirds of a period of the resonance."""
+    case = build_case(nominal, play(replace(nominal, effects=(amplifier.Delay(jnp.asarray(0.13)),))))
+    starts = amplifier.Delay.starts(case.surroundings)
+    fitted = fit(
+        Lanes(case, (amplifier.Delay,)),
+        [Candidate((amplifier.Delay,), (s.values,), (s,), np.ones(3), False) for s in starts],
+    )
+    assert min(fitted, key=lambda c: c.train).values[0][0] == pytest.approx(0.13, rel=1e-3)
+
+
+def test_an_actuator_that_is_struck_is_unknown(linear):
+    """Blows at random are as broad as noise, and no effect explains them; but no sensor's noise has the resonance."""
+    fast = linear(hz=4 * HZ, dt=DT)
+    case = build_case(fast, play(fast, noise=0.0))
+    w, rng = 2 * np.pi * 4 * HZ * DT, np.random.default_rng(5)
+    ring = [1.0, -2 * np.exp(-0.1 * w) * np.cos(w), np.exp(-0.2 * w)]
+    white = rng.standard_normal((len(case.series), 2 * SAMPLES))
+    gap = Gap(1.0, 1.0, 1.0, 0.95, "", None, None)
+    bare = Judged(Candidate((), (), (), np.ones(3), False), (), 1.0, 1.0)
+    for errors, verdict in ((white, "no_gap"), (lfilter([1.0], ring, white), "unknown")):
+        noise = estimate(case, [1e-3 * e[SAMPLES:] for e in errors])
+        assert ("peaks at the resonance" in noise.source) == (verdict == "unknown")
+        assert _verdict(gap, Attribution(bare, bare, (), (), bare, (), (), noise), 1.0) == verdict
