@@ -36,7 +36,7 @@ def records(name: str):
 
 def step_ways(nominal, train, settings) -> tuple[dict, str]:
     """One epoch of ours, a few steps of PyTorch's; both report per step through `scale`."""
-    memory = partial(_settings.memory_of, settings, nominal, train)
+    memory = partial(_settings.memory_of, settings, nominal, None)
     data = build_dataset(nominal, train, scaling=settings.scaling, difference=settings.difference, memory=memory)
     model = _settings.with_encoder(data, settings, jax.random.key(0))
     params, static = eqx.partition(model, _train._trainable(model))

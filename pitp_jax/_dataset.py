@@ -47,9 +47,9 @@ def build_dataset(
     *,
     scaling: str,
     difference: str,
-    memory: Callable[[], eqx.Module],
+    memory: Callable[[Sequence[StateRecord]], eqx.Module],
 ) -> Dataset:
-    """Filter, differentiate, scale and remember.
+    """Filter, differentiate, scale and remember; `memory` is made from the filtered motion.
 
     Raises:
         BadInput: unknown scaling or difference, or no usable sample left after filtering.
@@ -75,7 +75,7 @@ def build_dataset(
     if not any(s.valid.any() for s in states):
         raise BadInput("no sample of these records survives filtering: gaps are too dense or records too short")
     model = _rescaled(nominal, states, forces, f_max, scaling)
-    model = eqx.tree_at(lambda m: m.memory, model, memory())
+    model = eqx.tree_at(lambda m: m.memory, model, memory(states))
     scale = np.asarray(model.scales.state)
     features, equation = [], []
     for r, s in zip(records, states, strict=True):

@@ -22,7 +22,7 @@ from ._errors import BadInput
 from ._model.drive import DirectDrive, ElectrodeLag
 from ._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
 from ._model.input_map import LinearInput, SquareInput
-from ._model.memory import ElapsedTime, FadingMemory, NoMemory
+from ._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from ._model.model import Model, Output, Provenance, Scales
 from ._record.long_record import LongRecord
 
@@ -89,6 +89,11 @@ MEMORIES = {
     "none": Part(NoMemory, _nothing, NoMemory),
     "elapsed": Part(ElapsedTime, lambda m: {"horizon": m.horizon}, ElapsedTime),
     "fading": Part(FadingMemory, lambda m: {"size": m.size}, lambda size: FadingMemory(jnp.zeros((size,)))),
+    "ringing": Part(
+        RingingMemory,
+        lambda m: {"lags": m.size - 2},
+        lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,))),
+    ),
 }
 DRIVES = {
     "direct": Part(DirectDrive, _nothing, DirectDrive),

@@ -74,29 +74,63 @@ def first_order_lags(
     fraction = (dt / tau).astype(x.dtype)
     settle = -jnp.expm1(-fraction)
     slope = 1 - settle / fraction
-    steps = x.shape[0]
-    length = max(int(steps**0.5), 1)
-    blocks = -(-(steps - 1) // length)
-    if blocks == 0:
-        return start[None]
     drive = settle * x[:-1, None] + slope * jnp.diff(x)[:, None]
-    padded = jnp.zeros((blocks * length, tau.shape[0]), x.dtype).at[: steps - 1].set(drive)
     keep = 1 - settle
 
-    def step(z, b):
-        z = keep * z + b
+    def free(steps, z):
+        return jnp.exp(-fraction * steps[..., None]) * z
+
+    return _blocked(lambda z, b: keep * z + b, free, drive, start)
+
+
+def oscillator(
+    x: Float[Array, " time"], omega: Float[Array, ""], zeta: Float[Array, ""], dt: float, start: Float[Array, "2"]
+) -> Float[Array, "time 2"]:
+    """Solve r'' = w^2 (x - r) - 2 zeta w r' exactly for x linear between samples; rows (r, r' / w).
+
+    Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w); what is left of the start rings out.
+    """
+    pace = jnp.diff(x) / (omega * dt)
+    settled = jnp.stack([-2 * zeta * pace, pace], -1)
+
+    def free(steps, z):
+        root = jnp.sqrt(1 - zeta**2)
+        cos, sin = jnp.cos(omega * dt * root * steps), jnp.sin(omega * dt * root * steps) / root
+        first, second = z[..., 0], z[..., 1]
+        place = cos * first + sin * (zeta * first + second)
+        speed = cos * second - sin * (first + zeta * second)
+        return jnp.exp(-zeta * omega * dt * steps)[..., None] * jnp.stack([place, speed], -1)
+
+    def ends(at):
+        return settled.at[:, 0].add(at)
+
+    one = jnp.ones((), x.dtype)
+    return _blocked(lambda z, b: free(one, z) + b, free, ends(x[1:]) - free(one, ends(x[:-1])), start)
+
+
+def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n"]) -> Float[Array, "time n"]:
+    """All s_t with s_{t+1} = step(s_t, b_t), linear, for one s or many; free(k, s): s after k steps without drive."""
+    steps, size = drive.shape
+    length = max(int((steps + 1) ** 0.5), 1)
+    blocks = -(-steps // length)
+    if blocks == 0:
+        return start[None]
+    padded = jnp.zeros((blocks * length, size), drive.dtype).at[:steps].set(drive)
+
+    def advance(z, b):
+        z = step(z, b)
         return z, z
 
-    zero = jnp.zeros((blocks, tau.shape[0]), x.dtype)
-    forced = jax.lax.scan(step, zero, padded.reshape(blocks, length, -1).swapaxes(0, 1))[1]
-    decay = jnp.exp(-fraction * jnp.arange(1, length + 1, dtype=x.dtype)[:, None])  # (length, memory)
+    zero = jnp.zeros((blocks, size), drive.dtype)
+    forced = jax.lax.scan(advance, zero, padded.reshape(blocks, length, -1).swapaxes(0, 1))[1]
+    ages = jnp.arange(1, length + 1, dtype=drive.dtype)
 
     def chain(z, end):
-        return decay[-1] * z + end, z
+        return free(ages[-1:], z)[0] + end, z
 
     starts = jax.lax.scan(chain, start, forced[-1])[1]
-    states = forced.swapaxes(0, 1) + decay[None] * starts[:, None]
-    return jnp.concatenate([start[None], states.reshape(blocks * length, -1)[: steps - 1]])
+    states = forced.swapaxes(0, 1) + jax.vmap(lambda z: free(ages, z))(starts)
+    return jnp.concatenate([start[None], states.reshape(blocks * length, -1)[:steps]])
 
 
 def lag_after(start, before, now, tau, dt) -> Array:

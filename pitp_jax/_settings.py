@@ -19,10 +19,11 @@ from ._errors import BadInput
 from ._model.drive import ElectrodeLag
 from ._model.encoder import CompactEncoder, PaperEncoder
 from ._model.input_map import SquareInput
-from ._model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory
+from ._model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from ._model.model import Model
 from ._record.long_record import LongRecord
-from ._record.record import Record
+from ._record.preprocess import StateRecord
+from ._ringing import second_mass
 
 _WORDS = {
     "encoder": ("compact", "paper"),
@@ -48,6 +49,7 @@ class Settings:
         memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record (to half
             of it: a 50 s record after training on 10 s drifted by 1.3 % of range, against 0.6 %), or to a quarter of
             the one the nominal keeps, where that outlasts training (`_slow`).
+        ringing: whether a second mass is looked for along the motion and, where it shows, remembered (`_ringing`).
         drive: "electrode" (a lag before the square, where there is one, learned from 0.1 / omega_0 on) or "direct".
         parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on: "delay", "sensor_lag".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
@@ -72,6 +74,7 @@ class Settings:
     offset: bool = True
     memory: str = "fading"
     memories: int = 5
+    ringing: bool = True
     drive: str = "electrode"
     parts: tuple[str, ...] = ()
     scaling: str = "rms"
@@ -117,20 +120,25 @@ def preset_of(name: str) -> Settings:
 
 
 def memory_of(
-    settings: Settings, nominal: Model, records: Sequence[Record], long: LongRecord | None = None
+    settings: Settings, nominal: Model, long: LongRecord | None, states: Sequence[StateRecord]
 ) -> AbstractMemory:
     """The memory a preset asks for, its time constants from the resonance to the longest record.
 
-    Or to a quarter of the `long` one, in which a lag can settle.
+    Or to a quarter of the `long` one, in which a lag can settle. With a second mass, where the motion shows one.
     """
-    longest = max(r.samples for r in records) * records[0].dt
+    longest = max(len(s.time) * s.dt for s in states)
     longest = longest if long is None else max(longest, long.seconds / 4)
     if settings.memory == "none":
         return NoMemory()
     if settings.memory == "elapsed":
         return ElapsedTime(horizon=float(longest))
     tau = np.geomspace(min(2.0 / nominal.natural_frequency, longest / 20), longest, settings.memories)
-    return FadingMemory(jnp.asarray(np.log(tau), jnp.float32))
+    lags = jnp.asarray(np.log(tau), jnp.float32)
+    mass = second_mass(states, nominal.natural_frequency, tau) if settings.ringing else None
+    if mass is None:
+        return FadingMemory(lags)
+    omega, zeta = jnp.log(jnp.asarray(mass[:2], jnp.float32))
+    return RingingMemory(omega, zeta, lags)
 
 
 def firmness_of(settings: Settings, nominal: Model) -> float:

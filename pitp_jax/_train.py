@@ -22,6 +22,7 @@ from jax.sharding import Mesh
 
 from ._dataset import Dataset, build_dataset
 from ._errors import BadInput, ComputationFailed
+from ._model.memory import RingingMemory
 from ._model.model import Model
 from ._record.long_record import LongRecord
 from ._record.record import Record
@@ -103,7 +104,7 @@ def train(
         raise BadInput("settings allow no training stage: set stages to 1 or more")
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "samples": int(data.equation.force.shape[0]),
-             "creep_held_to_s": round(slow.seconds, 1) if slow else None,
+             "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "interrupted": interrupted}  # fmt: skip
     return Training(_annotated(best, data, slow, notes), tuple(history), interrupted, notes)
 
@@ -117,7 +118,7 @@ def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, Slo
     def dataset(long: LongRecord | None) -> Dataset:
         return build_dataset(replace(nominal, effects=()), records, scaling=settings.scaling,
                              difference=settings.difference,
-                             memory=partial(memory_of, settings, nominal, records, long))  # fmt: skip
+                             memory=partial(memory_of, settings, nominal, long))  # fmt: skip
 
     long, seen = nominal.provenance.long_record, run_samples(records) * records[0].dt
     fits = settings.memory == "fading" and settings.refine_steps > 0 and not nominal.effects
@@ -229,6 +230,12 @@ def _region(model: Model, data: Dataset, slow: SlowBalance | None) -> tuple[tupl
     rows = np.concatenate(seen)
     region = tuple((float(a), float(b)) for a, b in zip(rows.min(0), rows.max(0), strict=True))
     return widened(region, slow.features(model)) if slow else region
+
+
+def _second_mass_hz(model: Model) -> float | None:
+    """Where what hangs on the moved mass resonates by itself, Hz."""
+    memory = model.memory
+    return float(jnp.exp(memory.log_omega)) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
 def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, notes: dict) -> Model:

@@ -18,7 +18,7 @@ with install_import_hook("pitp_jax", "typecheck.check"):
     import pitp_jax
     from pitp_jax._model.encoder import CompactEncoder
     from pitp_jax._model.input_map import SquareInput
-    from pitp_jax._model.memory import FadingMemory
+    from pitp_jax._model.memory import FadingMemory, RingingMemory
     from pitp_jax._model.model import Output, Provenance, linear_model
 
     for _module in pkgutil.walk_packages(pitp_jax.__path__, "pitp_jax."):
@@ -107,16 +107,19 @@ def shake():
 def nonlinear(linear, shake):
     """fn(order, key, size, ...): `linear` with a random CompactEncoder (logits of about `size`) and fading memories.
 
-    Without `drag` no token depends on the highest derivative in the state, x^(n-1).
+    Without `drag` no token depends on the highest derivative in the state, x^(n-1). With `ring` (rad/s, damping ratio)
+    a second mass beside the lags.
     """
 
-    def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), drag=True, **options):
-        encoder = CompactEncoder(order, len(tau), width=6, key=jax.random.key(key))
+    def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), drag=True, ring=(), **options):
+        encoder = CompactEncoder(order, len(ring) + len(tau), width=6, key=jax.random.key(key))
         shaken = shake(encoder, size, key)
         if not drag:
             shaken = eqx.tree_at(lambda e: (e.damping.hidden.weight, e.damping_poly), shaken, _without_drag(shaken))
         model = linear(order, **options)
-        parts = (shaken, FadingMemory(jnp.log(jnp.asarray(tau, jnp.float32))))
+        lags = jnp.log(jnp.asarray(tau, jnp.float32))
+        memory = RingingMemory(*jnp.log(jnp.asarray(ring, jnp.float32)), lags) if ring else FadingMemory(lags)
+        parts = (shaken, memory)
         return eqx.tree_at(lambda m: (m.encoder, m.memory), model, parts)
 
     return make

@@ -26,7 +26,7 @@ def plant(linear, coefficients):
     return linear(2, dt=DT), [record(0.5, 6.0), record(7.0, 1.0)]
 
 
-def built(plant, scaling="rms", difference="stencil", memory=NoMemory):
+def built(plant, scaling="rms", difference="stencil", memory=lambda states: NoMemory()):
     return build_dataset(*plant, scaling=scaling, difference=difference, memory=memory)
 
 
@@ -53,7 +53,7 @@ def test_paper_scales_are_eq_3(plant):
 
 
 def test_features_are_the_state_and_the_memory_of_every_sample(plant):
-    data = built(plant, memory=lambda: FadingMemory(jnp.log(jnp.asarray([0.05, 1.0]))))
+    data = built(plant, memory=lambda states: FadingMemory(jnp.log(jnp.asarray([0.05, 1.0]))))
     assert [f.shape for f in data.features] == [(SAMPLES, 4)] * 2
     together = np.concatenate([f[v] for f, v in zip(data.features, data.valid, strict=True)])
     np.testing.assert_array_equal(data.equation.features, together)

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 import pitp_jax._diagnose.fit as fitting
 from pitp_jax._diagnose.along import nominal_filter, responses
 from pitp_jax._diagnose.attribute import Attribution
-from pitp_jax._diagnose.case import build_case, kind, split
+from pitp_jax._diagnose.case import build_case, split
 from pitp_jax._diagnose.diagnosis import _verdict
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.found import Gap
@@ -19,6 +19,7 @@ from pitp_jax._diagnose.judged import Judged, sides
 from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
 from pitp_jax._effects import CATALOGUE, amplifier
+from pitp_jax._record.drives import kind
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from pitp_jax._errors import BadInput
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput, SquareInput
-from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory
+from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from pitp_jax._model.model import Model, Output, Provenance, Scales
 
 KEY = jax.random.key(3)
@@ -59,6 +59,10 @@ CASES = {
     "linear input": lambda: model(input_map=LinearInput(), hold="foh"),
     "compact": lambda: model(
         encoder=noisy(CompactEncoder(2, 3, width=8, key=KEY)), memory=FadingMemory(jnp.arange(3.0))
+    ),
+    "ringing": lambda: model(
+        encoder=noisy(CompactEncoder(2, 4, width=8, key=KEY)),
+        memory=RingingMemory(jnp.float32(6.0), jnp.float32(-3.0), jnp.arange(2.0)),
     ),
     "compact without offset": lambda: model(encoder=noisy(CompactEncoder(2, 0, width=4, offset=False, key=KEY))),
     "compact order 1": lambda: model(1, encoder=noisy(CompactEncoder(1, 0, width=4, key=KEY))),

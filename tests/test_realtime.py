@@ -57,9 +57,12 @@ def wanted(dt, count):
     return derivatives(3e-4 * np.sin(2.5 * t) ** 4, dt, 2)
 
 
-@pytest.mark.parametrize("memory", [None, ElapsedTime(2.0)])
-def test_inverse_steps_are_the_path(nonlinear, memory):
-    model = nonlinear(2) if memory is None else eqx.tree_at(lambda m: m.memory, nonlinear(2, tau=(0.1,)), memory)
+@pytest.mark.parametrize("kind", ["fading", "elapsed", "ringing"])
+def test_inverse_steps_are_the_path(nonlinear, kind):
+    if kind == "elapsed":
+        model = eqx.tree_at(lambda m: m.memory, nonlinear(2, tau=(0.1,)), ElapsedTime(2.0))
+    else:
+        model = nonlinear(2, ring=(60.0, 0.1) if kind == "ringing" else ())
     x = wanted(DT, 300)
     truth = np.asarray(invert_path(model, jnp.asarray(x / np.asarray(model.scales.state), jnp.float32), DT)[1])
     found = play(inverse_step(model, DT), x)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lsim
 
-from pitp_jax._recurrence import first_order_lags, lag_after, linear_recurrence, pieces, times
+from pitp_jax._recurrence import first_order_lags, lag_after, linear_recurrence, oscillator, pieces, times
 
 LENGTHS = (1, 2, 3, 5, 16, 17, 97)
 
@@ -81,3 +81,17 @@ def test_one_sample_is_one_step_of_many():
         truth = first_order_lags(jnp.asarray(x), jnp.asarray(tau), dt, jnp.asarray(start))[1]
         found = lag_after(jnp.asarray(start), *jnp.asarray(x), jnp.asarray(tau), dt)
     np.testing.assert_allclose(found, truth, rtol=1e-13)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 17, 1000])
+@pytest.mark.parametrize("zeta", [0.003, 0.5])
+def test_an_oscillator_driven_by_noise_against_scipy(steps, zeta):
+    rng, dt, w, start = np.random.default_rng(steps), 2e-4, 2 * np.pi * 220, np.array([0.3, -0.2])
+    x = rng.standard_normal(steps)
+    system = (np.array([[0, w], [-w, -2 * zeta * w]]), np.array([[0], [w]]), np.eye(2), np.zeros((2, 1)))
+    truth = start[None] if steps == 1 else lsim(system, x, np.arange(steps) * dt, X0=start, interp=True)[2]
+    with jax.enable_x64(True):
+        found = oscillator(jnp.asarray(x), jnp.asarray(w), jnp.asarray(zeta), dt, jnp.asarray(start))
+    np.testing.assert_allclose(found, truth, rtol=0, atol=1e-11)
+    single = oscillator(jnp.asarray(x, jnp.float32), jnp.float32(w), jnp.float32(zeta), dt, jnp.float32(start))
+    np.testing.assert_allclose(single, truth, rtol=0, atol=2e-4)

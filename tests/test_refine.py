@@ -50,7 +50,7 @@ def start(plant):
     """What the first stages hand over: data, and a model with a fresh encoder and a lag of a tenth of a radian."""
     nominal, records, _ = plant
     memory = FadingMemory(jnp.log(jnp.asarray([0.06, 0.5, 1.0], jnp.float32)))
-    data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda: memory)
+    data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda states: memory)
     low, high = np.asarray(data.region).T
     encoder = CompactEncoder(2, 3, width=4, bounds=np.stack([1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low]),
                              key=jax.random.key(2))  # fmt: skip
@@ -109,7 +109,7 @@ def test_whole_records_weigh_the_same(plant, start):
     holes = records[1].displacement.copy()
     holes[200:300] = np.nan
     short = Record("short", TIME[:600], records[1].voltage[:600], holes[:600])
-    runs = _refine._whole(model, [records[0], short])
+    (runs,) = _refine._free(model, [records[0], short])
     assert runs.voltage.shape == (2, SAMPLES)
     weight, target = np.asarray(runs.weight), np.asarray(runs.target)
     assert (weight[1, 600:] == 0).all() and (weight[1, 200:300] == 0).all() and (weight[1, :200] > 0).all()
@@ -150,9 +150,9 @@ def lost(model, runs):
 
 
 def test_a_diverging_start_is_tamed(plant, start, runaway):
-    runs = _refine._whole(runaway, plant[1])
+    (runs,) = _refine._free(runaway, plant[1])
     assert lost(runaway, runs)
-    tamed = _refine._tamed(runaway, runs, DT)
+    tamed = _refine._tamed(runaway, (runs,), DT)
     assert not lost(tamed, runs)
     assert float(tamed.encoder.fading[0, 0] / runaway.encoder.fading[0, 0]) < 0.5
     np.testing.assert_array_equal(tamed.encoder.bounds, runaway.encoder.bounds)
@@ -161,8 +161,8 @@ def test_a_diverging_start_is_tamed(plant, start, runaway):
 
 
 def test_a_good_start_is_left_alone(plant, start):
-    runs = _refine._whole(start[0], plant[1])
-    tamed = _refine._tamed(start[0], runs, DT)
+    (runs,) = _refine._free(start[0], plant[1])
+    tamed = _refine._tamed(start[0], (runs,), DT)
     for a, b in zip(jax.tree.leaves(tamed), jax.tree.leaves(start[0]), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -200,3 +200,17 @@ def test_firm_nets_stay_small(plant, start):
     held = model.encoder.token_nets()
     assert squares(held.spring) > 0 and squares(held.damping) > 0
     assert squares(held.past) == squares(held.spring_poly) == squares(held.fading) == 0
+
+
+def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch):
+    """Half of the budget for whole records, half for the beginnings of the others; each half of the weight."""
+    model, records = start[0], [replace(plant[1][0], name=f"r{k}") for k in range(20)]
+    for name, value in {"_BUDGET": 14 * SAMPLES, "_FEWEST": 6, "_SHORTEST": 300}.items():
+        monkeypatch.setattr(_refine, name, value)
+    long, brief = _refine._free(model, records)
+    assert long.voltage.shape == (7, SAMPLES)
+    assert brief.voltage.shape == (13, 7 * SAMPLES // 13)
+    assert float(long.weight.sum()) == pytest.approx(float(brief.weight.sum()), rel=1e-3)
+    assert _refine.run_samples(records) == SAMPLES
+    (whole,) = _refine._free(model, records[:6])
+    assert whole.voltage.shape == (6, SAMPLES)

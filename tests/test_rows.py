@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
-from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory
+from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from pitp_jax._model.piecewise import tables
 from pitp_jax._model.rows import encoder_rows, memory_rates, tokens_rows
+
+RINGING = RingingMemory(jnp.array(1.5), jnp.array(-2.0), jnp.array([-1.0, 0.5]))
 
 
 class Odd(AbstractEncoder):
@@ -108,7 +110,7 @@ def test_tokens(linear, order):
     np.testing.assert_array_equal(offset, truth_offset)
 
 
-@pytest.mark.parametrize("memory", [ElapsedTime(3.0), FadingMemory(jnp.array([-1.0, 0.5]))])
+@pytest.mark.parametrize("memory", [ElapsedTime(3.0), FadingMemory(jnp.array([-1.0, 0.5])), RINGING])
 @pytest.mark.parametrize("shape", [(), (4,)])
 def test_memory_rates(memory, shape):
     rng = np.random.default_rng(0)

@@ -114,7 +114,7 @@ def test_a_file_without_one_is_still_read(nominal, tmp_path):
 def test_slopes_are_those_of_the_cost(nominal, records, double):
     """Central differences along random directions, in float64."""
     memory = FadingMemory(jnp.log(jnp.asarray([0.3, 5.0, 30.0], jnp.float32)))
-    data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda: memory)
+    data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda states: memory)
     settings = replace(PRESETS["default"], memories=3, width=4)
     model = with_encoder(data, settings, jax.random.key(1))
     balance = _slow.slow_balance(data.model, nominal.provenance.long_record, data.region)
@@ -139,7 +139,7 @@ def test_slopes_are_those_of_the_cost(nominal, records, double):
 def test_what_training_covers_counts_and_nothing_else(nominal, records):
     """The sweep meets the resonance, which the two slowest records do not."""
     data = build_dataset(nominal, records[:2], scaling="rms", difference="stencil",
-                         memory=lambda: FadingMemory(jnp.zeros(1)))  # fmt: skip
+                         memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
     long = nominal.provenance.long_record
     everything = _slow.slow_balance(data.model, long, [(-1e3, 1e3)] * 3)
     covered = _slow.slow_balance(data.model, long, data.region)

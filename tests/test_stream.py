@@ -31,13 +31,14 @@ def whole(model, x):
 def models(nonlinear):
     lag = ElectrodeLag(jnp.asarray(np.log(4e-3), jnp.float32))
     lagging = {n: eqx.tree_at(lambda m: m.drive, nonlinear(n), lag) for n in (2, 3)}
+    lagging["ringing"] = eqx.tree_at(lambda m: m.drive, nonlinear(2, ring=(60.0, 0.1)), lag)
     return lagging | {"elapsed": eqx.tree_at(lambda m: (m.memory, m.encoder), nonlinear(2, tau=(0.1,)),
                                              (ElapsedTime(7.0), nonlinear(2, tau=(0.1,)).encoder))}  # fmt: skip
 
 
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(
-    key=st.sampled_from((2, 3, "elapsed")),
+    key=st.sampled_from((2, 3, "elapsed", "ringing")),
     samples=st.just(1301),
     cuts=st.lists(st.floats(0, 1), max_size=6),
     window=st.just(600),

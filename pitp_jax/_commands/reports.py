@@ -117,10 +117,12 @@ def _print_training(told: dict) -> None:
     cut = ", interrupted" if training.get("interrupted") else ""
     long = training.get("creep_held_to_s")
     held = f", creep held to {number(long, 3)} s of what the nominal was identified on" if long else ""
+    hertz = training.get("second_mass_hz")
+    mass = f", and a second mass at {number(hertz, 3)} Hz" if hertz else ""
     print(
         f"trained on {listed(training.get('records', []))} ({training.get('samples', '?')} samples) in "
         f"{number(training.get('seconds'), 3)} s{cut}{held}; encoder {told['encoder']}, "
-        f"{told['memory_states']} memory states"
+        f"{told['memory_states']} memory states{mass}"
     )
     print_history(training.get("history", []))
 

@@ -23,9 +23,9 @@ from .._model import augment
 from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._predict import at_rate, starts
+from .._record.drives import kind, loudest
 from .._record.preprocess import force_band, preprocess
 from .._record.record import Record
-from .._record.sweeps import is_sweep
 
 Split = Literal["first", "second", "none"]
 BUDGET = 240_000  # samples in all; longer sets are cut record by record
@@ -152,19 +152,6 @@ def _session_known(records: Sequence[Record]) -> bool:
     return len(spans) > 1 and all(a[1] <= b[0] for a, b in zip(spans[:-1], spans[1:], strict=True))
 
 
-def kind(record: Record) -> str:
-    """sweep, sine (one line holds the drive), steps (it stands still mostly), or broadband."""
-    if is_sweep(record):
-        return "sweep"
-    still = np.abs(np.diff(record.voltage)) < 1e-3 * np.ptp(record.voltage)
-    if still.mean() > 0.4:
-        return "steps"
-    u = record.voltage - record.voltage.mean()
-    power = np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2
-    peak = int(np.argmax(power[1:])) + 1
-    return "sine" if power[max(peak - 3, 1) : peak + 4].sum() > 0.8 * power[1:].sum() else "broadband"
-
-
 def split(records: Sequence[Record], how: Split = "first") -> set[str]:
     """Names of the records to fit: about half, every kind that has several on both sides, broadband held out.
 
@@ -179,7 +166,7 @@ def split(records: Sequence[Record], how: Split = "first") -> set[str]:
         groups.setdefault(kind(r), []).append(r)
     fitted: set[str] = set()
     for name, members in groups.items():
-        members = sorted(members, key=_loudest)
+        members = sorted(members, key=lambda r: (loudest(r), r.name))
         if len(members) > 1:
             fitted |= {r.name for r in members[how == "second" :: 2]}
         elif name in ("sweep", "steps") or len(groups) == 1:
@@ -187,13 +174,6 @@ def split(records: Sequence[Record], how: Split = "first") -> set[str]:
     if not fitted:
         fitted.add(max(records, key=lambda r: np.ptp(r.voltage) * r.samples).name)
     return fitted
-
-
-def _loudest(record: Record) -> tuple[float, str]:
-    """Strongest line of the drive in Hz."""
-    u = record.voltage - record.voltage.mean()
-    power = np.abs(np.fft.rfft(u * np.hanning(len(u))))
-    return float(np.argmax(power[1:]) + 1) / (len(u) * record.dt), record.name
 
 
 def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, cut: float, known: bool) -> Series:

@@ -9,6 +9,7 @@ A cell is flagged where the missing force stands out of what noise leaves there,
 
 import numpy as np
 
+from .._record.drives import kind
 from .case import Case, Series
 from .noise import Noise
 from .tone import steady_tone
@@ -81,8 +82,6 @@ def _frequency(case: Case, errors, noise: Noise) -> list[dict]:
 
 def _harmonics(case: Case, errors, noise: Noise) -> dict:
     """Shares at multiples of the drive's line (sines only), the rest under "other"; empty without a sine."""
-    from .case import kind
-
     totals: dict[str, float] = {}
     for s, e in zip(case.series, errors, strict=True):
         if kind(s.record) != "sine":
