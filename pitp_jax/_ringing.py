@@ -23,6 +23,7 @@ from ._record.preprocess import StateRecord
 LEFT = 0.65  # at most that share for a second mass
 _ROWS, _SAMPLES = 30_000, 400_000
 _GRID, _DAMPING = 32, (0.003, 0.15)  # with more damping it is a lag
+_FASTEST = 1.0  # w dt; beyond, what the filter and the drive between samples leave looks like a mode (Silverbox: 0.23)
 
 
 def second_mass(
@@ -50,13 +51,14 @@ def second_mass(
         gain = float(pull @ left_over)
         return 1 - gain**2 / max(float(pull @ pull) * float(left_over @ left_over), 1e-300) if gain > 0 else 1.0
 
-    low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz)
+    low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz, _FASTEST / states[0].dt)
     if low >= high:
         return None
     start = min(np.geomspace(low, high, _GRID), key=lambda w: left(np.log([w, 0.08])))
     found = minimize(left, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4})
     w, zeta = np.exp(found.x)
-    return (float(w), float(zeta), float(found.fun)) if found.fun <= LEFT else None
+    inside = 1.01 * low < w < 0.99 * high  # at an edge it is the tail of something else
+    return (float(w), float(zeta), float(found.fun)) if inside and found.fun <= LEFT else None
 
 
 def _first(states: Sequence[StateRecord]) -> list[StateRecord]:

@@ -45,8 +45,8 @@ def ringing():
 
 
 def motion(records):
-    forces = [r.voltage**2 for r in records]
-    cut = cutoff(force_band(forces, DT), DT)
+    forces, dt = [r.voltage**2 for r in records], records[0].dt
+    cut = cutoff(force_band(forces, dt), dt)
     return [preprocess(r, 2, cut, f) for r, f in zip(records, forces, strict=True)]
 
 
@@ -64,6 +64,18 @@ def test_none_is_found_where_none_hangs(cubic):
 
 def test_too_few_samples_decide_nothing(ringing):
     assert second_mass(motion([hanging(3.0, 1.0, seconds=0.3)]), OMEGA, LAGS) is None
+
+
+def test_none_is_taken_that_the_sampling_cannot_follow(ringing):
+    """Every fifth sample is enough for it, every eighth (w dt = 1.1) is not."""
+    found = [
+        second_mass(
+            motion([Record(r.name, r.time[::k], r.voltage[::k], r.displacement[::k]) for r in ringing]), OMEGA, LAGS
+        )
+        for k in (5, 8)
+    ]
+    assert found[0] is not None and found[0][0] == pytest.approx(SECOND, rel=0.05)
+    assert found[1] is None
 
 
 def test_a_free_run_is_better_for_it(ringing):
