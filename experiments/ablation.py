@@ -28,6 +28,7 @@ VARIANTS = {
     "elapsed time": {"memory": "elapsed"},
     "3 memories": {"memories": 3},
     "8 memories": {"memories": 8},
+    "no second mass": {"ringing": False},
     "width 4": {"width": 4},
     "width 16": {"width": 16},
     "paper scales": {"scaling": "paper"},

@@ -37,6 +37,8 @@ def second_mass(
         lags: time constants of slow lags of x, s.
     """
     states = _first(states)
+    if states[0].states.shape[1] < 3:
+        return None  # at order 1 nothing moved has a mass
     basis, left_over, weigh = _without(states, lags)
     if basis is None:
         return None

@@ -44,10 +44,10 @@ def ringing():
     return [hanging(f, a) for f in HERTZ for a in (0.6, 1.0)]
 
 
-def motion(records):
+def motion(records, order=2):
     forces, dt = [r.voltage**2 for r in records], records[0].dt
     cut = cutoff(force_band(forces, dt), dt)
-    return [preprocess(r, 2, cut, f) for r, f in zip(records, forces, strict=True)]
+    return [preprocess(r, order, cut, f) for r, f in zip(records, forces, strict=True)]
 
 
 def test_it_is_found(ringing):
@@ -60,6 +60,10 @@ def test_it_is_found(ringing):
 @pytest.mark.parametrize("cubic", [0.0, 0.3])
 def test_none_is_found_where_none_hangs(cubic):
     assert second_mass(motion([hanging(f, a, 0.0, cubic) for f in HERTZ for a in (0.6, 1.0)]), OMEGA, LAGS) is None
+
+
+def test_at_order_1_nothing_has_a_mass(ringing):
+    assert second_mass(motion(ringing, 1), OMEGA, LAGS) is None
 
 
 def test_too_few_samples_decide_nothing(ringing):
