@@ -21,6 +21,9 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from ._record.preprocess import StateRecord
 
 LEFT = 0.65  # at most that share for a second mass
+WORTH = (
+    0.006  # at least that share of the force, rms, for the pull: 0.012 on the roll; 0.003 beside a clean hard spring
+)
 _ROWS, _SAMPLES = 30_000, 400_000
 _GRID, _DAMPING = 32, (0.003, 0.15)  # with more damping it is a lag
 _FASTEST = 1.0  # w dt; beyond, what the filter and the drive between samples leave looks like a mode (Silverbox: 0.23)
@@ -60,7 +63,9 @@ def second_mass(
     found = minimize(left, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4})
     w, zeta = np.exp(found.x)
     inside = 1.01 * low < w < 0.99 * high  # at an edge it is the tail of something else
-    return (float(w), float(zeta), float(found.fun)) if inside and found.fun <= LEFT else None
+    whole = weigh(lambda s: s.force)
+    worth = (1 - found.fun) * float(left_over @ left_over) >= WORTH**2 * float(whole @ whole)
+    return (float(w), float(zeta), float(found.fun)) if inside and worth and found.fun <= LEFT else None
 
 
 def _first(states: Sequence[StateRecord]) -> list[StateRecord]:
