@@ -11,7 +11,7 @@ is not worth two more states: its free runs were no better for them.
 """
 
 from collections.abc import Callable, Sequence
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -21,9 +21,7 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from ._record.preprocess import StateRecord
 
 LEFT = 0.65  # at most that share for a second mass
-WORTH = (
-    0.006  # at least that share of the force, rms, for the pull: 0.012 on the roll; 0.003 beside a clean hard spring
-)
+WORTH = 0.006  # at least that share of the force, rms, for the pull: 0.012 on the roll; 0.003 beside a hard spring
 _ROWS, _SAMPLES = 30_000, 400_000
 _GRID, _DAMPING = 32, (0.003, 0.15)  # with more damping it is a lag
 _FASTEST = 1.0  # w dt; beyond, what the filter and the drive between samples leave looks like a mode (Silverbox: 0.23)
@@ -39,81 +37,82 @@ def second_mass(
         omega: the nominal's natural frequency, rad/s.
         lags: time constants of slow lags of x, s.
     """
-    states = _first(states)
     if states[0].states.shape[1] < 3:
         return None  # at order 1 nothing moved has a mass
-    basis, left_over, weigh = _without(states, lags)
-    if basis is None:
+    seen = _rows(states)
+    low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz, _FASTEST / states[0].dt)
+    columns, force = _columns(seen, lags), seen.weight * seen.read(lambda s: s.force)
+    if len(force) < 10 * columns.shape[1] or low >= high:
         return None
+    vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = vectors[:, sizes > 1e-9 * sizes[0]]
+    residual = force - basis @ (basis.T @ force)
+    energy = float(residual @ residual)
 
     def left(place) -> float:
         w, zeta = np.exp(place)
         if not (low <= w <= high and _DAMPING[0] <= zeta <= _DAMPING[1]):
             return 1.0
-        parts = _polynomials([w * w], [1, 2 * zeta * w, w * w], states[0].dt)
-        pull = weigh(lambda s: s.states[:, 0] - _along(parts, s.states[:, 0]))
+        pull = seen.weight * (seen.displacement - seen.filtered([w * w], [1, 2 * zeta * w, w * w]))
         pull = pull - basis @ (basis.T @ pull)
-        gain = float(pull @ left_over)
-        return 1 - gain**2 / max(float(pull @ pull) * float(left_over @ left_over), 1e-300) if gain > 0 else 1.0
+        gain = float(pull @ residual)
+        return 1 - gain**2 / max(float(pull @ pull) * energy, 1e-300) if gain > 0 else 1.0
 
-    low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz, _FASTEST / states[0].dt)
-    if low >= high:
-        return None
     start = min(np.geomspace(low, high, _GRID), key=lambda w: left(np.log([w, 0.08])))
     found = minimize(left, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4})
     w, zeta = np.exp(found.x)
     inside = 1.01 * low < w < 0.99 * high  # at an edge it is the tail of something else
-    whole = weigh(lambda s: s.force)
-    worth = (1 - found.fun) * float(left_over @ left_over) >= WORTH**2 * float(whole @ whole)
+    worth = (1 - found.fun) * energy >= WORTH**2 * float(force @ force)
     return (float(w), float(zeta), float(found.fun)) if inside and worth and found.fun <= LEFT else None
 
 
-def _first(states: Sequence[StateRecord]) -> list[StateRecord]:
-    """Records with samples to read; of very many, every so manieth."""
-    states = [s for s in states if s.valid.any()]
-    return states[:: max(sum(len(s.force) for s in states) // _SAMPLES, 1)]
+class _Rows(NamedTuple):
+    """Records, which of their samples are read, and a weight each: every record counts by the range of its force."""
+
+    states: list[StateRecord]
+    places: list[np.ndarray]
+    weight: np.ndarray
+
+    def read(self, column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
+        """One column (or several), all records in a row."""
+        return np.concatenate([column(s)[at] for s, at in zip(self.states, self.places, strict=True)])
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Measured X."""
+        return self.read(lambda s: s.states[:, 0])
+
+    def filtered(self, numerator, denominator) -> np.ndarray:
+        """X behind a continuous filter, exact for X linear between samples, settled at its first value."""
+        b, a, _ = cast(tuple, cont2discrete((numerator, denominator), self.states[0].dt, "foh"))
+        b, a = np.ravel(b), np.ravel(a)
+        settled = lfilter_zi(b, a)
+        return self.read(lambda s: np.asarray(cast(tuple, lfilter(b, a, x := s.states[:, 0], zi=settled * x[0]))[0]))
 
 
-def _without(states: Sequence[StateRecord], lags) -> tuple[np.ndarray | None, np.ndarray, Callable]:
-    """An orthonormal basis of all phi, what it leaves of the force, and how a column is read from the records."""
-    dt, order = states[0].dt, states[0].states.shape[1] - 1
-    every = max(sum(int(s.valid.sum()) for s in states) // _ROWS, 1)
-    rows = [np.flatnonzero(s.valid)[k % every :: every] for k, s in enumerate(states)]
-    weight = [1 / max(float(np.ptp(s.force)), 1e-300) for s in states]  # every record counts alike
+def _rows(states: Sequence[StateRecord]) -> _Rows:
+    """Of records with samples to read (of very many, every so manieth) every so manieth sample."""
+    some = [s for s in states if s.valid.any()]
+    some = some[:: max(sum(len(s.force) for s in some) // _SAMPLES, 1)]
+    every = max(sum(int(s.valid.sum()) for s in some) // _ROWS, 1)
+    places = [np.flatnonzero(s.valid)[k % every :: every] for k, s in enumerate(some)]
+    spans = [max(float(np.ptp(s.force)), 1e-300) for s in some]
+    return _Rows(some, places, np.repeat(1 / np.array(spans), [len(at) for at in places]))
 
-    def weigh(column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
-        return np.concatenate([w * column(s)[at] for s, at, w in zip(states, rows, weight, strict=True)])
 
-    scale = np.sqrt(np.mean(np.concatenate([s.states[at] ** 2 for s, at in zip(states, rows, strict=True)]), 0))
-
-    def power(degrees: np.ndarray) -> Callable[[StateRecord], np.ndarray]:
-        return lambda s: np.prod((s.states / scale) ** degrees, axis=1)
-
-    one = np.eye(order + 1, dtype=int)
-    degrees = [0 * one[0], *one, 2 * one[0], 3 * one[0], 4 * one[0], one[0] + one[-1], 2 * one[0] + one[-1]]
-    for v in one[1:order]:
-        degrees += [one[0] + v, 2 * one[0] + v, 2 * v, 3 * v, one[0] + 2 * v]
-    columns = [weigh(power(d)) for d in degrees]
+def _columns(seen: _Rows, lags) -> Float[np.ndarray, "rows phi"]:
+    """All phi, weighted, each of length one."""
+    dt = seen.states[0].dt
+    motion = seen.read(lambda s: s.states)
+    motion = motion / np.sqrt(np.mean(motion**2, 0))
+    x, highest = motion[:, 0], motion[:, -1]
+    columns = [np.ones_like(x), *motion.T, x**2, x**3, x**4, x * highest, x**2 * highest]
+    for v in motion[:, 1:-1].T:
+        columns += [x * v, x**2 * v, v**2, v**3, x * v**2]
     for tau in lags:
-        parts = _polynomials([1], [tau, 1], dt)
-        columns.append(weigh(lambda s, p=parts: _along(p, s.states[:, 0]) / scale[0]))
-        columns.append(weigh(lambda s, p=parts: _along(p, s.states[:, 0]) * s.states[:, 0] / scale[0] ** 2))
-    columns.append(weigh(lambda s: np.gradient(s.force, dt)))
-    columns.append(weigh(lambda s: np.gradient(np.gradient(s.force, dt), dt)))
-    matrix, force = np.stack(columns, 1), weigh(lambda s: s.force)
-    if len(force) < 10 * len(columns):
-        return None, force, weigh
-    vectors, sizes, _ = np.linalg.svd(matrix / np.maximum(np.sqrt((matrix**2).sum(0)), 1e-300), full_matrices=False)
-    basis = vectors[:, sizes > 1e-9 * sizes[0]]
-    return basis, force - basis @ (basis.T @ force), weigh
-
-
-def _polynomials(numerator, denominator, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """A continuous filter as a discrete one, exact for an input linear between samples."""
-    b, a, _ = cast(tuple, cont2discrete((numerator, denominator), dt, "foh"))
-    return np.ravel(b), np.ravel(a)
-
-
-def _along(parts: tuple[np.ndarray, np.ndarray], x: np.ndarray) -> np.ndarray:
-    """The filter along x, settled at its first value."""
-    return cast("tuple[np.ndarray, np.ndarray]", lfilter(*parts, x, zi=lfilter_zi(*parts) * x[0]))[0]
+        lag = seen.filtered([1], [tau, 1])
+        columns += [lag, lag * x]
+    slope = seen.read(lambda s: np.gradient(s.force, dt))
+    bend = seen.read(lambda s: np.gradient(np.gradient(s.force, dt), dt))
+    matrix = seen.weight[:, None] * np.stack([*columns, slope, bend], 1)
+    return matrix / np.maximum(np.sqrt((matrix**2).sum(0)), 1e-300)

@@ -235,7 +235,7 @@ def _region(model: Model, data: Dataset, slow: SlowBalance | None) -> tuple[tupl
 def _second_mass_hz(model: Model) -> float | None:
     """Where what hangs on the moved mass resonates by itself, Hz."""
     memory = model.memory
-    return float(jnp.exp(memory.log_omega)) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
+    return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
 def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, notes: dict) -> Model:

@@ -9,7 +9,7 @@ A cell is flagged where the missing force stands out of what noise leaves there,
 
 import numpy as np
 
-from .._record.drives import kind
+from .._record.drives import kind, spectrum
 from .case import Case, Series
 from .noise import Noise
 from .tone import steady_tone
@@ -86,8 +86,7 @@ def _harmonics(case: Case, errors, noise: Noise) -> dict:
     for s, e in zip(case.series, errors, strict=True):
         if kind(s.record) != "sine":
             continue
-        u = s.record.voltage - s.record.voltage.mean()
-        line = int(np.argmax(np.abs(np.fft.rfft(u * np.hanning(len(u))))[1:]) + 1)
+        line = int(np.argmax(spectrum(s.record)[1:]) + 1)
         power = np.abs(np.fft.rfft(e * (s.weight > 0) * np.hanning(len(e)))) ** 2 / s.span**2 / len(e)
         floor = np.interp(np.fft.rfftfreq(len(e), case.dt), *noise.spectrum.T) / case.dt / 2 * 0.375 / s.span**2
         power = power - floor

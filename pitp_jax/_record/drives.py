@@ -22,17 +22,18 @@ def kind(record: Record) -> str:
     still = np.abs(np.diff(record.voltage)) < 1e-3 * np.ptp(record.voltage)
     if still.mean() > 0.4:
         return "steps"
-    power = _spectrum(record) ** 2
+    power = spectrum(record) ** 2
     peak = int(np.argmax(power[1:])) + 1
     return "sine" if power[max(peak - 3, 1) : peak + 4].sum() > 0.8 * power[1:].sum() else "broadband"
 
 
 def loudest(record: Record) -> float:
     """Strongest line of the drive in Hz."""
-    return float(np.argmax(_spectrum(record)[1:]) + 1) / (record.samples * record.dt)
+    return float(np.argmax(spectrum(record)[1:]) + 1) / (record.samples * record.dt)
 
 
-def _spectrum(record: Record) -> np.ndarray:
+def spectrum(record: Record) -> np.ndarray:
+    """Size of the windowed drive's Fourier lines, without its mean, shape (samples // 2 + 1,)."""
     u = record.voltage - record.voltage.mean()
     return np.abs(np.fft.rfft(u * np.hanning(len(u))))
 
