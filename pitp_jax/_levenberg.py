@@ -25,6 +25,11 @@ class Normal(NamedTuple):
     gradient: np.ndarray
     hessian: np.ndarray
 
+    @classmethod
+    def of(cls, cost, gradient, hessian) -> "Normal":
+        """From arrays of any kind, in float64."""
+        return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
+
     def plus(self, other: "Normal") -> "Normal":
         """Of both sums together."""
         return Normal(self.cost + other.cost, self.gradient + other.gradient, self.hessian + other.hessian)

@@ -118,10 +118,6 @@ def sharded_inverse(
 
 def sharded_normal_equations(model: Model, runs: Runs, dt: float, every: int, vector: np.ndarray, mesh: Mesh) -> Normal:
     """C, J'We and J'WJ at `vector` over the runs of all processes, as `_sensitivity.normal_equations`."""
-    extra = -len(runs.start) % len(mesh.local_devices)  # runs that count for nothing fill the last device
-    runs = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[-1:], extra, axis=0)]), runs)
-    alive = np.arange(len(runs.start))[:, None] < len(runs.start) - extra
-    weighted = spread(eqx.tree_at(lambda r: r.weight, runs, runs.weight * alive), mesh)
+    weighted = spread(runs.filled(len(mesh.local_devices)), mesh)
     here = with_parameters(model, vector)
-    cost, gradient, hessian = over_records(_Sums(dt, every), mesh, True, here, (weighted,))
-    return Normal(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
+    return Normal.of(*over_records(_Sums(dt, every), mesh, True, here, (weighted,)))
