@@ -27,7 +27,7 @@ from ._model import augment
 from ._model.encoder import CompactEncoder
 from ._model.model import Model
 
-_LANES = 4  # runs a core has at least; with fewer it waits for its own kernels to start
+_FEWEST, _MOST = 4, 128  # runs at once on a core: with fewer it waits for its kernels to start, with more for memory
 
 
 class Runs(eqx.Module):
@@ -103,14 +103,16 @@ def normal_equations(model: Model, runs: Runs, dt: float, every: int, vector: np
     here, parts = with_parameters(model, vector), _parts_of(len(runs.start))
     if parts == 1:
         return Normal.of(*normal_sums(here, runs, dt, every))
-    with ThreadPoolExecutor(parts) as pool:
+    with ThreadPoolExecutor(_cores()) as pool:
         sums = pool.map(lambda part: Normal.of(*normal_sums(here, part, dt, every)), runs.parts(parts))
         return reduce(Normal.plus, sums)
 
 
 def _parts_of(runs: int) -> int:
-    """Among how many threads to share so many runs; a GPU takes them all at once."""
-    return max(min(_cores(), runs // _LANES), 1) if jax.default_backend() == "cpu" else 1
+    """How many parts so many runs are cut into; a GPU takes them all at once."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return max(min(_cores(), runs // _FEWEST), -(-runs // _MOST), 1)
 
 
 def _cores() -> int:
