@@ -25,14 +25,14 @@ from jax.sharding import Mesh
 from ._dataset import Dataset
 from ._decode import rollout_batch
 from ._errors import ComputationFailed
-from ._levenberg import Normal, steps
+from ._free_runs import FreeRuns
+from ._geodesic import steps
 from ._model import augment
 from ._model.model import Model
 from ._predict import starts
 from ._record.drives import spread
 from ._record.record import Record
-from ._sensitivity import Runs, normal_equations, parameters, trainable, with_parameters
-from ._shard import sharded_normal_equations
+from ._sensitivity import Runs, parameters, trainable, with_parameters
 from ._slow import SlowBalance
 
 _BUDGET = 400_000  # samples in all
@@ -79,29 +79,18 @@ def _descend(
     mesh: Mesh | None,
 ) -> Iterator[tuple[Model, dict]]:
     start, sizes = parameters(model)
-    every = _thinning(model, dt)
-    rho = _prior(model, sizes, firmness)
     centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near where they began
-
-    def normal(v):
-        away = v - centre
-        found = Normal((rho * away) @ away, rho * away, np.diag(rho))
-        for runs in batches:
-            if mesh is None:
-                found = found.plus(normal_equations(model, runs, dt, every, v))
-            else:
-                found = found.plus(sharded_normal_equations(model, runs, dt, every, v, mesh))
-        return found if slow is None else found.plus(slow.normal(model, v))
-
+    prior = _prior(model, sizes, firmness), centre
+    runs = FreeRuns(model, batches, dt, _thinning(model, dt), prior=prior, slow=slow, mesh=mesh)
     costs, began = [], time.monotonic()
-    for k, (vector, here, done) in enumerate(steps(normal, start, np.full(len(start), np.inf))):
-        if not np.isfinite(here.cost):
+    for k, (vector, cost, done) in enumerate(steps(runs.errors, runs.slopes, start)):
+        if not np.isfinite(cost):
             raise ComputationFailed("the free runs diverged before refinement; check the records for spikes")
-        costs.append(here.cost)
+        costs.append(cost)
         left = (time.monotonic() - began) / (k + 1) * (count - k)
-        report(stage, k, count, here.cost, min(costs), left)
+        report(stage, k, count, cost, min(costs), left)
         if k:
-            yield with_parameters(model, vector), {"stage": stage, "step": k, "error": here.cost}
+            yield with_parameters(model, vector), {"stage": stage, "step": k, "error": cost}
         settled = k >= _PATIENCE and costs[-1] > (1 - _SLOW) * costs[-1 - _PATIENCE]
         if done or settled or k == count:
             return

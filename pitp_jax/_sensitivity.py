@@ -2,17 +2,13 @@
 
     s_{t+1} = g(s_t, l_t, q, a),  l_t = encoder(s_t + drift; p),  V = drive(u; r, a),  y = sensor(s; a)
     Z_{t+1} = (dg/ds + dg/dl dl/ds) Z_t + [dg/dl dl/dp, dg/dq, dg/dV dV/d(r, a), dg/da]   Z = ds/d(p, q, r, a),  Z_0 = 0
-    C = sum w e^2,   half gradient J'we,   H = J'WJ,       J = dy/ds Z + dy/da,  e = y - x_measured
+    C = sum w e^2,   half gradient J'We,   H = J'WJ,       J = dy/ds Z + dy/da,  e = y - x_measured
 
 p: the encoder's weights, q: the memories' time constants, r: the drive's, a: the effects' numbers (logarithms where
 they are positive). A step depends on p through its n + 2 logits only, so a column of Z costs a small matrix product
-and no pass through the network. A step is a chain of small products that keeps one core busy, so the runs are shared
-among the cores, a thread each: 30 records of 10,000 samples and 190 parameters take 1.3 s on two cores, 2.4 s on one.
+and no pass through the network: 30 records of 10,000 samples and 190 parameters take 2.2 s on one core, a plain free
+run of them 0.06 s.
 """
-
-import os
-from concurrent.futures import ThreadPoolExecutor
-from functools import reduce
 
 import equinox as eqx
 import jax
@@ -26,8 +22,7 @@ from ._levenberg import Normal
 from ._model import augment
 from ._model.encoder import CompactEncoder
 from ._model.model import Model
-
-_FEWEST, _MOST = 4, 128  # runs at once on a core: with fewer it waits for its kernels to start, with more for memory
+from ._rollout_fast import fast_rollout
 
 
 class Runs(eqx.Module):
@@ -99,25 +94,25 @@ def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameter
 
 
 def normal_equations(model: Model, runs: Runs, dt: float, every: int, vector: np.ndarray) -> Normal:
-    """C, J'we and J'WJ at `vector`, from every `every`-th sample; in float32, summed up in blocks."""
-    here, parts = with_parameters(model, vector), _parts_of(len(runs.start))
-    if parts == 1:
-        return Normal.of(*normal_sums(here, runs, dt, every))
-    with ThreadPoolExecutor(_cores()) as pool:
-        sums = pool.map(lambda part: Normal.of(*normal_sums(here, part, dt, every)), runs.parts(parts))
-        return reduce(Normal.plus, sums)
+    """C, J'we and J'WJ at `vector`, from every `every`-th sample; in float32."""
+    return Normal.of(*normal_sums(with_parameters(model, vector), runs, dt, every))
 
 
-def _parts_of(runs: int) -> int:
-    """How many parts so many runs are cut into; a GPU takes them all at once."""
-    if jax.default_backend() != "cpu":
-        return 1
-    return max(min(_cores(), runs // _FEWEST), -(-runs // _MOST), 1)
+@eqx.filter_jit
+def normal_sums(model: Model, runs: Runs, dt: float, every: int):
+    """C, J'we and J'WJ of `normal_equations`, as JAX arrays."""
+    errors = run_errors(model, runs, dt, every).ravel()
+    slopes = run_slopes(model, runs, dt, every).reshape(errors.size, -1)
+    return errors @ errors, slopes.T @ errors, slopes.T @ slopes
 
 
-def _cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+@eqx.filter_jit
+def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors"]:
+    """Sqrt(every w) e at every `every`-th sample, less an incomplete last block."""
+    states = fast_rollout(model, runs.voltage, dt, runs.start)
+    errors = jax.vmap(lambda run: augment.readings(model, run))(states) - runs.target
+    last = runs.target.shape[1] // every * every
+    return (jnp.sqrt(every * runs.weight) * errors)[:, :last:every]
 
 
 class _Numbers:
@@ -163,8 +158,8 @@ class _Numbers:
 
 
 @eqx.filter_jit
-def normal_sums(model: Model, runs: Runs, dt: float, every: int):
-    """C, J'we and J'WJ of `normal_equations`, as JAX arrays."""
+def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors parameters"]:
+    """How `run_errors` answer every trained number."""
     n, h, core = _Numbers(model), dt / model.substeps, model.order + model.memory.size
     zero = jnp.zeros((model.order + 2,), n.encoder.dtype)
 
@@ -180,22 +175,16 @@ def normal_sums(model: Model, runs: Runs, dt: float, every: int):
         return state, answer
 
     def sensed(state, answer):
-        """The reading and its slope."""
+        """Slope of the reading."""
         if not model.effects:
-            return state[0], answer[0]
+            return answer[0]
         by_state, by_effects = jax.jacfwd(n.reading, (0, 1))(state, n.effects)
-        direct = jnp.zeros((n.count,), answer.dtype).at[n.count - n.effects.size :].set(by_effects)
-        return n.reading(state, n.effects), by_state @ answer + direct
+        return by_state @ answer + jnp.zeros((n.count,), answer.dtype).at[n.count - n.effects.size :].set(by_effects)
 
-    def block(carry, item):
-        """`every` samples; the error and its slope are taken at the first."""
-        (state, answer), (hessian, gradient, cost) = carry
-        pairs, target, weight = item
-        reading, slope = jax.vmap(sensed)(state, answer)
-        error, weighted = reading - target, weight[:, None] * slope
-        sums = hessian + weighted.T @ slope, gradient + weighted.T @ error, cost + jnp.sum(weight * error**2)
-        runs_on = jax.lax.scan(lambda c, p: (jax.vmap(advance)(*c, *p), None), (state, answer), pairs)[0]
-        return (runs_on, sums), None
+    def block(carry, pairs):
+        """`every` samples; the slope is taken at the first."""
+        slope = jax.vmap(sensed)(*carry)
+        return jax.lax.scan(lambda c, p: (jax.vmap(advance)(*c, *p), None), carry, pairs, unroll=2)[0], slope
 
     def grid(values):
         """(records, time, ...) to (blocks, every, records, ...), less an incomplete last block."""
@@ -208,6 +197,5 @@ def normal_sums(model: Model, runs: Runs, dt: float, every: int):
     pairs = grid(n.stages(runs, dt, n.drive, n.effects)), grid(along)
     records, states = runs.start.shape
     start = runs.start, jnp.zeros((records, states, n.count), n.encoder.dtype)
-    sums = jnp.zeros((n.count, n.count)), jnp.zeros((n.count,)), jnp.zeros(())
-    items = (pairs, grid(runs.target)[:, 0], every * grid(runs.weight)[:, 0])
-    return jax.lax.scan(block, (start, sums), items)[0][1][::-1]
+    slopes = jnp.moveaxis(jax.lax.scan(block, start, pairs)[1], 0, 1)
+    return jnp.sqrt(every * runs.weight)[:, : slopes.shape[1] * every : every, None] * slopes

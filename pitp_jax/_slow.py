@@ -19,7 +19,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from ._levenberg import Normal
 from ._model.model import Model
 from ._record.long_record import LongRecord
 from ._record.preprocess import cutoff, force_band, preprocess
@@ -62,16 +61,22 @@ class SlowBalance:
     scale: Float[np.ndarray, " windows"]
     seconds: float
 
-    def normal(self, model: Model, vector: np.ndarray) -> Normal:
-        """Its share of the normal equations of `_sensitivity`, the effects' numbers left out."""
-        left, slopes = (np.asarray(a, np.float64) for a in _rows(with_parameters(model, vector), self.series))
-        scale = self.scale * np.sqrt(_WEIGHT / np.count_nonzero(self.scale))
-        left, slopes = scale * left, scale[:, None] * np.pad(slopes, ((0, 0), (0, len(vector) - slopes.shape[1])))
-        return Normal(float(left @ left), slopes.T @ left, slopes.T @ slopes)
+    def errors(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, " windows"]:
+        """Residuals at these trained numbers."""
+        return self._row_scale * np.asarray(_left(with_parameters(model, vector), self.series), np.float64)
+
+    def slopes(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, "windows parameters"]:
+        """Their derivatives; none by the effects' numbers, which are left out."""
+        found = np.asarray(_slopes(with_parameters(model, vector), self.series), np.float64)
+        return self._row_scale[:, None] * np.pad(found, ((0, 0), (0, len(vector) - found.shape[1])))
+
+    @property
+    def _row_scale(self) -> np.ndarray:
+        return self.scale * np.sqrt(_WEIGHT / np.count_nonzero(self.scale))
 
     def features(self, model: Model) -> np.ndarray:
         """States and memories of all samples that count, shape (samples, n + K)."""
-        past = self.series.kept(_past(model.memory, self.series))
+        past = _past(model.memory, self.series)
         return np.concatenate([self.series.states[..., :-1], past], -1)[np.asarray(self.series.weight) > 0]
 
 
@@ -105,34 +110,51 @@ def widened(region, rows: np.ndarray) -> tuple[tuple[float, float], ...]:
 
 
 def _past(memory, series: _Series):
-    return memory.trajectory(series.x, series.dt, memory.initial(jnp.where(series.rest, 0.0, series.x[0])))
+    start = memory.initial(jnp.where(series.rest, 0.0, series.x[0]))
+    return series.kept(memory.trajectory(series.x, series.dt, start))
+
+
+def _force(model: Model, drive, series: _Series):
+    film = drive.film(series.voltage, series.dt, jnp.asarray(series.rest))
+    return series.kept(model.input_map.force(film) / model.scales.force)
+
+
+def _balance(model: Model, encoder, past, state):
+    """What the equation gives for the scaled force at one instant."""
+    tokens, offset = model.tokens_from(encoder(jnp.concatenate([state[:-1], past])))
+    return tokens @ state + offset
 
 
 @eqx.filter_jit
-def _rows(model: Model, series: _Series):
-    """Every window's mean of the balance (a scaled force), and its slopes in encoder, memory and drive."""
+def _left(model: Model, series: _Series) -> Float[Array, " windows"]:
+    """Every window's mean of what the equation leaves (a scaled force)."""
+    along = jax.vmap(jax.vmap(lambda past, state: _balance(model, model.encoder, past, state)))
+    left = along(_past(model.memory, series), series.states) - _force(model, model.drive, series)
+    return jnp.sum(series.weight * left, 1)
+
+
+@eqx.filter_jit
+def _slopes(model: Model, series: _Series) -> Float[Array, "windows parameters"]:
+    """How it answers the numbers of encoder, memory and drive."""
     params, static = eqx.partition(model, trainable(model))
     encoder, build_encoder = ravel_pytree(params.encoder)
     memory, build_memory = ravel_pytree(params.memory)
     drive, build_drive = ravel_pytree(params.drive)
 
     def past(q):
-        return series.kept(_past(eqx.combine(build_memory(q), static.memory), series))
+        return _past(eqx.combine(build_memory(q), static.memory), series)
 
     def force(r):
-        film = eqx.combine(build_drive(r), static.drive).film(series.voltage, series.dt, jnp.asarray(series.rest))
-        return series.kept(model.input_map.force(film) / model.scales.force)
+        return _force(model, eqx.combine(build_drive(r), static.drive), series)
 
     def balance(p, past, state):
-        logits = eqx.combine(build_encoder(p), static.encoder)(jnp.concatenate([state[:-1], past]))
-        tokens, offset = model.tokens_from(logits)
-        return tokens @ state + offset
+        return _balance(model, eqx.combine(build_encoder(p), static.encoder), past, state)
 
     def window(item):
-        state, past, force, past_by, force_by, weight = item
-        value, (by_encoder, by_past) = jax.vmap(jax.value_and_grad(balance, (0, 1)), (None, 0, 0))(encoder, past, state)
+        state, past, past_by, force_by, weight = item
+        by_encoder, by_past = jax.vmap(jax.grad(balance, (0, 1)), (None, 0, 0))(encoder, past, state)
         by_memory = jnp.einsum("tk,tkq->tq", by_past, past_by)
-        return weight @ (value - force), weight @ jnp.concatenate([by_encoder, by_memory, -force_by], 1)
+        return weight @ jnp.concatenate([by_encoder, by_memory, -force_by], 1)
 
     slopes = jax.jacfwd(past)(memory), jax.jacfwd(force)(drive)
-    return jax.lax.map(window, (series.states, past(memory), force(drive), *slopes, series.weight))
+    return jax.lax.map(window, (series.states, past(memory), *slopes, series.weight))

@@ -13,6 +13,7 @@ from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.lanes import Lane, Lanes
 from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._effects.stiffness import CubicStiffening
+from pitp_jax._free_runs import FreeRuns
 from pitp_jax._inverse import invert_path
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.input_map import SquareInput
@@ -70,7 +71,14 @@ def errors(me: int, processes: int) -> dict:
     sums = sharded_normal_equations(model, runs(mine), DT, 4, vector, mesh)
     whole = normal_equations(model, runs(slice(None)), DT, 4, vector)
     found |= {name: error(getattr(sums, name), getattr(whole, name)) for name in ("cost", "gradient", "hessian")}
-    return found | ({"candidates": candidates(model, volts, mesh)} if processes == 1 else {})
+    if processes > 1:
+        return found
+    prior, batch = (np.full(len(vector), 1e-3), 0 * vector), (runs(slice(None)),)
+    meshed, alone = (FreeRuns(model, batch, DT, 4, prior=prior, mesh=m) for m in (mesh, None))
+    for name in ("errors", "slopes"):
+        blocks = (getattr(meshed, name)(vector)[0][:RECORDS], getattr(alone, name)(vector)[:-1])
+        found[f"free runs, {name}"] = error(blocks[0], np.concatenate(blocks[1])[:RECORDS])
+    return found | {"candidates": candidates(model, volts, mesh)}
 
 
 def candidates(model, volts, mesh):

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax import _sensitivity
 from pitp_jax._decode import rest_state, rollout
 from pitp_jax._effects.amplifier import Delay
 from pitp_jax._effects.dissipation import QuadraticDrag
@@ -134,26 +133,6 @@ def test_float32_is_enough_for_a_step(model, double):
     np.testing.assert_allclose(found.gradient, truth.gradient, rtol=0, atol=1e-3 * np.abs(truth.gradient).max())
     scale = np.sqrt(np.outer(np.diag(truth.hessian), np.diag(truth.hessian))) + 1e-12
     np.testing.assert_allclose(found.hessian / scale, truth.hessian / scale, rtol=0, atol=2e-3)
-
-
-@pytest.mark.parametrize("cores", [2, 3, 64])
-def test_runs_are_shared_among_cores(model, cores, monkeypatch):
-    """Thirteen runs in parts of equal size, each part on a thread: the sums of all at once, to rounding."""
-    m, two = model(size=0.1), runs_of(model(size=0.1), 200)
-    runs = jax.tree.map(lambda a: jnp.concatenate([a, *([a] * 6)])[:13], two)
-    runs = eqx.tree_at(lambda r: r.target, runs, runs.target * jnp.linspace(0.5, 2, 13)[:, None])
-    vector, _ = parameters(m)
-    monkeypatch.setattr(_sensitivity, "_cores", lambda: 1)
-    whole = normal_equations(m, runs, DT, 3, vector)
-    monkeypatch.setattr(_sensitivity, "_cores", lambda: cores)
-    assert _sensitivity._parts_of(13) == min(cores, 3) and _sensitivity._parts_of(3) == 1
-    parts = runs.parts(min(cores, 3))
-    assert len({part.voltage.shape for part in parts}) == 1
-    assert sum(float(part.weight.sum()) for part in parts) == pytest.approx(float(runs.weight.sum()), rel=1e-6)
-    shared = normal_equations(m, runs, DT, 3, vector)
-    for name in ("cost", "gradient", "hessian"):
-        a, b = getattr(shared, name), getattr(whole, name)
-        np.testing.assert_allclose(a, b, rtol=0, atol=2e-5 * np.abs(b).max())
 
 
 def test_parameters_go_round(model):

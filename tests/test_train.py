@@ -78,7 +78,7 @@ def test_equation_error_alone_beats_the_nominal_threefold(plant, first):
 
 
 def test_a_mesh_of_one_trains_the_same_model(plant):
-    """What it shares among devices is `sharded_normal_equations`, tested on eight in `test_shard`."""
+    """What it shares among devices are its `FreeRuns`, tested on eight in `test_shard`."""
     short = replace(TINY, epochs=2, stages=1, refine_steps=2)
     alone = train(plant[0], plant[1], settings=short, key=KEY).history[-1]
     shared = train(plant[0], plant[1], settings=short, mesh=records_mesh(jax.devices()[:1]), key=KEY).history[-1]

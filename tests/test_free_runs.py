@@ -1,0 +1,87 @@
+"""Free runs as one least-squares problem: slopes are those of the errors, on one core, on many, on a mesh."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pitp_jax import _free_runs
+from pitp_jax._decode import rest_state
+from pitp_jax._free_runs import FreeRuns
+from pitp_jax._sensitivity import Runs, normal_equations, parameters
+from pitp_jax._shard import records_mesh
+
+DT, EVERY = 2e-3, 3
+
+
+@pytest.fixture(scope="module")
+def problem(nonlinear):
+    """A model, two batches of runs off it, and a prior."""
+    model = nonlinear(2, key=2, size=0.1, tau=(0.015, 0.06, 0.3), dt=DT)
+    rng = np.random.default_rng(4)
+
+    def runs(count, samples):
+        start = np.tile(np.asarray(rest_state(model)), (count, 1))
+        drawn = rng.uniform(0, 1800, (count, samples)), rng.normal(0.3, 0.4, (count, samples))
+        weight = rng.uniform(0.5, 2, (count, samples))
+        return Runs(*(jnp.asarray(a, jnp.float32) for a in (start, np.ones(count), *drawn, weight)))
+
+    vector, _ = parameters(model)
+    prior = rng.uniform(0.1, 1, len(vector)), vector + rng.normal(0, 1, len(vector))
+    return model, (runs(13, 200), runs(3, 90)), prior, vector
+
+
+def built(problem, **how):
+    model, batches, prior, _ = problem
+    return FreeRuns(model, batches, DT, EVERY, prior=prior, **how)
+
+
+def sums(runs, vector):
+    errors, slopes = runs.errors(vector), [np.asarray(s) for s in runs.slopes(vector)]
+    assert [s.shape[:-1] for s in slopes] == [e.shape for e in errors]
+    rows = [s.reshape(-1, len(vector)).astype(np.float64) for s in slopes]
+    flat = [e.ravel().astype(np.float64) for e in errors]
+    return (
+        sum(e @ e for e in flat),
+        sum(s.T @ e for s, e in zip(rows, flat, strict=True)),
+        sum(s.T @ s for s in rows),
+    )
+
+
+def close(found, truth):
+    for a, b in zip(found, truth, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=2e-5 * np.abs(b).max())
+
+
+def test_they_are_the_normal_equations_and_the_prior(problem):
+    model, batches, (rho, centre), vector = problem
+    parts = [normal_equations(model, runs, DT, EVERY, vector) for runs in batches]
+    away = vector - centre
+    truth = (
+        sum(p.cost for p in parts) + (rho * away) @ away,
+        sum(p.gradient for p in parts) + rho * away,
+        sum(p.hessian for p in parts) + np.diag(rho),
+    )
+    close(sums(built(problem), vector), truth)
+
+
+@pytest.mark.parametrize("cores", [1, 2, 3, 64])
+def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
+    """Thirteen runs in parts of equal size, a core has at least four: the sums of all at once, to rounding."""
+    truth = sums(built(problem, mesh=records_mesh(jax.devices()[:1])), problem[3])
+    monkeypatch.setattr(_free_runs, "_cores", lambda: cores)
+    shared = built(problem)
+    assert [part.voltage.shape[1] for part in shared._parts] == [200] * min(cores, 3) + [90]
+    assert len({part.voltage.shape for part in shared._parts}) == 2
+    weight = sum(float(part.weight.sum()) for part in shared._parts)
+    assert weight == pytest.approx(sum(float(runs.weight.sum()) for runs in problem[1]), rel=1e-6)
+    close(sums(shared, problem[3]), truth)
+
+
+def test_very_many_are_cut(problem, monkeypatch):
+    """Beyond what stays in a core's memory: more parts than cores."""
+    monkeypatch.setattr(_free_runs, "_cores", lambda: 2)
+    monkeypatch.setattr(_free_runs, "_MOST", 3)
+    cut = built(problem)
+    assert [part.voltage.shape for part in cut._parts] == [(3, 200)] * 5 + [(3, 90)]
+    close(sums(cut, problem[3]), sums(built(problem, mesh=records_mesh(jax.devices()[:1])), problem[3]))
