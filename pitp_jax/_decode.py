@@ -77,14 +77,14 @@ def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " sta
     return state
 
 
-def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"], h: float, extra=0.0):
-    """One RK4 step of length h (s) along three stage voltages; `extra` is added to the encoder's logits.
+def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"], h: float, logits=None):
+    """One RK4 step of length h (s) along three stage voltages, under the encoder's logits or others.
 
     Every effect's force is frozen beside the tokens, and its states are moved on after the step.
     """
     size = model.order + model.memory.size
     core, seen = state[:size], midpoint(model, state[:size], h)
-    logits = model.encoder(seen) + extra
+    logits = model.encoder(seen) if logits is None else logits
     if not model.effects:
         return core + increment(model, core, logits, tuple(scaled_force(model, volts)), h)
     films, parts = augment.films(model, augment.split(model, state[size:]), tuple(volts), h)

@@ -24,6 +24,8 @@ from ._model.encoder import CompactEncoder
 from ._model.model import Model
 from ._rollout_fast import fast_rollout
 
+_AT_ONCE = 16  # blocks whose samples are taken side by side; their parts stay in a core's memory
+
 
 class Runs(eqx.Module):
     """Free runs to be met: starts, drive voltages, scaled displacements and weights of the samples."""
@@ -147,11 +149,16 @@ class _Numbers:
     def logits(self, p, features):
         return eqx.combine(self._encoder(p), self.static.encoder)(features)
 
-    def moved(self, state, extra, q, volts, a, h: float):
-        """The state after one substep with `extra` logits along three stage voltages."""
-        memory = eqx.combine(self._memory(q), self.static.memory)
-        model = eqx.tree_at(lambda m: m.memory, self.model, memory)
-        return substep(self.with_effects(model, a), state, volts, h, extra)
+    def with_memory(self, q) -> Model:
+        return eqx.tree_at(lambda m: m.memory, self.model, eqx.combine(self._memory(q), self.static.memory))
+
+    def seen(self, core, q, h: float):
+        """What the encoder sees of a state half a substep on."""
+        return midpoint(self.with_memory(q), core, h)
+
+    def moved(self, state, logits, q, volts, a, h: float):
+        """The state after one substep under these logits along three stage voltages."""
+        return substep(self.with_effects(self.with_memory(q), a), state, volts, h, logits)
 
     def reading(self, state, a):
         return augment.reading(self.with_effects(self.model, a), state)
@@ -161,18 +168,47 @@ class _Numbers:
 def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors parameters"]:
     """How `run_errors` answer every trained number."""
     n, h, core = _Numbers(model), dt / model.substeps, model.order + model.memory.size
-    zero = jnp.zeros((model.order + 2,), n.encoder.dtype)
+    records, size = runs.start.shape
+    both = jnp.concatenate([n.drive, n.effects])
 
-    def advance(state, answer, volts, volts_by):
+    def local(state, volts, volts_by):
+        """Of one substep: ds/ds, dg/dl, ds by all numbers but the encoder's, and what the encoder sees."""
+
+        def moved(state, logits, q, changes):
+            a = n.effects + changes[n.drive.size :]
+            return n.moved(state, logits, q, volts + volts_by @ changes, a, h)
+
+        seen = n.seen(state[:core], n.memory, h)
+        by_core, seen_by_memory = jax.jacfwd(n.seen, (0, 1))(state[:core], n.memory, h)
+        here = state, n.logits(n.encoder, seen), n.memory, 0 * both
+        by_state, by_logits, by_memory, by_both = jax.jacfwd(moved, (0, 1, 2, 3))(*here)
+        by_seen = by_logits @ jax.jacrev(n.logits, 1)(n.encoder, seen)
+        others = jnp.concatenate([by_memory + by_seen @ seen_by_memory, by_both], 1)
+        return by_state.at[:, :core].add(by_seen @ by_core), by_logits, others, seen
+
+    def sample(state, volts, volts_by):
+        """The substeps of one sample."""
+        found = []
         for k in range(model.substeps):
-            here = (state, zero, n.memory, volts[2 * k : 2 * k + 3], n.effects, h)
-            by_state, by_logits, by_memory, by_volts, by_effects = jax.jacfwd(n.moved, (0, 1, 2, 3, 4))(*here)
-            by_weights = jax.jacrev(n.logits)(n.encoder, midpoint(model, state[:core], h))
-            by_drive, by_delay = jnp.split(by_volts @ volts_by[2 * k : 2 * k + 3], [n.drive.size], axis=1)
-            new = [by_logits @ by_weights, by_memory, by_drive, by_effects + by_delay]
-            answer = by_state @ answer + jnp.concatenate(new, 1)
-            state = n.moved(*here)
-        return state, answer
+            places = slice(2 * k, 2 * k + 3)
+            found.append(local(state, volts[places], volts_by[places]))
+            if k + 1 < model.substeps:
+                seen = n.seen(state[:core], n.memory, h)
+                state = n.moved(state, n.logits(n.encoder, seen), n.memory, volts[places], n.effects, h)
+        return jax.tree.map(lambda *a: jnp.stack(a), *found)
+
+    def block(states, volts, volts_by):
+        """Z after `every` samples from Z before: phi Z + new."""
+        parts = jax.vmap(sample)(states, volts, volts_by)
+        by_state, by_logits, by_others, seen = (a.reshape(every * model.substeps, *a.shape[2:]) for a in parts)
+        phi, later = jnp.eye(size, dtype=by_state.dtype), []
+        for t in reversed(range(len(by_state))):
+            later.append(phi)
+            phi = phi @ by_state[t]
+        later = jnp.stack(later[::-1])
+        back = jax.vjp(lambda p: jax.vmap(lambda f: n.logits(p, f))(seen), n.encoder)[1]
+        by_encoder = jax.vmap(lambda rows: back(rows)[0], 1)(later @ by_logits)
+        return phi, jnp.concatenate([by_encoder, jnp.einsum("tij,tjk->ik", later, by_others)], 1)
 
     def sensed(state, answer):
         """Slope of the reading."""
@@ -181,21 +217,27 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
         by_state, by_effects = jax.jacfwd(n.reading, (0, 1))(state, n.effects)
         return by_state @ answer + jnp.zeros((n.count,), answer.dtype).at[n.count - n.effects.size :].set(by_effects)
 
-    def block(carry, pairs):
-        """`every` samples; the slope is taken at the first."""
-        slope = jax.vmap(sensed)(*carry)
-        return jax.lax.scan(lambda c, p: (jax.vmap(advance)(*c, *p), None), carry, pairs, unroll=2)[0], slope
+    def chunk(answer, item):
+        """Blocks side by side, then Z through them; the slope is taken at each one's first sample."""
 
-    def grid(values):
-        """(records, time, ...) to (blocks, every, records, ...), less an incomplete last block."""
-        count = values.shape[1] // every
-        ordered = jnp.moveaxis(values[:, : count * every], 0, 1)
-        return ordered.reshape(count, every, *ordered.shape[1:])
+        def on(answer, part):
+            state, phi, new = part
+            return phi @ answer + new, jax.vmap(sensed)(state, answer)
 
-    both = jnp.concatenate([n.drive, n.effects])
+        parts = item[0][:, :, 0], *jax.vmap(jax.vmap(block))(*item)
+        return jax.lax.scan(on, answer, jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), parts))
+
+    count = runs.voltage.shape[1] // every
+
+    def chunks(values):
+        """(records, time, ...) to (chunks, records, blocks, every, ...), zeros after the last block."""
+        values = values[:, : count * every].reshape(records, count, every, *values.shape[2:])
+        filled = jnp.pad(values, [(0, 0), (0, -count % _AT_ONCE)] + [(0, 0)] * (values.ndim - 2))
+        return jnp.moveaxis(filled.reshape(records, -(-count // _AT_ONCE), _AT_ONCE, *values.shape[2:]), 1, 0)
+
     along = jax.jacfwd(lambda v: n.stages(runs, dt, v[: n.drive.size], v[n.drive.size :]))(both)
-    pairs = grid(n.stages(runs, dt, n.drive, n.effects)), grid(along)
-    records, states = runs.start.shape
-    start = runs.start, jnp.zeros((records, states, n.count), n.encoder.dtype)
-    slopes = jnp.moveaxis(jax.lax.scan(block, start, pairs)[1], 0, 1)
-    return jnp.sqrt(every * runs.weight)[:, : slopes.shape[1] * every : every, None] * slopes
+    states = fast_rollout(model, runs.voltage, dt, runs.start)
+    items = chunks(states), chunks(n.stages(runs, dt, n.drive, n.effects)), chunks(along)
+    start = jnp.zeros((records, size, n.count), n.encoder.dtype)
+    slopes = jax.lax.scan(chunk, start, items)[1].reshape(-1, records, n.count)[:count]
+    return jnp.sqrt(every * runs.weight)[:, : count * every : every, None] * jnp.moveaxis(slopes, 0, 1)
