@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax._decode import rest_state
-from pitp_jax._sensitivity import Runs, parameters
+from pitp_jax._parameters import parameters
+from pitp_jax._sensitivity import Runs
 from pitp_jax._shard import records_mesh, sharded_inverse, sharded_normal_equations, sharded_rollout
 
 from .clock import take_turns

@@ -17,7 +17,8 @@ from jax.sharding import Mesh
 from jaxtyping import Array
 
 from ._model.model import Model
-from ._sensitivity import Runs, run_errors, run_slopes, with_parameters
+from ._parameters import with_parameters
+from ._sensitivity import Runs, run_errors, run_slopes
 from ._shard import over_records, spread
 from ._slow import SlowBalance
 

@@ -29,10 +29,11 @@ from ._free_runs import FreeRuns
 from ._geodesic import steps
 from ._model import augment
 from ._model.model import Model
+from ._parameters import parameters, trainable, with_parameters
 from ._predict import starts
 from ._record.drives import spread
 from ._record.record import Record
-from ._sensitivity import Runs, parameters, trainable, with_parameters
+from ._sensitivity import Runs
 from ._slow import SlowBalance
 
 _BUDGET = 400_000  # samples in all

@@ -20,8 +20,9 @@ from ._errors import BadInput
 from ._invert_fast import invert_along
 from ._levenberg import Normal
 from ._model.model import Model
+from ._parameters import with_parameters
 from ._rollout_fast import fast_rollout
-from ._sensitivity import Runs, normal_sums, with_parameters
+from ._sensitivity import Runs, normal_sums
 from ._spline_filter import fast_derivatives
 
 _AXIS = "records"

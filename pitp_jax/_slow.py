@@ -20,9 +20,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ._model.model import Model
+from ._parameters import trainable, with_parameters
 from ._record.long_record import LongRecord
 from ._record.preprocess import cutoff, force_band, preprocess
-from ._sensitivity import trainable, with_parameters
 
 _WEIGHT = 0.1  # lambda, beside a mean over records of squares of e_rms in %
 _WINDOWS, _FEWEST = 100, 10

@@ -24,11 +24,11 @@ from ._dataset import Dataset, build_dataset
 from ._errors import BadInput, ComputationFailed
 from ._model.memory import RingingMemory
 from ._model.model import Model
+from ._parameters import trainable
 from ._record.long_record import LongRecord
 from ._record.record import Record
 from ._refine import refine, run_samples
 from ._residual import loss
-from ._sensitivity import trainable
 from ._settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
 from ._slow import OUTLASTS, SlowBalance, slow_balance, widened
 

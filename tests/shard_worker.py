@@ -19,9 +19,10 @@ from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.memory import FadingMemory
 from pitp_jax._model.model import Output, Provenance, linear_model
+from pitp_jax._parameters import parameters
 from pitp_jax._path import derivatives
 from pitp_jax._record.record import Record
-from pitp_jax._sensitivity import Runs, normal_equations, parameters
+from pitp_jax._sensitivity import Runs, normal_equations
 from pitp_jax._shard import records_mesh, sharded_inverse, sharded_normal_equations, sharded_rollout
 
 DT, SAMPLES, RECORDS = 1e-3, 200, 11

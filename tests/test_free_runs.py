@@ -8,7 +8,8 @@ import pytest
 from pitp_jax import _free_runs
 from pitp_jax._decode import rest_state
 from pitp_jax._free_runs import FreeRuns
-from pitp_jax._sensitivity import Runs, normal_equations, parameters
+from pitp_jax._parameters import parameters
+from pitp_jax._sensitivity import Runs, normal_equations
 from pitp_jax._shard import records_mesh
 
 DT, EVERY = 2e-3, 3

@@ -15,7 +15,8 @@ from pitp_jax._effects.sensor import SensorLag
 from pitp_jax._model import augment
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.memory import NoMemory
-from pitp_jax._sensitivity import Runs, normal_equations, parameters, trainable, with_parameters
+from pitp_jax._parameters import parameters, trainable, with_parameters
+from pitp_jax._sensitivity import Runs, normal_equations
 
 DT, SAMPLES = 2e-3, 48
 CASES = [(2, 1, "foh"), (2, 1, "zoh"), (3, 2, "foh")]

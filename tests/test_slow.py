@@ -16,11 +16,11 @@ from pitp_jax._dataset import build_dataset
 from pitp_jax._file import load, save
 from pitp_jax._identify import identify
 from pitp_jax._model.memory import FadingMemory
+from pitp_jax._parameters import parameters, with_parameters
 from pitp_jax._predict import predict
 from pitp_jax._record import long_record
 from pitp_jax._record.long_record import thinned
 from pitp_jax._record.record import Record
-from pitp_jax._sensitivity import parameters, with_parameters
 from pitp_jax._settings import PRESETS, with_encoder
 from pitp_jax._train import _prepared, train
 
