@@ -30,10 +30,6 @@ class Normal(NamedTuple):
         """From arrays of any kind, in float64."""
         return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
 
-    def plus(self, other: "Normal") -> "Normal":
-        """Of both sums together."""
-        return Normal(self.cost + other.cost, self.gradient + other.gradient, self.hessian + other.hessian)
-
 
 def minimise(normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, bool]:
     """Parameters of least cost from `params` on, none above `upper`, and whether the tolerance was met.

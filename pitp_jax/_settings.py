@@ -59,7 +59,7 @@ class Settings:
         tolerance [epsilon]: a stage must lower the physics residual by this share to earn another.
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
-        refine_steps: most Levenberg-Marquardt steps on free runs.
+        refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
         firmness: how firmly free runs hold the nets of spring and damping at zero, in (1 %)^2 (the polynomials beside
             them at 1e-4). Default: 1e-4 behind a square, 1e-3 behind a linear input, where no rubber creeps. 1e-3
             extrapolates in amplitude (Silverbox at 1.3 times the trained one: 0.52 -> 0.27 mV) and costs a film some
