@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-import equinox as eqx
 import jax
 import numpy as np
 from jax.sharding import Mesh
@@ -19,7 +18,7 @@ from jaxtyping import Array
 from ._model.model import Model
 from ._parameters import with_parameters
 from ._sensitivity import Runs, run_errors, run_slopes
-from ._shard import over_records, spread
+from ._shard import OverRuns, over_records, spread
 from ._slow import SlowBalance
 
 _FEWEST, _MOST = 4, 128  # runs at once on a core: with fewer it waits for its kernels to start, with more for memory
@@ -71,23 +70,12 @@ class FreeRuns:
     def _each(self, function: Callable, vector: np.ndarray) -> list[Array]:
         here = with_parameters(self._model, vector)
         if self._mesh is not None:
-            shared = _Over(function, *self._how)
+            shared = OverRuns(function, *self._how)
             return [over_records(shared, self._mesh, False, here, (part,)) for part in self._parts]
         if len(self._parts) == 1:
             return [function(here, self._parts[0], *self._how)]
         with ThreadPoolExecutor(_cores()) as pool:
             return list(pool.map(lambda part: function(here, part, *self._how), self._parts))
-
-
-class _Over(eqx.Module):
-    """A function of runs as `over_records` takes it."""
-
-    function: Callable = eqx.field(static=True)
-    dt: float = eqx.field(static=True)
-    every: int = eqx.field(static=True)
-
-    def __call__(self, model, runs):
-        return self.function(model, runs, self.dt, self.every)
 
 
 def _parts_of(runs: int) -> int:

@@ -27,6 +27,7 @@ _BENT = 0.75  # |a| over |v| (in D), beyond which a quadratic says nothing
 class _Trial(NamedTuple):
     cost: float
     params: np.ndarray
+    errors: Blocks
 
 
 def steps(
@@ -47,14 +48,14 @@ def steps(
         if best.cost >= cost:
             yield params, cost, True
             return
-        cost, params = best
-        here = errors(params)
+        cost, params, here = best
         yield params, cost, False
 
 
 def _search(trial: Callable[[float], _Trial], damping: float, cost: float) -> tuple[_Trial, float]:
     """Downhill from the last damping over a geometric grid, and further up until a step leads down at all."""
-    trial, best = cache(trial), trial(damping)
+    trial = cache(trial)
+    best = trial(damping)
     for factor in (1 / _FACTOR, _FACTOR):
         after = trial(damping * factor)
         while after.cost < best.cost or (best.cost >= cost and factor > 1 and damping < _MOST):
@@ -67,7 +68,7 @@ def _trials(errors, jacobian: Blocks, params, here: Blocks) -> Callable[[float],
     """fn(damping): the step from `params`, and the cost behind it."""
     hessian = np.sum([_gram(j) for j in jacobian], axis=0)
     if not np.isfinite(hessian).all():
-        return lambda damping: _Trial(np.inf, params)
+        return lambda damping: _Trial(np.inf, params, here)
     gradient, root = _pull(jacobian, here), np.sqrt(np.diag(hessian) + 1e-300)
     values, vectors = np.linalg.eigh(hessian / np.outer(root, root))  # once for every damping
 
@@ -82,8 +83,9 @@ def _trials(errors, jacobian: Blocks, params, here: Blocks) -> Callable[[float],
             turn = solve(_pull(jacobian, bend))
             if np.linalg.norm(root * turn) <= _BENT * np.linalg.norm(root * step):
                 step = step + turn / 2
-        cost = _cost(errors(params + step))
-        return _Trial(cost if np.isfinite(cost) else np.inf, params + step)
+        there = errors(params + step)
+        cost = _cost(there)
+        return _Trial(cost if np.isfinite(cost) else np.inf, params + step, there)
 
     return trial
 

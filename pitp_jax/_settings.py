@@ -62,8 +62,8 @@ class Settings:
         refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
         firmness: how firmly free runs hold the nets of spring and damping at zero, in (1 %)^2 (the polynomials beside
             them at 1e-4). Default: 1e-4 behind a square, 1e-3 behind a linear input, where no rubber creeps. 1e-3
-            extrapolates in amplitude (Silverbox at 1.3 times the trained one: 0.52 -> 0.27 mV) and costs a film some
-            accuracy (cone100: median 0.26 -> 0.29 %, worst 0.6 -> 1.3 %).
+            extrapolates in amplitude (Silverbox at 1.3 times the trained one: 0.52 -> 0.27 mV; 0.32 since `_geodesic`)
+            and costs a film some accuracy (cone100: median 0.26 -> 0.29 %, worst 0.6 -> 1.3 %).
 
     Raises:
         BadInput: an unknown word.

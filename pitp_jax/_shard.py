@@ -87,12 +87,16 @@ class _Inverse(eqx.Module):
         return jax.lax.map(lambda e: invert_along(model, e, self.dt)[1], equation)
 
 
-class _Sums(eqx.Module):
+class OverRuns(eqx.Module):
+    """A function of (model, runs, dt, every) as `over_records` takes it."""
+
+    function: Callable = eqx.field(static=True)
     dt: float = eqx.field(static=True)
     every: int = eqx.field(static=True)
 
     def __call__(self, model, runs):
-        return normal_sums(model, runs, self.dt, self.every)
+        """The function of a device's own runs."""
+        return self.function(model, runs, self.dt, self.every)
 
 
 def sharded_rollout(
@@ -121,4 +125,4 @@ def sharded_normal_equations(model: Model, runs: Runs, dt: float, every: int, ve
     """C, J'We and J'WJ at `vector` over the runs of all processes, as `_sensitivity.normal_equations`."""
     weighted = spread(runs.filled(len(mesh.local_devices)), mesh)
     here = with_parameters(model, vector)
-    return Normal.of(*over_records(_Sums(dt, every), mesh, True, here, (weighted,)))
+    return Normal.of(*over_records(OverRuns(normal_sums, dt, every), mesh, True, here, (weighted,)))

@@ -1,5 +1,7 @@
 """Levenberg-Marquardt with geodesic acceleration against scipy, closed forms and the plain method."""
 
+from itertools import islice
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,13 +12,18 @@ from pitp_jax._geodesic import steps
 
 TIME = np.linspace(0, 3, 200)
 TRUTH = np.array([1.3, -0.9, 1.8, 0.7])
-NOISE = 0.05 * np.random.default_rng(3).standard_normal(len(TIME))
+
+
+def wave(p):
+    """Amplitude, log of a decay rate, log of a frequency and an offset."""
+    return p[0] * np.exp(-np.exp(p[1]) * TIME) * np.cos(np.exp(p[2]) * TIME) + p[3]
+
+
+MEASURED = wave(TRUTH) + 0.05 * np.random.default_rng(3).standard_normal(len(TIME))
 
 
 def decay(p):
-    """Amplitude, log of a decay rate, log of a frequency and an offset, off what was measured."""
-    wave = p[0] * np.exp(-np.exp(p[1]) * TIME) * np.cos(np.exp(p[2]) * TIME) + p[3]
-    return wave if p is TRUTH else wave - decay(TRUTH) - NOISE
+    return wave(p) - MEASURED
 
 
 def valley(p):
@@ -28,20 +35,14 @@ def slopes_of(errors):
     """Central differences, one block."""
 
     def slopes(p):
-        ahead, behind = ([f(p + s * 1e-6 * d) for d in np.eye(len(p))] for f in (errors,) for s in (1, -1))
-        return [np.stack([(a - b) / 2e-6 for a, b in zip(ahead, behind, strict=True)], -1)]
+        return [np.stack([(errors(p + d) - errors(p - d)) / 2e-6 for d in 1e-6 * np.eye(len(p))], -1)]
 
     return slopes
 
 
 def walk(errors, start, count=100):
     """All that is yielded, `count` steps at most."""
-    taken = []
-    for found in steps(lambda p: [errors(p)], slopes_of(errors), np.asarray(start, float)):
-        taken.append(found)
-        if len(taken) > count:
-            break
-    return taken
+    return list(islice(steps(lambda p: [errors(p)], slopes_of(errors), np.asarray(start, float)), count + 1))
 
 
 @pytest.mark.parametrize("start", [[1.0, 0.0, 1.7, 0.0], [3.0, -2.0, 1.9, 2.0], [0.2, -0.5, 1.75, -1.0]])
@@ -105,14 +106,10 @@ def test_blocks_of_any_shape_add_up():
         (j,) = slopes_of(decay)(p)
         return [jnp.asarray(j[:120].reshape(10, 12, 4), jnp.float32), j[120:]]
 
-    found = [params for params, _, _ in zip_first(steps(parts, slopes, np.array([1.0, 0.0, 1.7, 0.0])), 8)]
+    found = [params for params, _, _ in islice(steps(parts, slopes, np.array([1.0, 0.0, 1.7, 0.0])), 8)]
     whole = [params for params, _, _ in walk(decay, [1.0, 0.0, 1.7, 0.0], 7)]
     np.testing.assert_allclose(found[1], whole[1], rtol=1e-3)
     np.testing.assert_allclose(found[-1], whole[-1], atol=1e-4)
-
-
-def zip_first(items, count):
-    return [item for item, _ in zip(items, range(count), strict=False)]
 
 
 def test_a_lost_start_is_told_once():
