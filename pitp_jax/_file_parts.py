@@ -49,7 +49,8 @@ def _compact_sizes(encoder: CompactEncoder) -> dict:
         "order": encoder.order,
         "memories": encoder.bounds.shape[1] - encoder.order,
         "width": encoder.spring.readout.in_features,
-        "offset": int(encoder.past is not None),
+        "offset": int(encoder.offset),
+        "frugal": int(encoder.frugal),
     }
 
 
@@ -81,7 +82,7 @@ ENCODERS = {
     "compact": Part(
         CompactEncoder,
         _compact_sizes,
-        lambda offset, **k: CompactEncoder(**k, offset=bool(offset), key=_key()),
+        lambda offset, frugal=0, **k: CompactEncoder(**k, offset=bool(offset), frugal=bool(frugal), key=_key()),
     ),
     "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
 }

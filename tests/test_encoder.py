@@ -11,7 +11,11 @@ from pitp_jax._model.encoder import CompactEncoder, ConstantEncoder, PaperEncode
 KEY = jax.random.key(5)
 ORDERS = (1, 2, 3)
 MEMORIES = 4
-CASES = [("compact", n) for n in ORDERS] + [("constant", 2), ("compact without offset", 2), ("paper", 2)]
+CASES = [(kind, n) for kind in ("compact", "frugal") for n in ORDERS] + [
+    ("constant", 2),
+    ("compact without offset", 2),
+    ("paper", 2),
+]
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +29,8 @@ def make(shake):
             fresh = PaperEncoder(order + MEMORIES, order + 1, key=KEY, width=6)
             pushed = jax.tree.map(lambda a: a + 0.3 * jax.random.normal(KEY, a.shape) if eqx.is_array(a) else a, fresh)
             return fresh, pushed
-        offset = kind == "compact"
-        fresh = CompactEncoder(order, MEMORIES, width=6, offset=offset, bounds=bounds, key=KEY)
+        kinds = {"offset": kind != "compact without offset", "frugal": kind == "frugal"}
+        fresh = CompactEncoder(order, MEMORIES, width=6, **kinds, bounds=bounds, key=KEY)
         return fresh, shake(fresh, 0.7, order)
 
     return both
@@ -64,7 +68,7 @@ def test_a_fresh_encoder_is_exactly_the_nominal(make, linear, kind, order):
         np.testing.assert_array_equal(offset, np.zeros(3))
 
 
-@pytest.mark.parametrize(("kind", "order"), CASES)
+@pytest.mark.parametrize(("kind", "order"), [case for case in CASES if case[0] != "frugal"])
 def test_scaled_scales_the_logits(make, kind, order):
     _, encoder = make(kind, order)
     logits = logits_of(encoder, points(order, 3))
@@ -73,10 +77,11 @@ def test_scaled_scales_the_logits(make, kind, order):
     assert kind == "constant" or float(jnp.abs(logits).max()) > 0.05
 
 
+@pytest.mark.parametrize("kind", ["compact", "frugal"])
 @pytest.mark.parametrize("order", ORDERS)
-def test_the_spring_sees_the_displacement_only(make, order):
+def test_the_spring_sees_the_displacement_only(make, kind, order):
     """Sigma_0 and sigma_n: neither velocity nor memory, so neither can pump energy."""
-    _, encoder = make("compact", order)
+    _, encoder = make(kind, order)
     by = slopes(encoder, points(order))[:, [0, order]]
     assert (by[..., 1:] == 0).all()
     assert (by[..., 0] != 0).all()
@@ -100,6 +105,31 @@ def test_the_offset_sees_the_displacement_and_the_past(make, order):
     low, middle, high = (encoder(f + k * slow)[-1] for k in (-1.0, 0.0, 1.0))
     assert float(low + high - 2 * middle) == pytest.approx(0, abs=2e-6)  # linear in them
     assert abs(float(high - low)) > 1e-2
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_frugal_encoder_knows_the_past_by_weights_alone(make, order):
+    """Damping is blind to it; the offset is linear in every memory."""
+    _, encoder = make("frugal", order)
+    by = slopes(encoder, points(order))
+    assert (by[:, 1:order, order:] == 0).all()
+    assert (np.abs(by[:, 1:order, :order]).max(0) > 1e-4).all()
+    f, past = points(order, 1)[0], jnp.arange(order + MEMORIES) >= order
+    low, middle, high = (encoder(f + k * past)[-1] for k in (-1.0, 0.0, 1.0))
+    assert float(low + high - 2 * middle) == pytest.approx(0, abs=1e-5 * float(jnp.abs(high - low)))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_what_tokens_share_divides_the_drive(make, linear, order):
+    """Another coupling c: all tokens and the offset by exp(sum c_k x^k) of it; so is the force any state needs."""
+    _, encoder = make("frugal", order)
+    other = eqx.tree_at(lambda e: e.coupling, encoder, encoder.coupling + jnp.asarray([0.4, -0.2, 0.1]))
+    at = points(order, 5)
+    read = eqx.filter_jit(lambda e: jax.vmap(eqx.tree_at(lambda m: m.encoder, linear(order), e).tokens)(at))
+    (tokens, offset), (more, further) = read(encoder), read(other)
+    factor = np.exp(0.4 * at[:, 0] - 0.2 * at[:, 0] ** 2 + 0.1 * at[:, 0] ** 3)
+    np.testing.assert_allclose(more, factor[:, None] * tokens, rtol=1e-5)
+    np.testing.assert_allclose(further, factor * offset, rtol=1e-5)
 
 
 def test_without_an_offset_there_is_none(make):

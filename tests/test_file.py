@@ -70,6 +70,9 @@ CASES = {
         encoder=noisy(PaperEncoder(3, 3, width=4, depth=1, dropout=0.25, key=KEY)), memory=ElapsedTime(10.0)
     ),
     "compact order 3": lambda: model(3, encoder=noisy(CompactEncoder(3, 1, width=4, key=KEY)), memory=ElapsedTime(2.0)),
+    "frugal": lambda: model(
+        encoder=noisy(CompactEncoder(2, 3, width=8, frugal=True, key=KEY)), memory=FadingMemory(jnp.arange(3.0))
+    ),
     "compact bounded": lambda: model(encoder=noisy(CompactEncoder(2, 0, width=4, bounds=BOUNDS, key=KEY))),
     "electrode lag": lambda: model(drive=ElectrodeLag(jnp.float32(-6.25))),
     "electrode lag, order 4, compact": lambda: model(

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pitp_jax._model.model import Model, positive_factor
+from pitp_jax._model.model import Model
+from pitp_jax._model.positive import logit_of, positive_factor
 from pitp_jax._residual import EquationData, equation_force, huber, loss
 
 KEY = jax.random.key(1)
@@ -102,3 +103,9 @@ def test_positive_factor_is_smooth():
     assert float(grid.min()) > 0
     assert bool((jnp.diff(grid) > 0).all())
     assert bool(jnp.isfinite(jax.vmap(slope)(jnp.linspace(-3, 3, 601))).all())
+
+
+def test_every_positive_factor_has_its_logit():
+    factors = jnp.asarray([1e-3, 0.1, 0.4999, 0.5, 0.5001, 1.0, 36.0])
+    np.testing.assert_allclose(positive_factor(logit_of(factors)), factors, rtol=1e-6)
+    assert float(logit_of(jnp.float32(1.0))) == 0.0

@@ -24,11 +24,12 @@ class Odd(AbstractEncoder):
         return self
 
 
-def compact(order, memories, width, offset, shake, seed):
+def compact(order, memories, width, offset, shake, seed, frugal=False):
     low = -np.ones((1, order + memories))
     fresh = CompactEncoder(
-        order, memories, width=width, offset=offset, bounds=np.concatenate([low, -1.5 * low]), key=jax.random.key(seed)
-    )
+        order, memories, width=width, offset=offset, frugal=frugal, bounds=np.concatenate([low, -1.5 * low]),
+        key=jax.random.key(seed),
+    )  # fmt: skip
     return shake(fresh, 0.3, seed)
 
 
@@ -42,9 +43,10 @@ CASES = (  # order, memories, width, offset, matrix, shape
 )
 
 
+@pytest.mark.parametrize("frugal", [False, True])
 @pytest.mark.parametrize(("order", "memories", "width", "offset", "matrix", "shape"), CASES)
-def test_compact_logits(shake, order, memories, width, offset, matrix, shape):
-    encoder = compact(order, memories, width, offset, shake, order)
+def test_compact_logits(shake, order, memories, width, offset, matrix, shape, frugal):
+    encoder = compact(order, memories, width, offset, shake, order, frugal)
     rows = np.random.default_rng(width).normal(0, 1, (order + memories, *shape)).astype(np.float32)
     found = jax.jit(lambda r: jnp.stack(encoder_rows(encoder, matrix)(list(r))))(rows)
     truth = jax.jit(jax.vmap(encoder))(rows.reshape(len(rows), -1).T).T.reshape(order + 2, *shape)

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from .positive import logit_of, positive_factor
+
 _WIDE = 1e6  # no bound
 
 
@@ -28,7 +30,7 @@ class AbstractEncoder(eqx.Module):
 
     @abstractmethod
     def scaled(self, factor: float) -> "AbstractEncoder":
-        """The encoder whose logits are `factor` times these: at 0 the identified linear model."""
+        """The encoder with its last layer `factor` times this one's: at 0 the identified linear model."""
 
     def token_nets(self) -> "AbstractEncoder":
         """Like it, but 1 at the weights of nets that a polynomial of the same inputs stands beside, and 0 elsewhere."""
@@ -79,8 +81,14 @@ class CompactEncoder(AbstractEncoder):
 
     Features are clipped to `bounds` first, so tokens stay where training put them: outside, the spring is linear.
 
+    `frugal`: for few excitations, from whose past a net learns what was played instead of what the past does.
+
+        sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
+        all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x, 1 / 36 of it at the
+                                                                            end of a Peano-HASEL's stroke
+
     Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without
-    one no token can express a force left over when x crosses zero), bounds of shape (2, features).
+    one no token can express a force left over when x crosses zero), `frugal`, bounds of shape (2, features).
     """
 
     spring: _Net
@@ -89,8 +97,11 @@ class CompactEncoder(AbstractEncoder):
     spring_poly: Float[Array, "two three"]
     damping_poly: Float[Array, "tokens products"]
     fading: Float[Array, "memory three"]
+    coupling: Float[Array, " three"] | None
     bounds: Float[Array, "two features"]
     order: int = eqx.field(static=True)
+    offset: bool = eqx.field(static=True)
+    frugal: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -99,17 +110,20 @@ class CompactEncoder(AbstractEncoder):
         *,
         width: int,
         offset: bool = True,
+        frugal: bool = False,
         bounds: np.ndarray | None = None,
         key: PRNGKeyArray,
     ):
         first, second, third = jax.random.split(key, 3)
-        self.order = order
+        self.order, self.offset, self.frugal = order, offset, frugal
+        moving, reads_past = order + (0 if frugal else memories), offset and not frugal
         self.spring = _Net(1, 2, width, first)
-        self.damping = _Net(order + memories, order - 1, width, second) if order > 1 else None
-        self.past = _Net(1 + fast_memories(memories), 1, width, third) if offset else None
+        self.damping = _Net(moving, order - 1, width, second) if order > 1 else None
+        self.past = _Net(1 + fast_memories(memories), 1, width, third) if reads_past else None
         self.spring_poly = jnp.zeros((2, 3))
         self.damping_poly = jnp.zeros((order - 1, order + order * (order + 1) // 2))
         self.fading = jnp.zeros((memories if offset else 0, 3))
+        self.coupling = jnp.zeros((3,)) if frugal else None
         wide = np.broadcast_to([[-_WIDE], [_WIDE]], (2, order + memories))
         self.bounds = jnp.asarray(wide if bounds is None else bounds, jnp.float32)
 
@@ -119,26 +133,32 @@ class CompactEncoder(AbstractEncoder):
         features = jnp.clip(features, low, high)
         state, memory = features[: self.order], features[self.order :]
         x = features[0]
-        first, last = self.spring(features[:1]) + self.spring_poly @ jnp.stack([x, x * x, x**3])
+        powers = jnp.stack([x, x * x, x**3])
+        first, last = self.spring(features[:1]) + self.spring_poly @ powers
         offset = jnp.zeros((), features.dtype)
+        if self.offset:
+            offset = (self.fading @ jnp.stack([jnp.ones_like(x), x, x * x])) @ memory
         if self.past is not None:
-            weight = self.fading @ jnp.stack([jnp.ones_like(x), x, x * x])
-            offset = weight @ memory
-            seen = jnp.concatenate([features[:1], memory[: fast_memories(memory.shape[0])]])
-            offset = offset + self.past(seen)[0]
+            offset = offset + self.past(jnp.append(x, memory[: fast_memories(memory.shape[0])]))[0]
         middle = jnp.zeros((0,), features.dtype)
         if self.damping is not None:
             rows, columns = np.triu_indices(self.order)
             products = jnp.concatenate([state, state[rows] * state[columns]])
-            middle = self.damping(features) + self.damping_poly @ products
-        return jnp.concatenate([first[None], middle, last[None], offset[None]])
+            middle = self.damping(state if self.frugal else features) + self.damping_poly @ products
+        logits = jnp.concatenate([first[None], middle, last[None]])
+        if self.coupling is None:
+            return jnp.append(logits, offset)
+        common = jnp.exp(self.coupling @ powers)
+        shared = logit_of(positive_factor(logits) * common)
+        return jnp.append(jnp.where(shared_by(self.order), shared, logits), offset * common)
 
     def scaled(self, factor):
         """Readouts and polynomials are the last, linear layer."""
 
         def outputs(e):
             readouts = tuple(net.readout for net in (e.spring, e.damping, e.past) if net is not None)
-            return (*readouts, e.spring_poly, e.damping_poly, e.fading)
+            common = () if e.coupling is None else (e.coupling,)
+            return (*readouts, e.spring_poly, e.damping_poly, e.fading, *common)
 
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
@@ -154,6 +174,11 @@ class CompactEncoder(AbstractEncoder):
 def fast_memories(count: int) -> int:
     """How many of the memories, fastest first, the offset's net sees: all but the two slowest."""
     return max(count - 2, 0)
+
+
+def shared_by(order: int) -> np.ndarray:
+    """Which logits carry what all tokens have in common; from order 3 on the last one, which multiplies the others."""
+    return np.arange(order + 1) >= (0 if order < 3 else order)
 
 
 class _Branches(eqx.Module):

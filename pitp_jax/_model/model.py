@@ -20,6 +20,7 @@ from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
 from .memory import AbstractMemory, NoMemory
+from .positive import positive_factor
 from .sections import product, sections_of
 
 Hold = Literal["foh", "zoh", "bandlimited"]
@@ -83,12 +84,6 @@ class Scales(eqx.Module):
         """dX_i/dt = rates_i X_{i+1}, in 1/s, shape (n,)."""
         state = np.asarray(self.state)
         return state[1:] / state[:-1]
-
-
-def positive_factor(logit: Float[Array, "..."]) -> Float[Array, "..."]:
-    """G(l) = 1 + l for l > -1/2, -1/(4 l) below: positive, C1, g(0) = 1 and exactly linear where tokens usually are."""
-    low = logit < -0.5
-    return jnp.where(low, -0.25 / jnp.where(low, logit, -1.0), 1.0 + logit)
 
 
 class Model(eqx.Module):

@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder, fast_memories
+from .encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder, fast_memories, shared_by
 from .memory import AbstractMemory, FadingMemory, NoMemory
-from .model import Model, positive_factor
+from .model import Model
 from .piecewise import affine, paper_logits
+from .positive import logit_of, positive_factor
 
 Rows = Sequence[Array]
 _WRITTEN_OUT = 32  # hidden units of a net; beyond, a matrix product is faster and compiles faster
@@ -63,7 +64,8 @@ def _(encoder: PaperEncoder, matrix: bool = False):
 def _(encoder: CompactEncoder, matrix: bool = False):
     n, memories, e = encoder.order, encoder.bounds.shape[1] - encoder.order, encoder
     past = [0, *range(n, n + fast_memories(memories))]
-    seen_by = [(e.spring, [0]), (e.damping, list(range(n + memories))), (e.past, past)]
+    moving = list(range(n if e.frugal else n + memories))
+    seen_by = [(e.spring, [0]), (e.damping, moving), (e.past, past)]
     nets = _nets([(net, columns) for net, columns in seen_by if net is not None], matrix)
 
     def logits(features: Rows) -> list[Array]:
@@ -79,7 +81,13 @@ def _(encoder: CompactEncoder, matrix: bool = False):
         (offset,) = next(found) if e.past is not None else [jnp.zeros_like(x)]
         for k, row in enumerate(memory[: len(e.fading)]):
             offset = offset + (e.fading[k, 0] + e.fading[k, 1] * x + e.fading[k, 2] * powers[1]) * row
-        return [first, *middle, last, offset]
+        logits = [first, *middle, last]
+        if e.coupling is None:
+            return [*logits, offset]
+        common = jnp.exp(_sum(e.coupling[None], powers, jnp.zeros_like(x), 0))
+        for k in np.flatnonzero(shared_by(n)):
+            logits[k] = logit_of(positive_factor(logits[k]) * common)
+        return [*logits, offset * common]
 
     return logits
 

@@ -1,0 +1,19 @@
+"""How a logit moves a token: g(l) = 1 + l for l > -1/2, -1 / (4 l) below.
+
+Positive, C1, g(0) = 1, and exactly linear where tokens usually are.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def positive_factor(logit: Float[Array, "..."]) -> Float[Array, "..."]:
+    """G(l)."""
+    low = logit < -0.5
+    return jnp.where(low, -0.25 / jnp.where(low, logit, -1.0), 1.0 + logit)
+
+
+def logit_of(factor: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The l of g(l) = factor > 0."""
+    low = factor < 0.5
+    return jnp.where(low, -0.25 / jnp.where(low, factor, 1.0), factor - 1.0)
