@@ -108,11 +108,11 @@ def nonlinear(linear, shake):
     """fn(order, key, size, ...): `linear` with a random CompactEncoder (logits of about `size`) and fading memories.
 
     Without `drag` no token depends on the highest derivative in the state, x^(n-1). With `ring` (rad/s, damping ratio)
-    a second mass beside the lags.
+    a second mass beside the lags; `frugal` as of `CompactEncoder`.
     """
 
-    def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), drag=True, ring=(), **options):
-        encoder = CompactEncoder(order, len(ring) + len(tau), width=6, key=jax.random.key(key))
+    def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), drag=True, ring=(), frugal=False, **options):
+        encoder = CompactEncoder(order, len(ring) + len(tau), width=6, frugal=frugal, key=jax.random.key(key))
         shaken = shake(encoder, size, key)
         if not drag:
             shaken = eqx.tree_at(lambda e: (e.damping.hidden.weight, e.damping_poly), shaken, _without_drag(shaken))

@@ -66,10 +66,12 @@ def models(nonlinear):
     linear_input = eqx.tree_at(lambda m: m.input_map, nonlinear(1), LinearInput())
     aged = eqx.tree_at(lambda m: m.memory, nonlinear(2, tau=(0.1,)), ElapsedTime(2.0))
     return {"order 1, linear": linear_input, "order 2, electrode": lagging(nonlinear(2)), "order 3": nonlinear(3),
-            "elapsed time": aged, "second mass": nonlinear(2, ring=(60.0, 0.1))}  # fmt: skip
+            "elapsed time": aged, "second mass": nonlinear(2, ring=(60.0, 0.1)),
+            "frugal": nonlinear(2, frugal=True)}  # fmt: skip
 
 
 @example(name="second mass", size=3e-4, hz=2.0, seed=1)
+@example(name="frugal", size=3e-4, hz=2.0, seed=1)
 @settings(max_examples=24, deadline=None, derandomize=True)
 @given(
     name=st.sampled_from(("order 1, linear", "order 2, electrode", "order 3", "elapsed time")),

@@ -37,6 +37,7 @@ CASES = {
     "order 3, zoh": (lambda nl, lin: nl(3, hold="zoh"), 2),
     "linear, bandlimited": (lambda nl, lin: lin(2, hold="bandlimited"), 2),
     "second mass": (lambda nl, lin: nl(2, ring=(60.0, 0.1)), 2),
+    "frugal": (lambda nl, lin: nl(2, frugal=True), 2),
     "elapsed time": (lambda nl, lin: with_elapsed(nl), 2),
 }
 
