@@ -67,7 +67,7 @@ def _draw(options, bench, fits):
         axes[0, 1].semilogy(np.arange(1, len(losses) + 1), best, label=label, **style)
     _plot.finish(axes[0, :1], "epoch", ["training loss"])
     _plot.finish(axes[0, 1:], "epoch", ["best physics loss"], 1)
-    axes[0, 1].get_legend().set(loc="best")
+    axes[0, 1].get_legend().set(loc="center right", bbox_to_anchor=(1, 0.42))
     for column, frequency in zip(axes[1:].T, SHOWN_HZ[bench.kind], strict=True):
         record = bench.grid(frequency)
         low, high = 1e3 * record.displacement.min(), 1e3 * record.displacement.max()
