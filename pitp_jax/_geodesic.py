@@ -6,8 +6,7 @@
 Transtrum and Sethna (2012). A narrow valley bends, and a straight step leaves it at once: r_vv says how. J costs a
 whole pass, r a tenth of it or less, so the damping is searched for at every J. Free runs of a roll: 11 Jacobians to
 where Nielsen's rule takes 45. Going on further finds what the prior leaves open: the Silverbox' arrow, beyond the
-trained amplitude, 0.32 mV instead of 0.27, the Peano-HASEL's 7 Hz 19 % instead of 13.5
-(10 to 13 since `Settings.few`).
+trained amplitude, 0.32 mV instead of 0.27, and a Peano-HASEL's 7 Hz 19 % instead of 13.5 until `Settings.few`.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -84,8 +84,8 @@ class CompactEncoder(AbstractEncoder):
     `frugal`: for few excitations, from whose past a net learns what was played instead of what the past does.
 
         sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
-        all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x, 1 / 36 of it at the
-                                                                            end of a Peano-HASEL's stroke
+        all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x; in a lumped fit of
+                                                                            a Peano-HASEL 1 / 27 of it at 10 mm
 
     Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without
     one no token can express a force left over when x crosses zero), `frugal`, bounds of shape (2, features).

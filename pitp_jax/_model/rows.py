@@ -81,13 +81,13 @@ def _(encoder: CompactEncoder, matrix: bool = False):
         (offset,) = next(found) if e.past is not None else [jnp.zeros_like(x)]
         for k, row in enumerate(memory[: len(e.fading)]):
             offset = offset + (e.fading[k, 0] + e.fading[k, 1] * x + e.fading[k, 2] * powers[1]) * row
-        logits = [first, *middle, last]
+        raw = [first, *middle, last]
         if e.coupling is None:
-            return [*logits, offset]
+            return [*raw, offset]
         common = jnp.exp(_sum(e.coupling[None], powers, jnp.zeros_like(x), 0))
         for k in np.flatnonzero(shared_by(n)):
-            logits[k] = logit_of(positive_factor(logits[k]) * common)
-        return [*logits, offset * common]
+            raw[k] = logit_of(positive_factor(raw[k]) * common)
+        return [*raw, offset * common]
 
     return logits
 
