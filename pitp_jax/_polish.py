@@ -4,11 +4,14 @@
 
 The search over orders, starts and holds runs on normal equations (`_levenberg`), 10 times faster here because nothing
 is compiled for shapes met once; they square the condition number, a QR of the Jacobian does not. So the chosen order
-is refined by it, and a search that stopped short would show as a step. Compiling takes longer than running: records
-are arguments of the program, so one of the same size runs at once.
+is refined by it, and a search that stopped short would show as a step. Compiling takes longer than running: the
+program is handed a problem's number, so the next one of its size runs at once.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
+from itertools import count
 
 import jax
 import jax.numpy as jnp
@@ -23,37 +26,45 @@ def polish(
     params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
 ) -> Float[np.ndarray, " parameters"]:
     """Parameters of least output error from a nearby start."""
-    signals = (problem.drive, problem.output, problem.weight, np.array([problem.dt, problem.omega]))
-    with jax.enable_x64(True):
-        found = _solve(
-            jnp.asarray(params), tuple(_to_bits(v) for v in signals), order, hold, problem.rest, problem.square
-        )
-        return np.asarray(found)
+    with jax.enable_x64(True), _at_hand(problem) as number:
+        return np.asarray(_solve(jnp.asarray(params), number, problem.weight.size, order, hold))
 
 
-@partial(jax.jit, static_argnames=("order", "hold", "rest", "square"))
-def _solve(start, signals, order: int, hold: str, rest: tuple[bool, ...], square: bool):
-    def on_host(bits, signals):
-        drive, output, weight, (dt, omega) = (_from_bits(v) for v in signals)
-        problem = OutputError(drive, output, weight, rest, square, float(dt), float(omega), 1.0, 1.0, 0.0, 0.0)
-        return _from_bits(bits), problem
+_PROBLEMS: dict[int, OutputError] = {}
+_NUMBERS = count()
 
-    def left(bits, signals):
-        p, problem = on_host(bits, signals)
+
+@contextmanager
+def _at_hand(problem: OutputError) -> Iterator[int]:
+    """The number under which callbacks find the problem meanwhile.
+
+    Not its records: JAX copies what a callback is given, from 100 kB on by a task of the threads that run it, so that
+    on one core the callback waited for ever for its own argument.
+    """
+    number = next(_NUMBERS)
+    _PROBLEMS[number] = problem
+    try:
+        yield number
+    finally:
+        del _PROBLEMS[number]
+
+
+@partial(jax.jit, static_argnames=("samples", "order", "hold"))
+def _solve(start, number, samples: int, order: int, hold: str):
+    def left(bits, number):
+        p, problem = _from_bits(bits), _PROBLEMS[int(number)]
         return _to_bits(residual(p, problem, order=order, hold=hold).reshape(-1))
 
-    def slopes(bits, signals):
-        p, problem = on_host(bits, signals)
+    def slopes(bits, number):
+        p, problem = _from_bits(bits), _PROBLEMS[int(number)]
         found = np.zeros((*problem.weight.shape, len(p)))
         for k, (_, jacobian, columns) in enumerate(terms(p, problem, order=order, hold=hold)):
             found[k][:, columns] = jacobian
         return _to_bits(found.reshape(-1, len(p)))
 
-    samples = signals[0].size // 2
-
     def read(callback, p, *shape):
         bits = jax.lax.bitcast_convert_type(p, jnp.uint32)
-        found = jax.pure_callback(callback, jax.ShapeDtypeStruct((*shape, 2), jnp.uint32), bits, signals)
+        found = jax.pure_callback(callback, jax.ShapeDtypeStruct((*shape, 2), jnp.uint32), bits, number)
         return jax.lax.bitcast_convert_type(found, jnp.float64)
 
     @jax.custom_jvp

@@ -1,5 +1,9 @@
 """The last word on a fit: the minimum of the output error from nearby, by a program that holds no record of its own."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -41,7 +45,7 @@ def test_it_ends_where_the_gradient_is_zero(coefficients, start):
     assert (np.abs(before.gradient) > 1e-2 * scale).any()
 
 
-def test_records_are_arguments_of_the_program(coefficients):
+def test_a_second_problem_of_the_same_size_needs_no_program_of_its_own(coefficients):
     """A second system of the same size is solved without compiling again, and is another one."""
     soft, stiff = coefficients(2), coefficients(2, stiffness=1.4e9, hz=4.0)
     first, second = problem(soft, 2), problem(stiff, 3)
@@ -53,3 +57,23 @@ def test_records_are_arguments_of_the_program(coefficients):
         np.testing.assert_allclose(p, truth(a, given), rtol=0, atol=0.01)
         left = np.sqrt(np.mean(residual(p, given, **HOW) ** 2)) * given.output_scale
         assert left == pytest.approx(0.01 * given.output_scale, rel=0.5)
+
+
+ONE_CORE = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+import numpy as np
+from scipy.signal import lsim
+import pitp_jax as pitp
+time = np.arange(30_000) * 4e-3
+voltage = 1000 * (1 - np.cos(2 * np.pi * (0.1 * time + 0.05 * time**2)))
+x = lsim(([1.0], [1.0, 3.0, 1e3]), voltage**2, time)[1]
+print(pitp.identify([pitp.Record("sweep", time, voltage, x)], order=2).model.natural_frequency)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be taken from a process here")
+def test_one_core_is_enough():
+    """Signals of 240 kB: given to a callback, JAX would copy them on the one thread that waits for the callback."""
+    done = subprocess.run([sys.executable, "-c", ONE_CORE], capture_output=True, text=True, timeout=120, check=True)
+    assert float(done.stdout) == pytest.approx(np.sqrt(1e3), rel=1e-3)

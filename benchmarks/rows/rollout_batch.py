@@ -1,4 +1,4 @@
-"""Free runs of 32 records of 10,000 steps, default preset, beside a PyTorch loop, diffrax and torchdiffeq.
+"""Free runs of 32 records of 10,000 steps, default preset, beside a PyTorch loop, deepSI, diffrax and torchdiffeq.
 
 General solvers run at the decoder's own error (`ode`); PyTorch ones on the first tenth of the record, their time
 counted tenfold.
@@ -26,7 +26,12 @@ def torch_ways(model, film, start, truth) -> tuple[dict, dict, str]:
     part, known = np.asarray(film[:, : STEPS // PART + 1]), truth[:, : STEPS // PART + 1]
     run = loop(model, part, start, DT)
     ways, errors = torchdiffeq_ways(model, part, start, known, DT)
-    return {"PyTorch loop": run} | ways, {"PyTorch loop": error(run()[: len(known), :, None], known)} | errors, ""
+    ways, errors = {"PyTorch loop": run} | ways, {"PyTorch loop": error(run()[: len(known), :, None], known)} | errors
+    try:
+        from ..deepsi_rollout import subnet
+    except ImportError as missing:
+        return ways, errors, f"{missing.name} is not installed"
+    return ways | {"deepSI SUBNET loop": subnet(part)}, errors, ""
 
 
 def measure(seconds: float) -> dict:
