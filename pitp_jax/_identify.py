@@ -151,14 +151,11 @@ def _to_model(chosen: OrderFit, records, input_map: str, orders, rest) -> Model:
         dt=dt,
         displacement_unit=records[0].displacement_unit,
         voltage_unit=records[0].voltage_unit,
-        voltage_range=(
-            min(float(r.voltage.min()) for r in records),
-            max(float(r.voltage.max()) for r in records),
-        ),
-        slew=max(float(np.abs(np.diff(r.voltage)).max()) / dt for r in records),
+        voltage_range=(np.inf, -np.inf),
+        slew=0.0,
         notes=json.dumps({"identification": summary(chosen, orders, records)}),
         long_record=thinned(records[longest], forces[longest], rest[longest]),
-    )
+    ).driven_by(records)
     return linear_model(
         a,
         input_map=INPUT_MAPS[input_map](),

@@ -106,7 +106,7 @@ def train(
              "records": [r.name for r in records], "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "interrupted": interrupted}  # fmt: skip
-    return Training(_annotated(best, data, slow, notes), tuple(history), interrupted, notes)
+    return Training(_annotated(best, data, slow, records, notes), tuple(history), interrupted, notes)
 
 
 def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:
@@ -162,7 +162,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             key, sub = jax.random.split(key)
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder == "compact" else 1.0
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
-            box_rate = jnp.asarray(box), jnp.asarray(rate)
+            box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
             params, state, (physics, constraint) = _epoch(
                 params, static, state, data.equation, *box_rate, settings, sub
             )
@@ -238,10 +238,8 @@ def _second_mass_hz(model: Model) -> float | None:
     return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
-def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, notes: dict) -> Model:
-    """The model with its trained region and the training summary in its provenance."""
-    old = json.loads(model.provenance.notes)
-    provenance = replace(
-        model.provenance, region=_region(model, data, slow), notes=json.dumps({**old, "training": notes})
-    )
+def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, records, notes: dict) -> Model:
+    """The model with its trained region, the drives it has seen and the training summary in its provenance."""
+    told = json.dumps({**json.loads(model.provenance.notes), "training": notes})
+    provenance = model.provenance.driven_by(records).with_(region=_region(model, data, slow), notes=told)
     return replace(model, provenance=provenance)

@@ -205,7 +205,7 @@ def augmented(case: Case, judged: Judged, model: Model) -> Model:
     output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
     return replace(
         model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps,
-        output=output,
+        output=output, provenance=model.provenance.driven_by([s.record for s in case.series]),
     )  # fmt: skip
 
 

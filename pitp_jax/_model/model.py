@@ -7,6 +7,7 @@ In scaled coordinates X_i = x^(i) / scale_i and force / force_scale everything i
 nominal coefficient times a positive factor, so a zero encoder is exactly the identified linear model.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._record.long_record import LongRecord
+from .._record.record import Record
 from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
@@ -52,6 +54,17 @@ class Provenance:
     def with_(self, **changes) -> "Provenance":
         """A copy with some fields replaced."""
         return replace(self, **changes)
+
+    def driven_by(self, records: Sequence[Record]) -> "Provenance":
+        """The same with range and slew of the voltage widened to those of these records."""
+        low, high = self.voltage_range
+        return self.with_(
+            voltage_range=(
+                min(low, *(float(r.voltage.min()) for r in records)),
+                max(high, *(float(r.voltage.max()) for r in records)),
+            ),
+            slew=max(self.slew, *(float(np.abs(np.diff(r.voltage)).max()) / r.dt for r in records)),
+        )
 
 
 class Output(eqx.Module):
