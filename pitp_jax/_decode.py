@@ -113,7 +113,8 @@ def rollout(
 
     A start at x = 0 without motion is rest: the film is uncharged. Any other start has it settled at u(0).
     """
-    rest = ~jnp.any(start[: model.order])
+    rest, voltage = ~jnp.any(start[: model.order]), jnp.asarray(voltage, start.dtype)
+    dt = float(dt) if isinstance(dt, np.generic) else dt  # a float64 of numpy's would make one of everything
     voltage = model.drive.film(augment.delayed(model, voltage, dt, rest), dt, rest)
 
     def advance(state, stages):

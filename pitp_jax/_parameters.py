@@ -69,10 +69,11 @@ class Numbers:
     def __init__(self, model: Model):
         self.model = model
         params, self.static = eqx.partition(model, trainable(model))
-        self.encoder, self._encoder = ravel_pytree(params.encoder)
-        self.memory, self._memory = ravel_pytree(params.memory)
-        self.drive, self._drive = ravel_pytree(params.drive)
-        effects, self._effects = ravel_pytree(params.effects)
+        flat, (self._encoder, self._memory, self._drive, self._effects) = zip(
+            *map(ravel_pytree, _parts(params)), strict=True
+        )
+        dtype = model.coefficients.dtype  # of no numbers at all JAX would make what is its default
+        self.encoder, self.memory, self.drive, effects = (numbers.astype(dtype) for numbers in flat)
         logs = _logarithmic(model)
         self.effects = jnp.where(logs, jnp.log(jnp.where(logs, effects, 1.0)), effects)
         self.count = self.encoder.size + self.memory.size + self.drive.size + self.effects.size

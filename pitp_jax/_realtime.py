@@ -64,7 +64,7 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
         voltage = film + lag(model.drive) * (3 * film - 4 * film_1 + film_2) / (2 * dt)
         return jnp.concatenate([memory, jnp.stack([x[0], film, film_1])]), voltage
 
-    rest = jnp.zeros(())
+    rest = jnp.zeros((), jnp.float32)
     memory = model.memory.initial(rest)
     before = memory - dt * model.memory.rate(memory, rest)  # elapsed time: the first sample is at age 0
     return _compiled(one, np.concatenate([np.asarray(before), np.zeros(3)]), model.order + 1)
@@ -124,7 +124,7 @@ def lag(drive: AbstractDrive) -> Array:
 
 @lag.register
 def _(drive: DirectDrive) -> Array:
-    return jnp.zeros(())
+    return jnp.zeros((), jnp.float32)
 
 
 @lag.register

@@ -135,7 +135,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record]) -> Runs:
     weight = [1e4 * s / size / np.ptp(v[s]) ** 2 / len(places) for v, s in zip(x, seen, strict=True)]
     start = jnp.stack([_begun(model, data.features[k][first], records[k].voltage[first]) for k, first in places])
     target = cut([np.where(s, v, 0.0) for v, s in zip(x, seen, strict=True)])
-    return Runs(start, jnp.zeros(len(places)), cut([r.voltage for r in records]), target, cut(weight))
+    return Runs(start, jnp.zeros(len(places), jnp.float32), cut([r.voltage for r in records]), target, cut(weight))
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):

@@ -109,7 +109,7 @@ def sharded_rollout(
     """Scaled states of this process's records under their voltages (V), as `_decode.rollout_batch`."""
     dtype = model.coefficients.dtype
     batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
-    return local_rows(over_records(_Rollout(dt), mesh, False, model, batch), len(voltage))
+    return local_rows(over_records(_Rollout(float(dt)), mesh, False, model, batch), len(voltage))
 
 
 def sharded_inverse(
@@ -118,7 +118,7 @@ def sharded_inverse(
     """Drive voltage before limits (V) for this process's displacements from rest (model coordinates, m): eq. 13."""
     rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / np.asarray(model.scales.state)
     batch = spread((rows.astype(model.coefficients.dtype),), mesh)
-    return local_rows(over_records(_Inverse(dt), mesh, False, model, batch), len(displacement))
+    return local_rows(over_records(_Inverse(float(dt)), mesh, False, model, batch), len(displacement))
 
 
 def sharded_normal_equations(model: Model, runs: Runs, dt: float, every: int, vector: np.ndarray, mesh: Mesh) -> Normal:

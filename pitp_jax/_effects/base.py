@@ -143,7 +143,7 @@ class AbstractEffect(eqx.Module):
     @classmethod
     def neutral(cls):
         """The effect that is not there."""
-        return cls(*(jnp.asarray(1.0 if p.neutral is None else p.neutral) for p in cls.PARAMETERS))
+        return cls(*(jnp.asarray(1.0 if p.neutral is None else p.neutral, jnp.float32) for p in cls.PARAMETERS))
 
 
 class AbstractDriveEffect(AbstractEffect):

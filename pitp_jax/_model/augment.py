@@ -120,7 +120,7 @@ def required(
     along = jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
 
     def force(parts, row, seen):
-        now = Wanted(row[:n], model.coefficients, rates, jnp.zeros(()), blunt, row[n])
+        now = Wanted(row[:n], model.coefficients, rates, jnp.zeros_like(x[0]), blunt, row[n])
         tokens, offset = acted(model, parts, now, *model.tokens(seen))
         return tokens @ row + offset
 

@@ -59,8 +59,8 @@ class _Net(eqx.Module):
 
     def __init__(self, features, outputs, width, key):
         first, second = jax.random.split(key)
-        self.hidden = eqx.nn.Linear(features, width, key=first)
-        self.readout = _zero(eqx.nn.Linear(width, outputs, key=second))
+        self.hidden = _linear(features, width, key=first)
+        self.readout = _zero(_linear(width, outputs, key=second))
 
     def __call__(self, features):
         return self.readout(jnp.tanh(self.hidden(features)))
@@ -120,10 +120,11 @@ class CompactEncoder(AbstractEncoder):
         self.spring = _Net(1, 2, width, first)
         self.damping = _Net(moving, order - 1, width, second) if order > 1 else None
         self.past = _Net(1 + fast_memories(memories), 1, width, third) if reads_past else None
-        self.spring_poly = jnp.zeros((2, 3))
-        self.damping_poly = jnp.zeros((order - 1, order + order * (order + 1) // 2))
-        self.fading = jnp.zeros((memories if offset else 0, 3))
-        self.coupling = jnp.zeros((3,)) if frugal else None
+        products = order + order * (order + 1) // 2
+        self.spring_poly = jnp.zeros((2, 3), jnp.float32)
+        self.damping_poly = jnp.zeros((order - 1, products), jnp.float32)
+        self.fading = jnp.zeros((memories if offset else 0, 3), jnp.float32)
+        self.coupling = jnp.zeros((3,), jnp.float32) if frugal else None
         wide = np.broadcast_to([[-_WIDE], [_WIDE]], (2, order + memories))
         self.bounds = jnp.asarray(wide if bounds is None else bounds, jnp.float32)
 
@@ -192,11 +193,11 @@ class _Branches(eqx.Module):
 
     def __init__(self, features, width, depth, dropout, key):
         keys = jax.random.split(key, depth + 3)
-        one = eqx.filter_vmap(lambda k: eqx.nn.Linear(1, width, key=k))
+        one = eqx.filter_vmap(lambda k: _linear(1, width, key=k))
         self.branches = one(jax.random.split(keys[0], features))
-        self.fusion = eqx.nn.Linear(features * width, width, key=keys[1])
-        self.enhance = [eqx.nn.Linear(width, width, key=k) for k in keys[2:-1]]
-        self.readout = _zero(eqx.nn.Linear(width, 1, key=keys[-1]))
+        self.fusion = _linear(features * width, width, key=keys[1])
+        self.enhance = [_linear(width, width, key=k) for k in keys[2:-1]]
+        self.readout = _zero(_linear(width, 1, key=keys[-1]))
         self.dropout = eqx.nn.Dropout(dropout)
 
     def __call__(self, features, key):
@@ -231,6 +232,11 @@ class PaperEncoder(AbstractEncoder):
         """The readouts are linear."""
         last = self.networks.readout
         return eqx.tree_at(lambda e: e.networks.readout, self, jax.tree.map(lambda a: factor * a, last))
+
+
+def _linear(features: int, outputs: int, *, key) -> eqx.nn.Linear:
+    """In float32 also where JAX makes float64 by default."""
+    return eqx.nn.Linear(features, outputs, dtype=jnp.float32, key=key)
 
 
 def _zero(layer: eqx.nn.Linear) -> eqx.nn.Linear:

@@ -120,7 +120,12 @@ def _side_by_side(nets: list) -> Callable[[Rows], list[list[Array]]]:
     """The same with all nets in one hidden matrix and one block-diagonal readout."""
     features = 1 + max(c for _, columns in nets for c in columns)
     hidden = jnp.concatenate(
-        [jnp.zeros((net.hidden.out_features, features)).at[:, jnp.array(c)].set(net.hidden.weight) for net, c in nets]
+        [
+            jnp.zeros((net.hidden.out_features, features), net.hidden.weight.dtype)
+            .at[:, jnp.array(c)]
+            .set(net.hidden.weight)
+            for net, c in nets
+        ]
     )
     readout = jax.scipy.linalg.block_diag(*(net.readout.weight for net, _ in nets))
     inner, outer = (jnp.concatenate([affine(get(net))[1] for net, _ in nets]) for get in (_hidden, _readout))
