@@ -3,7 +3,8 @@
     x(t) = mean_k x_k(t),    s(t)^2 = (1 + 1/K) var_k x_k(t) + s_0^2,    band = x(t) +- q s(t),  q: Student's, K - 1
 
 What the members agree on by mistake no spread can show, so s_0, their rms error on the training records over its
-range, stands beside it. Coverage on held-out records is measured in `experiments/band_coverage.py`.
+range, stands beside it. Student's quantile on both is on the safe side: 98.2 % of held-out samples of a cone inside,
+80 % of the worst record; with the normal one on s_0 93.4 and 57 % (`experiments/band_coverage.py`).
 """
 
 from collections.abc import Sequence
