@@ -52,11 +52,12 @@ def main(smoke: bool = False, argv=()):
         show(f"Fig. 11, in-sample, {name}", columns, in_sample)
         columns = ("cell", "paper (%)", "ours, median (%)", "worst (%)", *outside)
         show(f"held-out, {name}", columns, held_out)
-        _draw(options, name, record, frequency, {k: m for k, (m, _) in fits.items()})
+        titles = [f"{label}: e_rms {here:.2f} %" for label, _, here, *_ in in_sample]
+        _draw(options, name, record, frequency, dict(zip(titles, (m for m, _ in fits.values()), strict=True)))
 
 
 def _draw(options, name, record, frequency, models):
-    """The last periods of the trajectory, one panel per model."""
+    """The last periods of the trajectory, one panel per model (title: model)."""
     figure, axes = axes_grid(len(models), 1, (5.5, 0.3 + 1.2 * len(models)))
     part = slice(max(0, record.samples - round(5 / (frequency * record.dt))), None)
     low, high = 1e3 * record.displacement[part].min(), 1e3 * record.displacement[part].max()
@@ -65,8 +66,8 @@ def _draw(options, name, record, frequency, models):
         overlay(ax, record.time[part], record.displacement[part], run)
         ax.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
     _plot.finish(axes[:, 0], "time (s)", ["x (mm)"] * len(models))
-    for ax, label in zip(axes[:, 0], models, strict=True):
-        panel(ax, label)
+    for ax, title in zip(axes[:, 0], models, strict=True):
+        panel(ax, title)
     finish(figure, options, f"fig11_comparison_{name}.png", axes[0, 0])
 
 
