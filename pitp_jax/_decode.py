@@ -21,6 +21,8 @@ from ._effects.base import Instant
 from ._model import augment
 from ._model.model import Model
 
+UNROLLED = 4  # substeps written out one by one; 50 of them took minutes to compile
+
 
 def scaled_force(model: Model, voltage: Float[Array, "..."]) -> Float[Array, "..."]:
     """Force over force_scale."""
@@ -72,8 +74,12 @@ def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple,
 
 def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " stages"], dt: float):
     """Advance one sample along its stage voltages: `substeps` RK4 steps, tokens read anew at each."""
-    for k in range(model.substeps):
-        state = substep(model, state, stages[2 * k : 2 * k + 3], dt / model.substeps)
+    h, count = dt / model.substeps, model.substeps
+    if count > UNROLLED:
+        threes = stages[2 * np.arange(count)[:, None] + np.arange(3)]
+        return jax.lax.scan(lambda s, volts: (substep(model, s, volts, h), None), state, threes)[0]
+    for k in range(count):
+        state = substep(model, state, stages[2 * k : 2 * k + 3], h)
     return state
 
 

@@ -128,6 +128,7 @@ def describe(model: Model) -> dict:
             "voltage_range": [float(v) for v in source.voltage_range],
             "slew": float(source.slew),
             "region": [[float(v) for v in pair] for pair in source.region],
+            "clock": float(source.clock),
         },
         "long_record": _packed(source.long_record),
         "notes": _notes_out(source.notes),
@@ -185,6 +186,7 @@ def build(header: dict) -> Model:
         region=tuple((float(a), float(b)) for a, b in source["region"]),
         notes=notes,
         long_record=_unpacked(header.get("long_record")),
+        clock=float(source.get("clock", 0.0)),
     )
     if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")

@@ -24,6 +24,7 @@ from ._poles import polynomial
 from ._polish import polish
 from ._record.long_record import thinned
 from ._record.record import Record
+from ._record.sets import check_set
 from ._record.sweeps import is_sweep as is_sweep
 from ._starts import equation_error_roots, linear_start, peak_roots
 
@@ -71,6 +72,7 @@ def identify(
         raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
     if hold is not None and hold not in ("foh", *_HOLDS):
         raise BadInput(f"unknown hold {hold!r}: use one of foh, {', '.join(_HOLDS)}, or None")
+    check_set(records)
     problem = build_problem(records, input_map)
     fits = _fit_orders(records, problem, ORDERS if order == "auto" else range(1, int(order) + 1), progress)
     described = [describe(f, problem) for f in fits]

@@ -19,6 +19,7 @@ from ._model import augment
 from ._model.model import Model
 from ._parallel import rollout_by_size
 from ._record.record import Record
+from ._record.sets import check_set
 from ._rest import INITIAL_SAMPLES, first_known, starts_at_rest
 
 _FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
@@ -88,7 +89,12 @@ class Prediction:
 
 
 def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
-    """Free run of the model under every record's voltage, batched; records may have any lengths, one sampling rate."""
+    """Free run of the model under every record's voltage, batched; records may have any lengths, one sampling rate.
+
+    Raises:
+        BadInput: no records, or of several rates.
+    """
+    check_set(records)
     model = at_rate(model, records[0].dt)
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
@@ -110,14 +116,15 @@ def _start(model: Model, record: Record):
 
     After a gap at the beginning the first 50 samples are those behind it: the rollout reaches them from the start.
     """
+    age = float(record.time[0]) - model.provenance.clock
     if starts_at_rest(record, model.output.offset):
-        return rest_state(model, record.time[0]), 0
+        return rest_state(model, age), 0
     first = slice(0, first_known(record) + INITIAL_SAMPLES)
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
     voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
-    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, record.time[0]), len(x)
+    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, age), len(x)
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:

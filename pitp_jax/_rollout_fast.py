@@ -12,9 +12,10 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from ._decode import rollout_batch, scaled_force, stage_voltages
+from ._decode import UNROLLED, rollout_batch, scaled_force, stage_voltages
 from ._model.encoder import CompactEncoder, ConstantEncoder
 from ._model.model import Model
 from ._model.rows import encoder_rows, memory_rates, tokens_rows
@@ -68,12 +69,16 @@ def fast_rollout(
     rest = ~jnp.any(start[:, : model.order], axis=1)
     film = jax.vmap(lambda u, r: model.drive.film(u, dt, r))(voltage, rest)
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)
-    step = row_step(model, dt / model.substeps, voltage.shape[0] > 1)
+    step, count = row_step(model, dt / model.substeps, voltage.shape[0] > 1), model.substeps
 
     def advance(state, force):
         rows = list(state)
-        for k in range(model.substeps):
-            rows = step(rows, list(force[2 * k : 2 * k + 3]))
+        if count > UNROLLED:
+            threes = force[2 * np.arange(count)[:, None] + np.arange(3)]
+            rows = jax.lax.scan(lambda s, three: (step(s, list(three)), None), rows, threes)[0]
+        else:
+            for k in range(count):
+                rows = step(rows, list(force[2 * k : 2 * k + 3]))
         return jnp.stack(rows), state
 
     return jnp.moveaxis(jax.lax.scan(advance, start.T, forces)[1], -1, 0)

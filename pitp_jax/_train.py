@@ -27,6 +27,7 @@ from ._model.model import Model
 from ._parameters import trainable
 from ._record.long_record import LongRecord
 from ._record.record import Record
+from ._record.sets import check_set
 from ._refine import refine, run_samples
 from ._residual import loss
 from ._settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
@@ -80,11 +81,13 @@ def train(
         key: JAX key; the same key, records and machine give the same model.
 
     Raises:
-        BadInput: unknown preset, a mesh over several processes, or no usable sample left after filtering.
+        BadInput: unknown preset, records of several rates, a mesh over several processes, or no usable sample left
+            after filtering.
         ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
     """
     settings = preset_of(preset) if settings is None else settings
+    check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     key_init, key_stages = jax.random.split(key)
@@ -241,5 +244,6 @@ def _second_mass_hz(model: Model) -> float | None:
 def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, records, notes: dict) -> Model:
     """The model with its trained region, the drives it has seen and the training summary in its provenance."""
     told = json.dumps({**json.loads(model.provenance.notes), "training": notes})
-    provenance = model.provenance.driven_by(records).with_(region=_region(model, data, slow), notes=told)
-    return replace(model, provenance=provenance)
+    provenance = model.provenance.driven_by(records).with_(dt=records[0].dt, notes=told)
+    model = replace(model, provenance=provenance)
+    return replace(model, provenance=provenance.with_(region=_region(model, data, slow)))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._decode import rest_state, rollout_batch
+from pitp_jax._decode import rest_state, rollout, rollout_batch
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.memory import ElapsedTime
 from pitp_jax._rollout_fast import fast_rollout
@@ -39,6 +39,7 @@ CASES = {
     "second mass": (lambda nl, lin: nl(2, ring=(60.0, 0.1)), 2),
     "frugal": (lambda nl, lin: nl(2, frugal=True), 2),
     "elapsed time": (lambda nl, lin: with_elapsed(nl), 2),
+    "many substeps": (lambda nl, lin: lagging(nl(2, substeps=6)), 2),
 }
 
 
@@ -51,6 +52,14 @@ def test_equals_the_plain_rollout(nonlinear, linear, case):
     assert found.shape == truth.shape
     assert np.ptp(truth[..., 0]) > 0.1
     np.testing.assert_allclose(found, truth, rtol=0, atol=5e-6 * np.abs(truth).max())
+
+
+def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
+    model = nonlinear(2, substeps=6)
+    volts, start = runs(model, 1)
+    scanned = rollout(model, volts[0], DT, start[0])
+    monkeypatch.setattr("pitp_jax._decode.UNROLLED", 6)
+    np.testing.assert_allclose(scanned, rollout(model, volts[0], DT, start[0]), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("part", ["effects", "encoder"])

@@ -158,12 +158,13 @@ def test_the_nominal_and_the_records_stay(plant, first):
     assert region[0, 1] == pytest.approx(top, rel=0.02)
 
 
-def test_limits_are_those_of_all_that_was_seen(plant):
-    """A sweep at half the voltage bounds nothing that training went beyond."""
+def test_limits_and_rate_are_those_of_what_was_seen(plant):
+    """A sweep at half the voltage bounds nothing that training went beyond; its rate is not that of the records."""
     nominal, records, _ = plant
-    swept = nominal.provenance.with_(voltage_range=(-5.0, 1000.0), slew=10.0)
+    swept = nominal.provenance.with_(voltage_range=(-5.0, 1000.0), slew=10.0, dt=DT / 2)
     settings = replace(TINY, epochs=1, stages=1)
     found = train(replace(nominal, provenance=swept), records, settings=settings, key=KEY).model.provenance
+    assert found.dt == pytest.approx(DT)
     assert found.voltage_range == (-5.0, max(r.voltage.max() for r in records))
     assert found.slew == pytest.approx(2000 * np.pi * 3.2, rel=1e-2)  # of 2000 V (1 - cos) / 2 at 3.2 Hz
 

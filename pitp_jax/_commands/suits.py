@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from .._errors import BadInput
 from .._model.model import Model
-from .._record.reading import RATE_TOLERANCE
 from .._record.record import Record
+from .._record.sets import RATE_TOLERANCE
 from .._record.units import base_unit
 from .console import say
 

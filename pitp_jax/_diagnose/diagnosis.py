@@ -17,6 +17,7 @@ from jax.sharding import Mesh
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
+from .._record.sets import check_set, clock_start
 from .attribute import Attribution, attribute
 from .case import Case, Split, build_case, split
 from .doubt import doubted, own_misfit
@@ -124,10 +125,12 @@ def diagnose(
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
     Raises:
-        BadInput: no records, a nominal that diverges on one, or a mesh over several processes.
+        BadInput: no records or of several rates, a nominal that diverges on one, or a mesh over several processes.
     """
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
+    check_set(records)
+    model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
     options = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
     case, found, gap, verdict = _over_splits(model, records, mesh, options)
     _, judged = sides(case)

@@ -40,6 +40,7 @@ class Provenance:
         region: per feature (S then memory, scaled) lowest and highest value trained on.
         notes: JSON text, the identification and training summary `pitp info` prints.
         long_record: the longest record the nominal was identified on, which training holds creep to.
+        clock: what the records' clock showed when their session began, s; 0 unless it shows absolute time.
     """
 
     dt: float
@@ -50,6 +51,7 @@ class Provenance:
     region: tuple[tuple[float, float], ...] = ()
     notes: str = "{}"
     long_record: LongRecord | None = None
+    clock: float = 0.0
 
     def with_(self, **changes) -> "Provenance":
         """A copy with some fields replaced."""

@@ -19,9 +19,8 @@ from .checks import check_samples
 from .choice import choose_column
 from .formats import open_table, split_suffix
 from .record import Record
-from .units import base_unit, to_base
-
-RATE_TOLERANCE = 1e-3  # relative difference of dt within one set
+from .sets import check_set
+from .units import to_base
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def read(
     files = _files(paths)
     names = _names(files)
     records = tuple(_read_one(file, names[k], input_column, output_column) for k, file in enumerate(files))
-    _check_set(records)
+    check_set(records)
     return records
 
 
@@ -183,19 +182,3 @@ def _read_one(path: Path, name: str, input_column: str | None, output_column: st
     displacement = to_base(values[out_column], out_unit, "displacement")
     check_samples(time, voltage, displacement, table.source, columns, table.place)
     return Record(name, time, voltage, displacement, in_unit, out_unit, table.source)
-
-
-def _check_set(records: Sequence[Record]) -> None:
-    """Refuse a set that mixes sampling rates or kinds of output."""
-    first = records[0]
-    for record in records[1:]:
-        if abs(record.dt / first.dt - 1.0) > RATE_TOLERANCE:
-            raise BadInput(
-                f"{record.source}: time column: sampled every {record.dt:.6g} s, but {first.source} every "
-                f"{first.dt:.6g} s; resample one or give them in separate calls"
-            )
-        if base_unit(record.displacement_unit) != base_unit(first.displacement_unit):
-            raise BadInput(
-                f"{record.source}: output in {record.displacement_unit}, but {first.source} in "
-                f"{first.displacement_unit}; choose the same kind with --output-column"
-            )

@@ -1,0 +1,44 @@
+"""What the records of one set must share: their kind, one sampling rate, one kind of output."""
+
+from collections.abc import Sequence
+
+from .._errors import BadInput
+from .record import Record
+from .units import base_unit
+
+RATE_TOLERANCE = 1e-3  # relative difference of dt within one set
+_ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the session
+
+
+def check_set(records: Sequence[Record] | Record) -> None:
+    """Refuse what is no set of records, or mixes sampling rates or kinds of output.
+
+    Raises:
+        BadInput: with the record that does not fit.
+    """
+    if isinstance(records, Record):
+        raise BadInput(f"{_place(records)}: give a list of records, also where there is only one")
+    if not records:
+        raise BadInput("no records: give at least one")
+    first = records[0]
+    for record in records[1:]:
+        if abs(record.dt / first.dt - 1.0) > RATE_TOLERANCE:
+            raise BadInput(
+                f"{_place(record)}: time column: sampled every {record.dt:.6g} s, but {_place(first)} every "
+                f"{first.dt:.6g} s; resample one or give them in separate calls"
+            )
+        if base_unit(record.displacement_unit) != base_unit(first.displacement_unit):
+            raise BadInput(
+                f"{_place(record)}: output in {record.displacement_unit}, but {_place(first)} in "
+                f"{first.displacement_unit}; choose the same kind with --output-column"
+            )
+
+
+def _place(record: Record) -> str:
+    return record.source or f"record {record.name!r}"
+
+
+def clock_start(records: Sequence[Record]) -> float:
+    """What clocks that show absolute time (epoch seconds) showed at the first record, s; 0 for a session's own."""
+    first = min(float(r.time[0]) for r in records)
+    return first if abs(first) > _ABSOLUTE else 0.0
