@@ -19,7 +19,7 @@ def check_set(records: Sequence[Record] | Record) -> None:
     if isinstance(records, Record):
         raise BadInput(f"{_place(records)}: give a list of records, also where there is only one")
     if not records:
-        raise BadInput("no records: give at least one")
+        raise BadInput("no records: give at least one record")
     first = records[0]
     for record in records[1:]:
         if abs(record.dt / first.dt - 1.0) > RATE_TOLERANCE:
