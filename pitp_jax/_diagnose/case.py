@@ -103,8 +103,6 @@ class Case:
 
 def build_case(model: Model, records: Sequence[Record], *, how: Split = "first", mesh: Mesh | None = None) -> Case:
     """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`."""
-    if not records:
-        raise BadInput("diagnose needs at least one record")
     records = _cut(records)
     model = _finer(at_rate(model, records[0].dt), records[0].dt)
     known = _session_known(records)
