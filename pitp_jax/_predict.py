@@ -116,7 +116,7 @@ def _start(model: Model, record: Record):
 
     After a gap at the beginning the first 50 samples are those behind it: the rollout reaches them from the start.
     """
-    age = float(record.time[0]) - model.provenance.clock
+    age = model.provenance.age(record)
     if starts_at_rest(record, model.output.offset):
         return rest_state(model, age), 0
     first = slice(0, first_known(record) + INITIAL_SAMPLES)

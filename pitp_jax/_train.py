@@ -222,13 +222,11 @@ def _epoch(params, static, state, data, box, rate, settings: Settings, key):
     return params, state, tuple(parts.mean(0))
 
 
-def _region(model: Model, data: Dataset, slow: SlowBalance | None) -> tuple[tuple[float, float], ...]:
+def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) -> tuple[tuple[float, float], ...]:
     """Lowest and highest value of every feature, with the memories as they were learned."""
     n, seen = model.order, []
     for found, valid in zip(data.features, data.valid, strict=True):
-        past = np.asarray(
-            model.memory.trajectory(jnp.asarray(found[:, 0]), model.provenance.dt, jnp.asarray(found[0, n:]))
-        )
+        past = np.asarray(model.memory.trajectory(jnp.asarray(found[:, 0]), dt, jnp.asarray(found[0, n:])))
         seen.append(np.concatenate([found[:, :n], past], -1)[valid])
     rows = np.concatenate(seen)
     region = tuple((float(a), float(b)) for a, b in zip(rows.min(0), rows.max(0), strict=True))
@@ -244,6 +242,6 @@ def _second_mass_hz(model: Model) -> float | None:
 def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, records, notes: dict) -> Model:
     """The model with its trained region, the drives it has seen and the training summary in its provenance."""
     told = json.dumps({**json.loads(model.provenance.notes), "training": notes})
-    provenance = model.provenance.driven_by(records).with_(dt=records[0].dt, notes=told)
-    model = replace(model, provenance=provenance)
-    return replace(model, provenance=provenance.with_(region=_region(model, data, slow)))
+    dt = records[0].dt
+    seen = model.provenance.driven_by(records).with_(dt=dt, region=_region(model, data, slow, dt), notes=told)
+    return replace(model, provenance=seen)

@@ -198,11 +198,11 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     )
     features = jnp.concatenate([jnp.asarray(motion[:, :n], jnp.float32), memory], -1)
     tokens, offset = jax.vmap(model.tokens)(features)
-    film, age = np.asarray(voltage, np.float64), float(record.time[0]) - model.provenance.clock
+    film = np.asarray(voltage, np.float64)
     return Series(
         record=record, fitted=fitted, voltage=film, force=_force(model, film) / model.scales.force, motion=motion,
         tokens=np.asarray(tokens), offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest,
-        start=start[: n + model.memory.size], age=age if known else 0.0, span=span,
+        start=start[: n + model.memory.size], age=model.provenance.age(record) if known else 0.0, span=span,
     )  # fmt: skip
 
 

@@ -57,6 +57,10 @@ class Provenance:
         """A copy with some fields replaced."""
         return replace(self, **changes)
 
+    def age(self, record: Record) -> float:
+        """How long the session had lasted when this record began, s."""
+        return float(record.time[0]) - self.clock
+
     def driven_by(self, records: Sequence[Record]) -> "Provenance":
         """The same with range and slew of the voltage widened to those of these records."""
         low, high = self.voltage_range

@@ -1,4 +1,4 @@
-"""What the records of one set must share: their kind, one sampling rate, one kind of output."""
+"""What the records of one set must share, one sampling rate and one kind of output, and when their session began."""
 
 from collections.abc import Sequence
 
