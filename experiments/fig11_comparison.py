@@ -14,6 +14,7 @@ from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
 from pitp_jax import _plot
+from pitp_jax._plot_lines import ERROR
 
 FREQUENCY = {"roll": 110.0, "cone": 8.0}  # Hz
 DEFAULT = PRESETS["default"]
@@ -57,15 +58,21 @@ def main(smoke: bool = False, argv=()):
 
 
 def _draw(options, name, record, frequency, models):
-    """The last periods of the trajectory, one panel per model (title: model)."""
-    figure, axes = axes_grid(len(models), 1, (5.5, 0.3 + 1.2 * len(models)))
+    """The last periods of the trajectory and what is left of them, a row per model (title: model)."""
+    figure, axes = axes_grid(len(models), 2, (9.0, 0.3 + 1.2 * len(models)))
     part = slice(max(0, record.samples - round(5 / (frequency * record.dt))), None)
     low, high = 1e3 * record.displacement[part].min(), 1e3 * record.displacement[part].max()
+    time, errors_um = record.time[part], []
     for ax, model in zip(axes[:, 0], models.values(), strict=True):
         run = pitp.predict(model, [record])[0].displacement[part]
-        overlay(ax, record.time[part], record.displacement[part], run)
+        overlay(ax, time, record.displacement[part], run)
         ax.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
-    _plot.finish(axes[:, 0], "time (s)", ["x (mm)"] * len(models))
+        errors_um.append(1e6 * (run - record.displacement[part]))
+    for ax, error in zip(axes[:, 1], errors_um, strict=True):
+        ax.plot(time, error, color=ERROR, lw=0.8)
+        ax.set_ylim(-1.05 * np.abs(errors_um).max(), 1.05 * np.abs(errors_um).max())
+    for column, label in ((0, "x (mm)"), (1, "error (µm)")):
+        _plot.finish(axes[:, column], "time (s)", [label] * len(models))
     for ax, title in zip(axes[:, 0], models, strict=True):
         panel(ax, title)
     finish(figure, options, f"fig11_comparison_{name}.png", axes[0, 0])
