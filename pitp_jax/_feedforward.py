@@ -97,6 +97,7 @@ def feedforward(
         )
     inside = np.zeros(len(voltage), bool)
     inside[first:last] = True
+    warnings += _out_of_reach(infeasible[inside].mean(), saturated[inside].mean(), limits)
     return Feedforward(
         time=target.time[0] + (np.arange(len(voltage)) - first) * target.dt,
         voltage=voltage,
@@ -152,6 +153,22 @@ def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tup
     if not path.slew_kept:
         warnings += ("no way into the target's first state was found within the slew limit: its start is cut",)
     return warnings
+
+
+def _out_of_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
+    """A line each where more than a hundredth of the target is not played as asked."""
+    lines = ()
+    if infeasible > 0.01:
+        lines += (
+            f"{100 * infeasible:.0f} % of the target asks for a force that no voltage makes: "
+            "ask for a slower or smaller motion, or one that leaves more pull to let go of",
+        )
+    if saturated > 0.01:
+        lines += (
+            f"{100 * saturated:.0f} % of the target's voltage is cut, by {limits.high:g} V or {limits.slew:.3g} V/s: "
+            "ask for less, or raise the limit if the rig allows it",
+        )
+    return lines
 
 
 @dataclass(frozen=True)

@@ -122,16 +122,17 @@ def _respond(a: np.ndarray, forces: np.ndarray, dt: float) -> np.ndarray:
 
 
 def limit_slew(voltage: np.ndarray, limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Clip to the voltage range, then to the slew rate, starting from zero volts or the first value if it is at rest.
+    """Clip to the voltage range, then to the slew rate, from the zero volts of an actuator at rest.
 
     Returns:
         The voltage kept, and True where it differs from the voltage asked for.
     """
     kept = np.clip(voltage, limits.low, limits.high)
     most = limits.slew * dt
-    if np.isfinite(most) and (np.abs(np.diff(kept)) > most).any():
-        for i in range(1, len(kept)):
-            kept[i] = min(max(kept[i], kept[i - 1] - most), kept[i - 1] + most)
+    if np.isfinite(most) and (np.abs(np.diff(kept, prepend=0.0)) > most).any():
+        last = 0.0
+        for i, asked in enumerate(kept):
+            kept[i] = last = min(max(asked, last - most), last + most)
     return kept, np.abs(kept - voltage) > 1e-6 * max(abs(limits.high), 1e-30)
 
 

@@ -12,7 +12,7 @@ from pitp_jax._record.reading import Target
 
 
 def slew_of(found, dt=DT):
-    return np.abs(np.diff(found.voltage)).max() / dt
+    return np.abs(np.diff(found.voltage, prepend=0.0)).max() / dt
 
 
 # ---- limits ----
@@ -29,7 +29,26 @@ def test_a_voltage_limit_is_kept_and_flagged(actuator):
     wanted = np.sqrt(swing_force(actuator, 2e-3, 1e-3, 2.0))
     sure = np.abs(wanted - 1500.0) > 1.0
     np.testing.assert_array_equal(found.saturated[found.target][sure], wanted[sure] > 1500.0)
-    assert found.warnings == ()
+    (line,) = found.warnings
+    assert f"{100 * np.mean(wanted > 1500.0):.0f} % of the target" in line
+    assert "1500 V" in line
+    assert free.warnings == ()
+
+
+def test_a_target_that_asks_for_a_push_says_how_much_of_it_does(actuator):
+    """Twice as fast as the resonance, the force swings about that of rest by three times the motion: below zero."""
+    found = feedforward(actuator, Target(TIME, swing(3e-4, 3e-4, 10.0)))
+    assert 0.05 < (share := found.infeasible[found.target].mean()) < 0.95
+    assert any(f"{100 * share:.0f} % of the target asks for a force" in line for line in found.warnings)
+
+
+def test_a_jump_of_acceleration_at_the_start_is_cut_and_flagged(actuator):
+    """x'' of this target jumps at its first sample: u = 0 before, hundreds of volts after."""
+    target = Target(TIME, 1e-3 * (1 - np.cos(4 * np.pi * TIME)))
+    found = feedforward(actuator, target, max_slew=2e3)
+    assert found.target[0]
+    assert found.voltage[0] <= 2e3 * DT * (1 + 1e-9)
+    assert found.saturated[0]
 
 
 def test_the_linear_maps_limit_holds_both_ways(linear, bounded):

@@ -116,7 +116,7 @@ def _print_scores(result: dict, predictions: Sequence[_predict.Prediction]) -> N
             str(row["samples"]),
             str(row["missing"]),
             number(100 * row["outside_training_share"], 3),
-            "diverged" if row["diverged"] else "",
+            "diverged" if row["diverged"] else "nothing to score" if row["e_rms_percent"] is None else "",
         )
         for name, row in result["records"].items()
     ]

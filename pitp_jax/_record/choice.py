@@ -48,8 +48,10 @@ def _absent(table: Table, quantity: str, choice: str | None, option: str | None)
     known = "_{" + ",".join(name.rpartition("_")[2] for name in column_names(quantity)) + "}"
     loose = [name for name in table.names if name.lower().startswith(quantity) or name.lower() in ("t", "u", "v")]
     remedy = f"name it {quantity}{known} with the unit it is in"
-    if any(";" in name for name in table.names):
+    if any(";" in name or "\t" in name for name in table.names):
         remedy = "separate columns by commas, with a point in decimals"
+    elif any(name.startswith(("#", "%")) for name in table.names):
+        remedy = "delete the comment lines above the header, and what marks it as one"
     elif option and loose:
         remedy += f", or pick one that ends in a unit with {option} NAME"
     return f"{table.source}: column {quantity}{known} is missing (columns here: {here}); {remedy}"
