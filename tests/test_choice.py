@@ -66,3 +66,14 @@ def test_nearly_right_columns_are_not_matches(tmp_path):
     for near in ("Voltage_V", "voltage_v", "voltage_command_V", "voltage", "voltage_MV"):
         message = refused_csv(tmp_path, text({"time_s": TIME, near: VOLTAGE, "displacement_mm": OUTPUT}))
         assert near in message
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "remedy"),
+    [(",", ";", "by commas"), (",", "\t", "by commas"), ("time_s", "# rig 3\ntime_s", "delete the comment lines"),
+     ("time_s", "% time_s", "delete the comment lines")],
+)  # fmt: skip
+def test_other_habits_of_a_header_get_their_remedy(tmp_path, before, after, remedy):
+    message = refused_csv(tmp_path, text(columns()).replace(before, after))
+    assert remedy in message
+    assert "name it" not in message
