@@ -82,7 +82,7 @@ def attribute(
     _, held = sides(case)
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: (j.names != best.names, j.heldout)))
     factors = best.candidate.factors if refit else ones  # what one changed nominal absorbs of two effects misleads
-    pair = second(case, catalogue, screening, best, base, noise, refit, factors, progress)
+    pair = second(case, catalogue, screening, best, rivals, base, noise, refit, factors, progress)
     if pair:
         best, rivals = pair[0], [r for r in pair[1] if pair[0].names[1] in r.names]
     equal = equivalents(case, best, rivals, noise, held)
@@ -109,10 +109,11 @@ def finalists(screened: list[Screened]) -> list[Screened]:
 
 
 def _by_name(rivals: Sequence[Judged]) -> list[Judged]:
-    best: dict[tuple[str, ...], Judged] = {}
+    best: dict[frozenset[str], Judged] = {}
     for r in rivals:
-        if r.names not in best or r.heldout < best[r.names].heldout:
-            best[r.names] = r
+        names = frozenset(r.names)
+        if names not in best or r.heldout < best[names].heldout:
+            best[names] = r
     return list(best.values())
 
 

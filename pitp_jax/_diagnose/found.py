@@ -3,9 +3,8 @@
 closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   held-out, pooled over records
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._effects import CATALOGUE
@@ -193,20 +192,6 @@ def _screened(case: Case, found: Attribution, s: Screened, low: float) -> Ranked
         ci95=None,
         screened=True,
     )
-
-
-def augmented(case: Case, judged: Judged, model: Model) -> Model:
-    """The nominal with a candidate's effects, its coefficients and zero, and the substeps it was fitted with."""
-    c = judged.candidate
-    pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: CATALOGUE.index(fv[0]))
-    effects = tuple(f(*(jnp.asarray(v, jnp.float32) for v in values)) for f, values in pairs)
-    coefficients = (np.asarray(model.coefficients, np.float64) * c.factors).astype(np.float32)
-    substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
-    output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
-    return replace(
-        model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps,
-        output=output, provenance=model.provenance.driven_by([s.record for s in case.series]),
-    )  # fmt: skip
 
 
 def trace_of(case: Case, found: Attribution, k: int) -> Trace:

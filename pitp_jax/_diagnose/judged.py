@@ -6,10 +6,12 @@ chosen forms (and what a form is where its limit is out of reach) -> whole-rollo
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
-from .._effects import REMAINDERS
+from .._effects import CATALOGUE, REMAINDERS
 from .._effects.base import Start
+from .._model.model import Model
 from .case import Case
 from .fit import Candidate, fit, mean_square, residuals
 from .lanes import Lanes
@@ -101,3 +103,17 @@ def parsimonious(rivals: Sequence[Judged]) -> Judged:
     least = min(r.heldout for r in rivals)
     close = [r for r in rivals if r.heldout <= _CLOSE * least]
     return min(close, key=lambda r: (r.candidate.size, r.heldout))
+
+
+def augmented(case: Case, judged: Judged, model: Model) -> Model:
+    """The nominal with a candidate's effects, its coefficients and zero, and the substeps it was fitted with."""
+    c = judged.candidate
+    pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: CATALOGUE.index(fv[0]))
+    effects = tuple(f(*(jnp.asarray(v, jnp.float32) for v in values)) for f, values in pairs)
+    coefficients = (np.asarray(model.coefficients, np.float64) * c.factors).astype(np.float32)
+    substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
+    output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
+    return replace(
+        model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps,
+        output=output, provenance=model.provenance.driven_by([s.record for s in case.series]),
+    )  # fmt: skip

@@ -18,9 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .case import Case
+from .repeats import scatter
 
 _QUARTILE = -np.log(0.75)
 _BINS = 24
+_CLEAR = 0.8  # of the spectrum's: cycles that repeat better than that are believed
 STRUCK = 1.5  # sigma over sensor from where the actuator itself is disturbed
 
 
@@ -67,6 +69,10 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     source = "spectrum between the drive's lines"
     if sigma > STRUCK * sensor:
         source += ", which peaks at the resonance as no sensor's noise does: something strikes the actuator"
+    repeats = scatter(case, errors)
+    if repeats is not None and repeats < _CLEAR * sigma:
+        level, sigma, sensor = level * (repeats / sigma) ** 2, repeats, min(sensor, repeats)
+        source = "cycles of the drive that repeat"
     return Noise(sigma, sensor, np.stack([middle, level], -1), source)
 
 

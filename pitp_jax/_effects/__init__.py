@@ -54,6 +54,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     electrode.ChargeLeak,
     coupling.StretchCoupling,
     coupling.SquaredCoupling,
+    coupling.ExponentialCoupling,
     coupling.DielectricSaturation,
     coupling.TanhSaturation,
     sensor.SensorGain,

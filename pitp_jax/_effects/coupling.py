@@ -1,6 +1,7 @@
 """What the film makes of its voltage at the square (port SQ).
 
 stretch_coupling        F (1 + b x)          F (1 + b x / 2)^2       thinner film, larger area: more force
+                      F exp(b x)                              electrodes that zip up, b < 0: less and less
 dielectric_saturation   F / (1 + |F| / F_s)  F_s tanh(F / F_s)        the permittivity falls at high field
 """
 
@@ -50,6 +51,27 @@ class SquaredCoupling(AbstractCouplingEffect):
     def uncouple(self, force, x):
         """By division."""
         return force / jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
+
+
+class ExponentialCoupling(AbstractCouplingEffect):
+    """F exp(b x)."""
+
+    name, form, family, port = "stretch_coupling", "exponential", "coupling", "SQ"
+    PARAMETERS = StretchCoupling.PARAMETERS
+    b: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Either sign; far down, where the grid must come close: an exponent is not a strength."""
+        return [bounded((b / s.reach,), (-6.0 / s.reach,), (3.0 / s.reach,)) for b in (0.3, -0.3, -1.0, -3.0)]
+
+    def couple(self, force, x):
+        """Never a push."""
+        return force * jnp.exp(jnp.clip(self.b * x, -8.0, 8.0))
+
+    def uncouple(self, force, x):
+        """By division."""
+        return force * jnp.exp(-jnp.clip(self.b * x, -8.0, 8.0))
 
 
 class DielectricSaturation(AbstractCouplingEffect):
