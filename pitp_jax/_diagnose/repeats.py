@@ -60,8 +60,10 @@ def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
 
     both = windows(counts[lag:] & counts[:-lag])
     spread = windows(u).std(1)
-    apart = np.sqrt(_square(*map(windows, _change(u, lag)), np.ones_like(both))) / np.maximum(spread, 1e-30)
-    square = _square(*map(windows, _change(error, lag)), both)
+    change, more = (windows(v) for v in _change(u, lag))
+    apart = np.sqrt(_square(change, more, np.ones_like(both))) / np.maximum(spread, 1e-30)
+    change, more = (windows(v) for v in _change(error, lag))
+    square = _square(change, more, both)
     good = (apart < _SAME) & (spread > _MOVING * spread.max()) & (both.mean(1) > 0.5)
     return (float(np.median(apart[good])), float(np.median(square[good]))) if good.sum() >= _FEWEST else None
 
