@@ -24,10 +24,10 @@ from .screen import screen
 _PAIRS, _FOREMOST, _NEAR, _FORM_PAIRS = 8, 4, 2.0, 4
 # a second effect must remove at least that share of the gap's energy, and leave little of what one left (or less than
 # it, where the share is large)
-_LEAST, _LITTLE, _LESS, _MUCH = 0.005, 0.35, 0.7, 0.1
-# what one leaves is a gap of its own from so many floors on, and that share is then enough; of tuning seeds' single
+_LEAST, _LITTLE, _LESS, _MUCH = 0.01, 0.35, 0.7, 0.1
+# what one leaves is a gap of its own from so many floors on, and the least share is then enough; of tuning seeds' single
 # effects one of 92 leaves more (a slack, 10.7)
-_PLAIN, _SOME = 10.0, 0.01
+_PLAIN = 10.0
 _AROUND, _PARTNERS, _WITHIN = 3, 3, 1.1  # single effects screened around, names and forms tried beside each
 
 
@@ -72,7 +72,7 @@ def second(
     share = (first.heldout**2 - best.heldout**2) / max(base.heldout**2 - low**2, 1e-30)
     said = " and ".join(best.names)
     progress(f"{said}: leaves {100 * left:.0f} % of what one left, removes {100 * share:.2g} % of the gap")
-    less = left <= _LESS and share >= (_SOME if plain else _MUCH)
+    less = left <= _LESS and (plain or share >= _MUCH)
     pays = share >= _LEAST and (left <= _LITTLE or less) and best.train < first.train
     return (_foremost_first(case, catalogue, best), judged) if pays else None
 
