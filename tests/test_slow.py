@@ -140,6 +140,24 @@ def test_slopes_are_those_of_the_residuals(nominal, records, double):
     assert cost(balance, shorter, start) == pytest.approx(cost(balance, model, start))  # theta alone counts
 
 
+def test_a_spring_that_is_off_shows_beside_a_mean_that_is_not(nominal, records):
+    """1 % too stiff leaves r = 0.01 x: in a window 0.01 mean x, and, below the resonance, 3 times 0.01 std x."""
+    data = build_dataset(nominal, records, scaling="rms", difference="stencil",
+                         memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
+    balance = _slow.slow_balance(data.model, nominal.provenance.long_record, [(-1e3, 1e3)] * 3)
+    stiffer = replace(data.model, coefficients=data.model.coefficients * jnp.asarray([1.01, 1.0, 1.0], jnp.float32))
+    more = np.asarray(_slow._left(stiffer, balance.series) - _slow._left(data.model, balance.series), np.float64)
+    used, force = balance.scale > 0, 0.01 * float(data.model.coefficients[0])
+    x, inside = np.asarray(balance.series.states[..., 0]), np.asarray(balance.series.weight[:, 0]) > 0
+    slow = more[:, 1] != 0
+    hz = 0.1 + 2.4 * (np.arange(100) + 0.5) / 100
+    assert slow[hz < 0.6].sum() > 5 and not slow[hz > 1.0].any()
+    for w in np.flatnonzero(used):
+        here = x[w][inside[w]]
+        expected = force * np.array([here.mean(), 3 * here.std() * slow[w]])
+        np.testing.assert_allclose(more[w], expected, rtol=2e-2, atol=1e-5)
+
+
 def test_what_training_covers_counts_and_nothing_else(nominal, records):
     """The sweep meets the resonance, which the two slowest records do not."""
     data = build_dataset(nominal, records[:2], scaling="rms", difference="stencil",

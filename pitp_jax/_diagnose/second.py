@@ -25,8 +25,8 @@ _PAIRS, _FOREMOST, _NEAR, _FORM_PAIRS = 8, 4, 2.0, 4
 # a second effect must remove at least that share of the gap's energy, and leave little of what one left (or less than
 # it, where the share is large)
 _LEAST, _LITTLE, _LESS, _MUCH = 0.01, 0.35, 0.7, 0.1
-# what one leaves is a gap of its own from so many floors on, and the least share is then enough; of tuning seeds' single
-# effects one of 92 leaves more (a slack, 10.7)
+# what one leaves is a gap of its own from so many floors on, and the least share is then enough; of 92 single effects
+# on tuning seeds one leaves more (a slack, 10.7)
 _PLAIN = 10.0
 _AROUND, _PARTNERS, _WITHIN = 3, 3, 1.1  # single effects screened around, names and forms tried beside each
 
