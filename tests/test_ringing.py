@@ -82,6 +82,7 @@ def test_none_is_taken_that_the_sampling_cannot_follow(ringing):
     assert found[1] is None
 
 
+@pytest.mark.slow
 def test_a_free_run_is_better_for_it(ringing):
     """Without it (`ringing=False`) 0.84 of the nominal's error are left after as many steps."""
     nominal = identify(ringing, order=2).model

@@ -89,6 +89,7 @@ def test_few_records_behind_a_square_get_a_frugal_encoder(plant, first):
     assert firmness_of(replace(TINY, firmness=0.5), first.model) == 0.5
 
 
+@pytest.mark.slow
 def test_a_mesh_of_one_trains_the_same_model(plant):
     """What it shares among devices are its `FreeRuns`, tested on eight in `test_shard`."""
     short = replace(TINY, epochs=2, stages=1, refine_steps=2)
