@@ -28,7 +28,8 @@ _LEAST, _LITTLE, _LESS, _MUCH = 0.01, 0.35, 0.7, 0.1
 # what one leaves is a gap of its own from so many floors on, and the least share is then enough; of 92 single effects
 # on tuning seeds one leaves more (a slack, 10.7)
 _PLAIN = 10.0
-_AROUND, _PARTNERS, _WITHIN = 3, 3, 1.1  # single effects screened around, names and forms tried beside each
+_HALF = 0.5  # of the error: what takes off less is no first effect to look around
+_AROUND, _PARTNERS, _WITHIN = 2, 2, 1.1  # single effects screened around, names and forms tried beside each
 
 
 def second(
@@ -62,7 +63,7 @@ def second(
     others = [s for s in others if frozenset(s.forms) not in done]
     if others:
         judged += tried(case, catalogue, others, factors, refit, [], progress)
-    plain = first.heldout > _PLAIN * low
+    plain = _PLAIN * low < first.heldout < _HALF * base.heldout
     if plain:
         progress("screening around the best effects")
         around = _around(case, catalogue, rivals, refit)
