@@ -106,6 +106,20 @@ def test_predict_with_diverged_records(call, bench, tmp_path, diverging, lost, m
     assert np.isnan(columns_of(tmp_path / "d" / "sine2.csv")[1][:, 3]).sum() == 1000
 
 
+def test_a_record_without_a_figure_says_why(call, bench, monkeypatch):
+    """Dashes alone, and a reader looks for the mistake in the model."""
+    real = _predict.predict
+
+    def fake(model, records):
+        return tuple(replace(p, scored=p.scored & (p.name != "sine2")) for p in real(model, records))
+
+    monkeypatch.setattr(_predict, "predict", fake)
+    code, text, _ = call("predict", bench / "nominal", bench / "records")
+    assert code == 0
+    (line,) = [line for line in text.splitlines() if "nothing to score" in line]
+    assert line.startswith("sine2 ")
+
+
 def test_predict_fails_only_where_all_diverge(call, bench, tmp_path, diverging):
     diverging.update(DRIVES)
     code, _, err = call("predict", bench / "nominal", bench / "records", "--json", tmp_path / "j")
