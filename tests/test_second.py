@@ -32,12 +32,12 @@ def bursts(case, hz):
     rows = [
         replace(s, record=replace(s.record, voltage=u)) for s, u in zip(case.series[: len(hz)], played, strict=True)
     ]
-    return replace(case, series=tuple(rows)), steps
+    return replace(case, series=tuple(rows))
 
 
 def test_bursts_leave_the_floor_of_their_cycles(nominal):
     """A gap that follows the drive has no gaps between its lines, and drops out where the drive comes back."""
-    case, steps = bursts(build_case(nominal, play(nominal, noise=0.0)), (2.5, 3.1))  # 100 and 80.6 samples
+    case = bursts(build_case(nominal, play(nominal, noise=0.0)), (2.5, 3.1))  # 100 and 80.6 samples
     rng, errors = np.random.default_rng(0), []
     for s in case.series:
         follows = (s.record.voltage / 600) ** 2 + (s.record.voltage / 600) ** 4
@@ -50,7 +50,7 @@ def test_bursts_leave_the_floor_of_their_cycles(nominal):
 
 def test_a_wander_slower_than_a_period_is_seen(nominal):
     """Over up to eight periods: from one to the next it would hide."""
-    case, _ = bursts(build_case(nominal, play(nominal, noise=0.0)), (12.5,))  # 20 samples
+    case = bursts(build_case(nominal, play(nominal, noise=0.0)), (12.5,))  # 20 samples
     rng = np.random.default_rng(1)
     wander = np.convolve(rng.standard_normal(SAMPLES + 200), np.hanning(120) / 6.7, "valid")[:SAMPLES] * QUIET
     next_one = np.sqrt(np.mean((wander[20:] - wander[:-20]) ** 2) / 2)

@@ -30,8 +30,8 @@ from .where import locate
 
 _TIES = 3
 # (floors left, share that must be closed where more is left). Tuning seeds: true names of another form close 0.81 at
-# least (0.76 at 2.1 floors after a refit); a curved sensor, which no form is, 0.67; what stands in for a name left out
-# closes 0.69 to 0.89, and what of it lies below 0.8 leaves 4.9 floors at least
+# least (0.76 at 2.1 floors after a refit); a curved sensor, which no form is, 0.67. With the true name left out (seeds
+# 100 and 101) what stands in closes 0.69 to 0.89, and what of it lies below 0.8 leaves 4.9 floors at least
 _LEAVES = ((1.5, 0.72), (3.0, 0.80))
 _DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
 _ONLY = 2.0  # with the true name left out, a charge leak passed for a voltage offset (77 % closed, 4.9 floors left)

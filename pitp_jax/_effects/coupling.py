@@ -5,73 +5,77 @@ stretch_coupling        F (1 + b x)          F (1 + b x / 2)^2       thinner fil
 dielectric_saturation   F / (1 + |F| / F_s)  F_s tanh(F / F_s)        the permittivity falls at high field
 """
 
+from abc import abstractmethod
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .base import AbstractCouplingEffect, Parameter, Surroundings, bounded
 
 
-class StretchCoupling(AbstractCouplingEffect):
-    """F (1 + b x)."""
+class _Stretched(AbstractCouplingEffect):
+    """F times a factor of x that stays positive: never a push, and undone by division."""
 
-    name, form, family, port = "stretch_coupling", "linear", "coupling", "SQ"
+    name, family, port = "stretch_coupling", "coupling", "SQ"
     PARAMETERS = (Parameter("b", "1/x", length=-1, positive=False, neutral=0.0),)
     b: Float[Array, ""]
+
+    @abstractmethod
+    def factor(self, x) -> Array:
+        """Of the force, at X."""
+
+    def couple(self, force, x):
+        """Never a push."""
+        return force * self.factor(x)
+
+    def uncouple(self, force, x):
+        """By division."""
+        return force / self.factor(x)
+
+
+class StretchCoupling(_Stretched):
+    """F (1 + b x)."""
+
+    form = "linear"
 
     @classmethod
     def starts(cls, s: Surroundings):
         """Either sign; far up, since an actuator that snaps in one record has a reach its others never see."""
         return [bounded((sign * 0.1 / s.reach,), (-0.95 / s.reach,), (12.0 / s.reach,)) for sign in (1, -1)]
 
-    def couple(self, force, x):
-        """Never a push."""
-        return force * jnp.maximum(1 + self.b * x, 0.05)
-
-    def uncouple(self, force, x):
-        """By division."""
-        return force / jnp.maximum(1 + self.b * x, 0.05)
+    def factor(self, x):
+        """At least 0.05."""
+        return jnp.maximum(1 + self.b * x, 0.05)
 
 
-class SquaredCoupling(AbstractCouplingEffect):
+class SquaredCoupling(_Stretched):
     """F (1 + b x / 2)^2."""
 
-    name, form, family, port = "stretch_coupling", "quadratic", "coupling", "SQ"
-    PARAMETERS = StretchCoupling.PARAMETERS
-    b: Float[Array, ""]
+    form = "quadratic"
 
     @classmethod
     def starts(cls, s: Surroundings):
         """Either sign, as far up."""
         return [bounded((sign * 0.1 / s.reach,), (-1.0 / s.reach,), (12.0 / s.reach,)) for sign in (1, -1)]
 
-    def couple(self, force, x):
-        """Never a push."""
-        return force * jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
-
-    def uncouple(self, force, x):
-        """By division."""
-        return force / jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
+    def factor(self, x):
+        """At least 0.01."""
+        return jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
 
 
-class ExponentialCoupling(AbstractCouplingEffect):
+class ExponentialCoupling(_Stretched):
     """F exp(b x)."""
 
-    name, form, family, port = "stretch_coupling", "exponential", "coupling", "SQ"
-    PARAMETERS = StretchCoupling.PARAMETERS
-    b: Float[Array, ""]
+    form = "exponential"
 
     @classmethod
     def starts(cls, s: Surroundings):
         """Either sign; far down, where the grid must come close: an exponent is not a strength."""
         return [bounded((b / s.reach,), (-6.0 / s.reach,), (3.0 / s.reach,)) for b in (0.3, -0.3, -1.0, -3.0)]
 
-    def couple(self, force, x):
-        """Never a push."""
-        return force * jnp.exp(jnp.clip(self.b * x, -8.0, 8.0))
-
-    def uncouple(self, force, x):
-        """By division."""
-        return force * jnp.exp(-jnp.clip(self.b * x, -8.0, 8.0))
+    def factor(self, x):
+        """Within exp(+-8)."""
+        return jnp.exp(jnp.clip(self.b * x, -8.0, 8.0))
 
 
 class DielectricSaturation(AbstractCouplingEffect):
