@@ -79,6 +79,15 @@ def test_a_clip_that_only_one_drive_reaches_is_judged_where_it_is(nominal):
     assert found.added[0].parameters["inverse"]["value"] == pytest.approx(1 / 1340, rel=0.01)
 
 
+def test_a_clip_that_only_one_sine_reaches_is_found_with_nothing_held_out(nominal):
+    """Either way round one side shows nothing: the fit never sees the clip, or no drive is left to judge it on."""
+    planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1340)),))
+    others = {c.name for c in CATALOGUE} - {"voltage_clip", "drag"} | {"parameter_change"}
+    found = pitp.diagnose(nominal, play(planted, louder=("sine1",)), exclude=sorted(others))
+    assert found.effects == ("voltage_clip",) and found.heldout == ()
+    assert found.gap.closed_fraction > 0.95
+
+
 def test_two_effects_are_both_named(nominal):
     """A hard spring behind a slow electrode: no single effect comes near, and the strongest is named first."""
     parts = stiffness.GentStiffening(jnp.asarray(0.25)), electrode.ElectrodeRC(jnp.asarray(0.02))

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 import pitp_jax._diagnose.fit as fitting
 from pitp_jax._diagnose.along import nominal_filter, responses
-from pitp_jax._diagnose.attribute import Attribution
+from pitp_jax._diagnose.attribute import Attribution, _part_of_a_change
 from pitp_jax._diagnose.case import build_case, split
 from pitp_jax._diagnose.diagnosis import _verdict
 from pitp_jax._diagnose.fit import Candidate, fit
@@ -18,7 +18,7 @@ from pitp_jax._diagnose.found import Gap
 from pitp_jax._diagnose.judged import Judged, sides
 from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
-from pitp_jax._effects import CATALOGUE, amplifier
+from pitp_jax._effects import CATALOGUE, amplifier, sensor, stiffness
 from pitp_jax._record.drives import kind
 
 
@@ -49,6 +49,19 @@ def test_the_noise_floor_is_that_of_the_noise(nominal, colour):
     found = estimate(case, errors)
     assert found.sigma == pytest.approx(1e-3, rel=0.2 if colour else 0.1)
     assert found.sensor == pytest.approx(found.sigma, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("own", "name"), [(1.0, "parameter_change"), (1.05, "sensor_gain"), (np.inf, "parameter_change")]
+)
+def test_what_the_nominal_left_before_is_no_change_of_it(own, name):
+    """Beside a floor of 0.291 %, all coefficients leave 0.292 and one gain 0.306: the nominal was a twentieth off."""
+    ones = np.ones(3)
+    changed = Judged(Candidate((), (), (), ones, True), (), 0.29, 0.292)
+    gain = Judged(Candidate((sensor.SensorGain,), ((0.1,),), (), ones, False), (), 0.3, 0.306)
+    spring = Judged(Candidate((stiffness.CubicStiffening,), ((0.1,),), (), ones, False), (), 0.3, 0.3)
+    assert _part_of_a_change(changed, [changed, gain, spring], 0.291, own).names == (name,)
+    assert _part_of_a_change(spring, [changed, gain, spring], 0.291, own) is spring
 
 
 def test_the_screening_filter_is_the_nominal(nominal):

@@ -186,16 +186,26 @@ def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Sa
 
     first, progress = said("first"), options["progress"]
     elsewhere = first.verdict == "no_gap" and _fitted_show_it(first.case, first.found)
+    if not elsewhere and first.verdict != "unknown":
+        return first
+    tried = [first]
     others_fitted = split(records, "first") != split(records, "second")
-    if others_fitted and (elsewhere or (first.verdict == "unknown" and not _hopeless(first.case, first.found))):
+    if others_fitted and (elsewhere or not _hopeless(first.case, first.found)):
         progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
-        second = said("second")
-        if second.verdict == "explained":
-            return second
-    if elsewhere:
-        progress("once more, with nothing held out: the gap is in the fitted drives alone")
-        return said("none")
+        tried.append(said("second"))
+        if tried[1].verdict == "explained":
+            return tried[1]
+    if elsewhere or any(_on_one_side(s) for s in tried):
+        progress("once more, with nothing held out: the gap is in drives of one side alone")
+        everywhere = said("none")
+        return everywhere if elsewhere or everywhere.verdict == "explained" else first
     return first
+
+
+def _on_one_side(s: _Said) -> bool:
+    """A gap in the records that were fitted and none in those that were held out, or the other way round."""
+    held_show_it = s.gap.before > _DOUBT * (s.gap.noise_floor or 0.0)
+    return held_show_it != _fitted_show_it(s.case, s.found)
 
 
 def _fitted_show_it(case: Case, found: Attribution) -> bool:

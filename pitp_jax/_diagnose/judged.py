@@ -18,7 +18,7 @@ from .lanes import Lanes
 from .noise import Noise
 from .regress import Screened
 
-_CLOSE = 1.03  # within this factor of the least error the fewest numbers win
+CLOSE = 1.03  # within this factor of the least error the fewest numbers win
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def judge(lanes: Lanes, candidates: Sequence[Candidate]) -> list[Judged]:
 def parsimonious(rivals: Sequence[Judged]) -> Judged:
     """The fewest numbers among those within a few per cent of the least held-out error."""
     least = min(r.heldout for r in rivals)
-    close = [r for r in rivals if r.heldout <= _CLOSE * least]
+    close = [r for r in rivals if r.heldout <= CLOSE * least]
     return min(close, key=lambda r: (r.candidate.size, r.heldout))
 
 
