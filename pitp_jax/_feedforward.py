@@ -14,7 +14,7 @@ import numpy as np
 from ._decode import rest_state
 from ._errors import BadInput
 from ._invert_fast import invert_along, scaled_equation
-from ._metrics import e_rms_percent
+from ._metrics import e_rms_percent, rmse
 from ._model import augment
 from ._model.model import Model
 from ._parallel import rollout_by_size
@@ -39,7 +39,8 @@ class Feedforward:
         target: True on the target's own samples.
         outside_training_share: share of target samples outside the trained region.
         self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
-            the inversion, not a prediction of tracking.
+            the inversion, not a prediction of tracking. nan for a target that holds one value: `warnings` says by how
+            much that is missed.
         equation_e_rms_percent: the same for eq. 13 alone, before shooting.
         warnings: one line each.
     """
@@ -98,6 +99,10 @@ def feedforward(
     inside = np.zeros(len(voltage), bool)
     inside[first:last] = True
     warnings += _out_of_reach(infeasible[inside].mean(), saturated[inside].mean(), limits)
+    if np.isnan(best.error):
+        warnings += (
+            f"the target holds one value, eq. 15 has no range: the model's rollout is {best.left:.2g} m off it",
+        )
     return Feedforward(
         time=target.time[0] + (np.arange(len(voltage)) - first) * target.dt,
         voltage=voltage,
@@ -173,12 +178,16 @@ def _out_of_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[
 
 @dataclass(frozen=True)
 class _Shot:
-    """One pass: the voltage with its ramp down, and the plan (force, features) up to the target's end."""
+    """One pass: the voltage with its ramp down, the plan (force, features) up to the target's end, and what it leaves.
+
+    `left`: rmse of the rollout on the target's own samples, m; `error`: the same by eq. 15, nan without a range.
+    """
 
     voltage: np.ndarray
     saturated: np.ndarray
     force: np.ndarray
     features: np.ndarray
+    left: float
     error: float
     equation_error: float
 
@@ -198,11 +207,12 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int) -> _
         u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
         states = rollout_by_size(model, jnp.asarray(u[None], dtype), dt, rest_state(model)[None])[0]
         x = np.asarray(augment.readings(model, states), np.float64) * scale
-        error = e_rms_percent(x[path.target], wanted[path.target])
-        if best is not None and not error < best.error:
+        left = rmse(x[path.target], wanted[path.target])
+        if best is not None and not left < best.left:
             break
+        error = e_rms_percent(x[path.target], wanted[path.target])
         first = error if best is None else best.equation_error
-        best = _Shot(u, saturated, np.asarray(force), np.asarray(features), float(error), float(first))
+        best = _Shot(u, saturated, np.asarray(force), np.asarray(features), left, error, first)
         missed = np.where(saturated | ~np.isfinite(x), 0.0, wanted - x)
         reference = reference + missed
     assert best is not None  # the first pass always sets it

@@ -148,4 +148,20 @@ def test_a_target_too_short_for_the_order_is_refused(actuator, samples):
 def test_a_target_held_still_is_reached_though_eq_15_has_no_normaliser(actuator):
     found = feedforward(actuator, Target(TIME, np.full(SAMPLES, 1e-3)))
     assert np.isnan(found.self_check_e_rms_percent)
+    (line,) = found.warnings
+    assert float(line.split()[-4]) < 1e-10  # m; eq. 13 alone leaves 2.5e-10
     np.testing.assert_allclose(respond(actuator, found.voltage)[found.target, 0], 1e-3, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("time", "wanted", "told"),
+    [
+        (TIME, np.where(np.arange(SAMPLES) == 7, np.nan, 1e-3), "target: column 'displacement', sample 7: the target"),
+        (TIME, np.zeros(SAMPLES - 1), f"sample {SAMPLES - 1}: {SAMPLES - 1} samples"),
+        (TIME[:1], np.zeros(1), "1 in all"),
+        (TIME**2, np.zeros(SAMPLES), "not uniform"),
+    ],
+)
+def test_a_target_that_cannot_be_played_says_so(time, wanted, told):
+    with pytest.raises(BadInput, match=told):
+        Target(time, wanted)

@@ -64,11 +64,33 @@ def check_samples(
         )
 
 
+def check_wanted(
+    time: np.ndarray,
+    wanted: np.ndarray,
+    source: str,
+    columns: tuple[str, str] = ("time", "displacement"),
+    place: Callable[[int], str] = _sample,
+) -> None:
+    """Refuse a trajectory that has gaps; arguments as for `check_samples`, however few samples there are.
+
+    Raises:
+        BadInput: shapes differ, fewer than two samples, non-uniform time, a wanted sample missing or infinite.
+    """
+    _check_shapes((time, wanted), source, columns, least=2)
+    check_time(time, source, columns[0], place)
+    missing = ~np.isfinite(wanted)
+    if missing.any():
+        raise BadInput(
+            f"{source}: column {columns[1]!r}, {place(_first(missing))}: the target is missing "
+            f"({int(missing.sum())} of {len(wanted)} samples); fill the gap, a target needs every sample"
+        )
+
+
 def _first(mask: np.ndarray) -> int:
     return int(np.argmax(mask))
 
 
-def _check_shapes(arrays, source, columns):
+def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
     for values, column in zip(arrays, columns, strict=True):
         if values.ndim != 1:
             raise BadInput(
@@ -81,11 +103,11 @@ def _check_shapes(arrays, source, columns):
                 f"samples where {columns[0]!r} has {len(arrays[0])}; store columns of equal length"
             )
     count = len(arrays[0])
-    if count < MIN_SAMPLES:
+    if count < least:
         end = f"ends after sample {count - 1}" if count else "no samples"
         raise BadInput(
-            f"{source}: column {columns[0]!r}: {end}, {count} in all; record at least {MIN_SAMPLES} or leave "
-            "this file out"
+            f"{source}: column {columns[0]!r}: {end}, {count} in all; at least {least} are "
+            "needed, record more or leave it out"
         )
 
 

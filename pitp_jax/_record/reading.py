@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from .._errors import BadInput
-from .checks import check_samples
+from .checks import check_samples, check_wanted
 from .choice import choose_column
 from .formats import open_table, split_suffix
 from .record import Record
@@ -32,12 +32,21 @@ class Target:
         displacement: wanted output in m (or V), shape (T,), no missing samples.
         displacement_unit: unit it had in its file.
         source: the file, for messages.
+
+    Raises:
+        BadInput: shapes differ, fewer than two samples, non-uniform time, a sample missing or infinite.
     """
 
     time: np.ndarray
     displacement: np.ndarray
     displacement_unit: str = "m"
     source: str = ""
+
+    def __post_init__(self):
+        """Refuse what cannot be inverted (`read_target` gives the column and the line as well)."""
+        for field in ("time", "displacement"):
+            object.__setattr__(self, field, np.asarray(getattr(self, field), dtype=np.float64))
+        check_wanted(self.time, self.displacement, self.source or "target")
 
     @property
     def dt(self) -> float:
@@ -95,13 +104,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None) -> Ta
     wanted = to_base(values[column], unit, "displacement")
     idle = np.zeros_like(time)
     check_samples(time, idle, wanted, table.source, (time_column, "voltage", column), table.place)
-    missing = np.isnan(wanted)
-    if missing.any():
-        raise BadInput(
-            f"{table.source}: column {column!r}, {table.place(int(np.argmax(missing)))}: the target is "
-            "missing "
-            f"({int(missing.sum())} of {len(wanted)} samples); fill the gap, a target needs every sample"
-        )
+    check_wanted(time, wanted, table.source, (time_column, column), table.place)
     return Target(time, wanted, unit, table.source)
 
 
