@@ -127,6 +127,8 @@ class Limits:
 
 def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...]]:
     low, high = model.provenance.voltage_range
+    if bool(model.input_map.infeasible(jnp.asarray(-1.0))):  # squared: what was played below zero counts as well
+        low, high = 0.0, max(high, -low)
     trained_high, trained_slew = high, model.provenance.slew
     for name, value in (("max-voltage", max_voltage), ("max-slew", max_slew)):
         if value is not None and not value > 0:
@@ -138,8 +140,7 @@ def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...
         high, low = max_voltage, max(low, -max_voltage)
         if max_voltage > 1.0001 * trained_high:
             warnings = (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
-    low = 0.0 if bool(model.input_map.infeasible(jnp.asarray(-1.0))) else min(low, 0.0)
-    return Limits(low, high, trained_slew if max_slew is None else max_slew), warnings
+    return Limits(min(low, 0.0), high, trained_slew if max_slew is None else max_slew), warnings
 
 
 def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:

@@ -83,6 +83,15 @@ def test_zero_logits_are_the_coefficients(linear, double, order):
         np.testing.assert_allclose(tokens, double(model).coefficients, rtol=1e-11)
 
 
+@pytest.mark.parametrize("order", [2, *ORDERS])
+def test_changed_coefficients_are_the_tokens(linear, order):
+    """Each of them, also where tokens are made of sections: else a refit changes nothing but the gain."""
+    factors = np.linspace(0.9, 1.2, order + 1)
+    model = linear(order)
+    tokens, _ = model.changed(factors).tokens(jnp.zeros(order))
+    np.testing.assert_allclose(tokens, np.asarray(model.coefficients) * factors, rtol=3e-6)
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_tokens_of_any_encoder_are_stable(nonlinear, order):
     """A wild encoder (logits of several units, both branches of the positive factor) anywhere in feature space."""

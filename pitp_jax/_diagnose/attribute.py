@@ -7,9 +7,8 @@ block bootstrap of the held-out difference holds zero, or where neither reaches 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._effects import CATALOGUE, REMAINDERS
@@ -105,9 +104,7 @@ def _part_of_a_change(best: Judged, rivals: Sequence[Judged], low: float, own: f
 
 def moved(case: Case, factors: np.ndarray) -> Case:
     """The case around a nominal with other coefficients: a filter far from the plant misleads the screening."""
-    coefficients = jnp.asarray(np.asarray(case.model.coefficients, np.float64) * factors, jnp.float32)
-    nominal = replace(case.model, coefficients=coefficients)
-    return build_case(nominal, [s.record for s in case.series], how=case.split, mesh=case.mesh)
+    return build_case(case.model.changed(factors), [s.record for s in case.series], how=case.split, mesh=case.mesh)
 
 
 def finalists(screened: list[Screened]) -> list[Screened]:
@@ -164,11 +161,14 @@ def _same_family_border(case: Case, best: Judged, other: Judged, low: float) -> 
 
 
 def bootstrap(case: Case, which: Sequence[int], square: Callable[[int], np.ndarray], draws: int = _DRAWS) -> np.ndarray:
-    """Draws of the mean over records of the mean of `square`, by blocks within records; shape (draws,)."""
+    """Draws of the mean over records of the mean of `square` where it counts, by blocks within records; (draws,)."""
     rng = np.random.default_rng(0)
     total = np.zeros(draws)
     for k in which:
-        values = square(k) * (case.series[k].weight > 0)
-        blocks = np.array([b.mean() for b in np.array_split(values, _BLOCKS)])
-        total += blocks[rng.integers(0, _BLOCKS, (draws, _BLOCKS))].mean(1) / len(which)
+        counts = case.series[k].weight > 0
+        sums, sizes = (
+            np.array([b.sum() for b in np.array_split(v, _BLOCKS)]) for v in (square(k) * counts, counts.astype(float))
+        )
+        drawn = rng.integers(0, _BLOCKS, (draws, _BLOCKS))
+        total += sums[drawn].sum(1) / np.maximum(sizes[drawn].sum(1), 1.0) / len(which)
     return total

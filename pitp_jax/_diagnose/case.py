@@ -28,7 +28,6 @@ from .._record.preprocess import force_band, preprocess
 from .._record.record import Record
 
 Split = Literal["first", "second", "none"]
-BUDGET = 240_000  # samples in all; longer sets are cut record by record
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,6 @@ class Case:
 
 def build_case(model: Model, records: Sequence[Record], *, how: Split = "first", mesh: Mesh | None = None) -> Case:
     """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`."""
-    records = _cut(records)
     model = _finer(at_rate(model, records[0].dt), records[0].dt)
     known = _session_known(records)
     begin, spent = starts(model, records)
@@ -131,19 +129,6 @@ def _finer(model: Model, dt: float) -> Model:
     return replace(model, substeps=max(model.substeps, int(np.ceil(model.natural_frequency * dt / 0.1))))
 
 
-def _cut(records: Sequence[Record]) -> tuple[Record, ...]:
-    most = max(BUDGET // len(records), 4000)
-    spare = sum(max(most - r.samples, 0) for r in records)
-    long = max(sum(r.samples > most for r in records), 1)
-    most += spare // long
-    return tuple(
-        r
-        if r.samples <= most
-        else replace(r, time=r.time[:most], voltage=r.voltage[:most], displacement=r.displacement[:most])
-        for r in records
-    )
-
-
 def _session_known(records: Sequence[Record]) -> bool:
     """More than one record, and none overlaps another in time."""
     spans = sorted((r.time[0], r.time[-1]) for r in records)
@@ -154,8 +139,8 @@ def split(records: Sequence[Record], how: Split = "first") -> set[str]:
     """Names of the records to fit: about half, every kind that has several on both sides, broadband held out.
 
     A drive of its own kind is held out where something else spans the range; sweeps and steps (the only records that
-    tell slow from fast) are fitted. Sines alternate by frequency; `second`: those that were held out are fitted;
-    `none`: all are fitted, and none is held out.
+    tell slow from fast) are fitted. Sines alternate by frequency, and a drive that was played twice stays on one side;
+    `second`: those that were held out are fitted; `none`: all are fitted, and none is held out.
     """
     if how == "none":
         return {r.name for r in records}
@@ -164,14 +149,25 @@ def split(records: Sequence[Record], how: Split = "first") -> set[str]:
         groups.setdefault(kind(r), []).append(r)
     fitted: set[str] = set()
     for name, members in groups.items():
-        members = sorted(members, key=lambda r: (loudest(r), r.name))
+        drives = _by_drive(sorted(members, key=lambda r: (loudest(r), r.name)))
         if len(members) > 1:
-            fitted |= {r.name for r in members[how == "second" :: 2]}
+            fitted |= {r.name for drive in drives[how == "second" :: 2] for r in drive}
         elif name in ("sweep", "steps") or len(groups) == 1:
             fitted.add(members[0].name)
     if not fitted:
         fitted.add(max(records, key=lambda r: np.ptp(r.voltage) * r.samples).name)
     return fitted
+
+
+def _by_drive(records: Sequence[Record]) -> list[list[Record]]:
+    """Records of one voltage together (line, mean and size to 1 % of the range); one each where all have the same."""
+    found: list[tuple[np.ndarray, list[Record]]] = []
+    for r in records:
+        size = np.ptp(r.voltage)
+        drive = np.array([loudest(r) * size, r.voltage.mean(), r.voltage.std(), size])
+        same = [rs for d, rs in found if np.all(np.abs(d - drive) <= 0.01 * np.array([drive[0], *[size] * 3]))]
+        same[0].append(r) if same else found.append((drive, [r]))
+    return [rs for _, rs in found] if len(found) > 1 else [[r] for r in records]
 
 
 def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, cut: float, known: bool) -> Series:

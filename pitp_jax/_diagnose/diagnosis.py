@@ -17,7 +17,7 @@ from jax.sharding import Mesh
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
-from .._record.sets import check_set, clock_start
+from .._record.sets import clock_start
 from .attribute import Attribution, attribute
 from .case import Case, Split, build_case, split
 from .doubt import doubted, own_misfit
@@ -26,6 +26,7 @@ from .hold import settled
 from .judged import augmented, floor, sides
 from .next import Experiment, separate
 from .noise import STRUCK
+from .usable import usable
 from .where import locate
 
 _TIES = 3
@@ -52,6 +53,7 @@ class Diagnosis:
         fitted, heldout: record names; where nothing was held out, effects are judged on what they were fitted on.
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
         traces: every record beside the nominal and the best explanation.
+        notes: one line for whatever recordings were left out or cut.
         model: the nominal with the effects added (and its coefficients refitted where asked for).
     """
 
@@ -68,6 +70,7 @@ class Diagnosis:
     shift: np.ndarray
     traces: tuple[Trace, ...]
     model: Model
+    notes: tuple[str, ...] = ()
 
     @property
     def records(self) -> dict[str, list[str]]:
@@ -90,6 +93,7 @@ class Diagnosis:
             else {"separates": list(experiment.separates), "excitation": experiment.excitation, "csv": csv},
             "records": self.records,
             "coefficients_over_given": [float(v) for v in self.shift],
+            "notes": list(self.notes),
         }
 
     def __str__(self) -> str:
@@ -98,12 +102,13 @@ class Diagnosis:
         lines = [f"verdict: {self.verdict}" + (f" by {' and '.join(self.effects)}" if self.effects else "")]
         if self.equivalent:
             lines.append(f"cannot be told from: {', '.join(self.equivalent)}")
-        closed = "" if g.closed_fraction is None else f", {abs(100 * g.closed_fraction):.0f} % of the gap closed"
+        closed = "" if g.closed_fraction is None else f", {max(100 * g.closed_fraction, 0):.0f} % of the gap closed"
         known = "unknown" if g.noise_floor is None else f"{g.noise_floor:.2f} %"
         side = "held-out" if self.heldout else "fitted"
         lines.append(f"{side} error {g.before:.2f} -> {g.after:.2f} % of range (noise floor {known}){closed}")
         if self.verdict != "no_gap":
             lines.append(self.where["summary"])
+        lines += [f"note: {line}" for line in self.notes]
         return "\n".join(lines)
 
 
@@ -127,11 +132,12 @@ def diagnose(
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
     Raises:
-        BadInput: no records or of several rates, a nominal that diverges on one, or a mesh over several processes.
+        BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one; a
+            mesh over several processes.
     """
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
-    check_set(records)
+    records, notes = usable(records)
     model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
     options = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
     case, found, gap, verdict = _over_splits(model, records, mesh, options)
@@ -162,6 +168,7 @@ def diagnose(
         shift=np.asarray((found.best if effects else found.base).candidate.factors),
         traces=tuple(trace_of(case, found, k) for k in range(len(case.series))),
         model=added,
+        notes=notes,
     )
 
 

@@ -149,7 +149,8 @@ def _relative(c, errors) -> list:
 
 def ranking_of(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, ...]:
     """Every name's best form: those fitted on whole rollouts, the preferred one first, then those only screened."""
-    rows = [_fitted(case, found, j, low, held) for j in found.ranking]
+    stable = [j for k, j in enumerate(found.ranking) if k == 0 or np.isfinite(j.heldout)]  # not what ran away there
+    rows = [_fitted(case, found, j, low, held) for j in stable]
     seen = {r.effect for r in rows}
     for s in found.screened:
         if s.names[0] not in seen:
@@ -168,7 +169,7 @@ def _fitted(case: Case, found: Attribution, j: Judged, low: float, held) -> Rank
         form=form.form if form else "refitted coefficients",
         parameters=added_of(case, j)[0].parameters,
         train=j.train,
-        heldout=j.heldout if np.isfinite(j.heldout) else j.train,
+        heldout=j.heldout,
         closed_fraction=closed(found.base.heldout, j.heldout, low),
         ci95=_interval(case, found.base, j, low, held),
         screened=False,

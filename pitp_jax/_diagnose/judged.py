@@ -110,10 +110,9 @@ def augmented(case: Case, judged: Judged, model: Model) -> Model:
     c = judged.candidate
     pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: CATALOGUE.index(fv[0]))
     effects = tuple(f(*(jnp.asarray(v, jnp.float32) for v in values)) for f, values in pairs)
-    coefficients = (np.asarray(model.coefficients, np.float64) * c.factors).astype(np.float32)
     substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
     output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
     return replace(
-        model, effects=(*model.effects, *effects), coefficients=jnp.asarray(coefficients), substeps=substeps,
-        output=output, provenance=model.provenance.driven_by([s.record for s in case.series]),
+        model.changed(c.factors), effects=(*model.effects, *effects), substeps=substeps, output=output,
+        provenance=model.provenance.driven_by([s.record for s in case.series]),
     )  # fmt: skip

@@ -2,8 +2,9 @@
 
     maximise over excitations  rms_t (y_a - y_b) / sigma     within the voltages and slews already played
 
-Both explanations are rolled out under sines (low, through the resonance, high), steps, and a carrier of either sign
-stepped through frequency, which parts what lags before the square from what lags behind it.
+Both explanations are rolled out under sines (low, through the resonance, high), steps, and, where voltages of either
+sign were played, a carrier of either sign stepped through frequency, which parts what lags before the square from what
+lags behind it. Each starts from zero volts and goes back there.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._model import augment
-from .._model.input_map import SquareInput
 from .._record.record import Record
 from .case import Case, Series
 from .fit import lane_of
@@ -43,23 +43,30 @@ class Experiment:
 
 
 def excitations(case: Case) -> dict[str, np.ndarray]:
-    """Voltages by what they are, within what was played; each about sixty natural periods long."""
+    """Voltages by what they are, within what was played; each about sixty natural periods long, and the ramps."""
     hz, dt = case.surroundings.omega / (2 * np.pi), case.dt
     t = np.arange(int(np.clip(60 / hz / dt, 2000, 20000))) * dt
-    top, slew = case.surroundings.voltage, case.surroundings.slew
-    low = 0.0 if isinstance(case.model.input_map, SquareInput) else -top
+    low = min(float(s.record.voltage.min()) for s in case.series)
+    top, slew = max(float(s.record.voltage.max()) for s in case.series), case.surroundings.slew
     found = {}
     for m in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.5):
         swing = min((top - low) / 2 * 0.95, slew / (2 * np.pi * m * hz))
         found[f"sine of {m * hz:.3g} Hz"] = (top + low) / 2 - swing * np.cos(2 * np.pi * m * hz * t)
-        carrier = min(top * 0.95, slew / (2 * np.pi * m * hz))
-        found[f"sine of {m * hz:.3g} Hz about zero volts"] = carrier * np.sin(2 * np.pi * m * hz * t)
-    level = np.repeat([0.2, 0.9, 0.5, 1.0, 0.1, 0.7], -(-len(t) // 6))[: len(t)] * top
-    rise = max(int(top / slew / dt), 1)
+        carrier = min(0.95 * top, -0.95 * low, slew / (2 * np.pi * m * hz))
+        if carrier > 0:
+            found[f"sine of {m * hz:.3g} Hz about zero volts"] = carrier * np.sin(2 * np.pi * m * hz * t)
+    level = low + np.repeat([0.2, 0.9, 0.5, 1.0, 0.1, 0.7], -(-len(t) // 6))[: len(t)] * (top - low)
+    rise = max(int((top - low) / slew / dt), 1)
     found["steps of six levels"] = np.convolve(np.pad(level, (rise, 0), mode="edge"), np.ones(rise) / rise, "valid")[
         : len(t)
     ]
-    return found
+    return {name: _from_zero(u, slew * dt) for name, u in found.items()}
+
+
+def _from_zero(voltage: np.ndarray, step: float) -> np.ndarray:
+    """With a ramp from zero volts before it and one back behind it, of half the largest step a sample."""
+    up, down = (np.linspace(0.0, v, int(np.ceil(2 * abs(v) / step)) + 1)[:-1] for v in (voltage[0], voltage[-1]))
+    return np.concatenate([up, voltage, down[::-1]])
 
 
 def separate(case: Case, a: "Judged", b: "Judged", noise: Noise) -> Experiment:

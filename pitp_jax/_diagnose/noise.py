@@ -22,6 +22,7 @@ from .repeats import scatter
 
 _QUARTILE = -np.log(0.75)
 _BINS = 24
+_SHORT = 8  # times shorter than the longest record: its few bins would be everyone's
 _CLEAR = 0.8  # of the spectrum's: cycles that repeat better than that are believed
 STRUCK = 1.5  # sigma over sensor from where the actuator itself is disturbed
 
@@ -49,10 +50,11 @@ class Noise:
 
 def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     """From residuals (scaled, one per record of the case, finite)."""
-    dt = case.dt
-    fewest = min(len(e) for e in errors)
+    dt, long = case.dt, max(len(e) for e in errors) / _SHORT
+    counted = [(e, s.weight > 0) for e, s in zip(errors, case.series, strict=True) if len(e) >= long]
+    fewest = min(len(e) for e, _ in counted)
     edges = _edges(int(0.6 * fewest), dt)
-    levels = np.array([_levels(e, s.weight > 0, dt, edges) for e, s in zip(errors, case.series, strict=True)])
+    levels = np.array([_levels(e, seen, dt, edges) for e, seen in counted])
     bins = np.maximum(np.diff(edges) * 0.6 * fewest * dt, 4.0)
     spread = 2.0 / np.sqrt(bins)  # relative standard deviation of one record's quartile
     low = 0.67 if len(levels) > 3 else 1.0  # how many of them the quartile (the least of few) lies below the mean
@@ -79,7 +81,7 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
 def _without_peak(frequency: np.ndarray, level: np.ndarray, resonance: float) -> np.ndarray:
     """Levels below 4 resonances held to twice a rise as 1/f^2 from each band above."""
     near = frequency < 4 * resonance
-    f = np.maximum(frequency[near], frequency[:2].max() / 2)
+    f = np.maximum(frequency[near], max(frequency[:2].max() / 2, 1e-9))  # a single band has its middle at zero
     above = np.triu(2 * level[near] * (f / f[:, None]) ** 2, 1) + np.tril(np.full((len(f), len(f)), np.inf))
     return np.concatenate([np.minimum(level[near], above.min(1)), level[~near]])
 
@@ -90,7 +92,7 @@ def _edges(samples: int, dt: float) -> np.ndarray:
     edges = [0.0]
     while edges[-1] + width < top:
         edges.append(edges[-1] + max(width, 0.2 * edges[-1]))
-    edges[-1] = top
+    edges[-1:] = [top] if len(edges) > 1 else [0.0, top]
     return np.array(edges)
 
 

@@ -126,7 +126,7 @@ def _records(d: Diagnosis) -> list[str]:
                 figure(scale * span), figure(before), figure(after), percent(d.where["records"].get(t.name)),
             )[:columns])
         )  # fmt: skip
-    return [page.table(header[:columns], rows, {1: "left"})]
+    return [page.table(header[:columns], rows, {1: "left"}), *(tag("p", f"Note: {line}.", "soft") for line in d.notes)]
 
 
 def _reading(d: Diagnosis) -> list[str]:

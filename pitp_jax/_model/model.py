@@ -151,14 +151,20 @@ class Model(eqx.Module):
         return self.tokens_from(self.encoder(features, key=key))
 
     def tokens_from(self, logits: Float[Array, " logits"]) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
-        """Tokens and offset token of an encoder's logits; the polynomial they make is stable (`sections`)."""
+        """Tokens and offset token of an encoder's logits; the polynomial they make is stable (`sections`).
+
+        From order 3 on the factors act on the nominal's sections, and the coefficients follow in proportion.
+        """
         factor = positive_factor(logits[:-1])
         if self.order < 3:
             return self.coefficients * factor, logits[-1]
-        nominal, n = np.asarray(self.scales.sections), self.order
-        state = np.asarray(self.scales.state)
-        poly = product(factor[:n] * jnp.asarray(nominal, factor.dtype))
-        return self.coefficients[n] * factor[n] * jnp.asarray(state / state[n], factor.dtype) * poly, logits[-1]
+        nominal, n = jnp.asarray(self.scales.sections, factor.dtype), self.order
+        return self.coefficients * factor[n] * (product(factor[:n] * nominal) / product(nominal)), logits[-1]
+
+    def changed(self, factors: np.ndarray) -> "Model":
+        """The model whose nominal coefficients are these factors times its own, shape (n + 1,)."""
+        coefficients = np.asarray(self.coefficients, np.float64) * factors
+        return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
 
 def _sections(coefficients: np.ndarray) -> tuple[float, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from .record import Record
 from .sweeps import is_sweep
 
+_PARTS = 1000  # of a record, over which a step stands still
 _GOLDEN = (5**0.5 - 1) / 2
 
 
@@ -19,7 +20,8 @@ def kind(record: Record) -> str:
     """sweep, sine (one line holds the drive), steps (it stands still mostly), or broadband."""
     if is_sweep(record):
         return "sweep"
-    still = np.abs(np.diff(record.voltage)) < 1e-3 * np.ptp(record.voltage)
+    apart = max(record.samples // _PARTS, 1)  # by the sample a slow sine stands still too
+    still = np.abs(record.voltage[apart:] - record.voltage[:-apart]) < 1e-3 * np.ptp(record.voltage)
     if still.mean() > 0.4:
         return "steps"
     power = spectrum(record) ** 2

@@ -77,7 +77,7 @@ def test_finds_the_lag_and_says_so(run):
 
 def test_json_has_the_keys_of_the_contract(run):
     told = run.told
-    assert set(told) - {"coefficients_over_given", "added"} == KEYS
+    assert set(told) - {"coefficients_over_given", "added", "notes"} == KEYS
     assert set(told["gap"]) == GAP
     assert set(told["where"]) - {"tone"} == WHERE
     assert set(told["records"]) == {"fitted", "heldout"}
