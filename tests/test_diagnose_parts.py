@@ -33,6 +33,9 @@ def test_kinds_and_the_split(nominal):
     assert split(records) == {"sweep", "sine0", "sine2", "steps"}
     assert split(records, "second") == {"sweep", "sine1", "sine3", "steps"}
     assert split(records, "none") == {r.name for r in records}
+    each = records[:2]  # a sweep and a multisine, one of either kind
+    assert split(each) == {"sweep"} and split(each, "second") == {"multisine"}
+    assert split(records[:1], "second") == {"sweep"}
     fitted, held = sides(build_case(nominal, records))
     assert not set(fitted) & set(held) and len(fitted) + len(held) == 7
 

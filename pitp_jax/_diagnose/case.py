@@ -156,6 +156,8 @@ def split(records: Sequence[Record], how: Split = "first") -> set[str]:
             fitted.add(members[0].name)
     if not fitted:
         fitted.add(max(records, key=lambda r: np.ptp(r.voltage) * r.samples).name)
+    if how == "second" and fitted == split(records, "first"):  # no kind has several: what was held out is fitted
+        return {r.name for r in records} - fitted or fitted
     return fitted
 
 
