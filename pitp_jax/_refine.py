@@ -40,6 +40,9 @@ from ._slow import SlowBalance
 _BUDGET = 400_000  # samples in all
 _FEWEST, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
 _SHORT_STEPS, _PERIODS = 12, 6.0
+# times the largest thing to meet: a Peano-HASEL's short runs, fitted to 0.5 %, left its free ones 6 ranges off on one
+# seed of three, and no step led down from there
+_NEAR = 5.0
 _PRIOR = 1e-4  # rho of every trained number but the weights of the nets of spring and damping
 _PATIENCE, _SLOW = 5, 0.01  # stop when that many steps together lower the error by less than this share
 
@@ -193,4 +196,4 @@ def _tamed(model: Model, batches: Sequence[Runs], dt: float) -> Model:
 def _stays(model: Model, runs: Runs, dt: float) -> bool:
     """Every run is finite and somewhere near what it is to meet."""
     x = np.asarray(rollout_batch(model, runs.voltage, dt, runs.start))[..., 0]
-    return bool(np.isfinite(x).all() and np.abs(x).max() < 100 * float(jnp.abs(runs.target).max()))
+    return bool(np.isfinite(x).all() and np.abs(x).max() < _NEAR * float(jnp.abs(runs.target).max()))

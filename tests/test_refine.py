@@ -167,6 +167,13 @@ def test_a_good_start_is_left_alone(plant, start):
         np.testing.assert_array_equal(a, b)
 
 
+def test_a_start_that_swings_far_beyond_its_targets_is_not_near(plant, start):
+    """Finite, but no step leads back: it is tamed as what diverges is."""
+    (runs,) = _refine._free(start[0], plant[1])
+    assert _refine._stays(start[0], runs, DT)
+    assert not _refine._stays(start[0], eqx.tree_at(lambda r: r.target, runs, runs.target / 20), DT)
+
+
 def test_no_start_at_all_is_told(plant, start):
     """Where the linear nominal is lost too there is nothing to step down from."""
     broken = eqx.tree_at(lambda m: m.coefficients, start[0], start[0].coefficients * jnp.array([1.0, jnp.nan, 1.0]))
