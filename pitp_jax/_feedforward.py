@@ -127,7 +127,12 @@ class Limits:
 
 def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...]]:
     low, high = model.provenance.voltage_range
+    warnings: tuple[str, ...] = ()
     if bool(model.input_map.infeasible(jnp.asarray(-1.0))):  # squared: what was played below zero counts as well
+        if high <= 0 > low:
+            warnings += (
+                "trained below zero volts alone, and this voltage is above: play its negative, with the same square",
+            )
         low, high = 0.0, max(high, -low)
     trained_high, trained_slew = high, model.provenance.slew
     for name, value in (("max-voltage", max_voltage), ("max-slew", max_slew)):
@@ -135,12 +140,11 @@ def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...
             raise BadInput(f"--{name} must be positive, got {value}")
     if max_voltage == np.inf:
         raise BadInput("--max-voltage must be finite: give the amplifier's limit")
-    warnings: tuple[str, ...] = ()
     if max_voltage is not None:
         high, low = max_voltage, max(low, -max_voltage)
         if max_voltage > 1.0001 * trained_high:
-            warnings = (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
-    return Limits(min(low, 0.0), high, trained_slew if max_slew is None else max_slew), warnings
+            warnings += (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
+    return Limits(min(low, 0.0), max(high, 0.0), trained_slew if max_slew is None else max_slew), warnings
 
 
 def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:
