@@ -80,10 +80,9 @@ def attribute(
         rivals += tried(case, catalogue, finalists(screened), factors, True, [], progress)
     if not refit and "parameter_change" not in exclude:
         rivals.append(changed)
-    low, own = floor(case, noise, sides(case)[1]), own_misfit(case.model)
-    best = _part_of_a_change(parsimonious(rivals), rivals, low, own)
-    noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     _, held = sides(case)
+    best = _part_of_a_change(parsimonious(rivals), rivals, floor(case, noise, held), own_misfit(case.model))
+    noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: (j.names != best.names, j.heldout)))
     factors = best.candidate.factors if refit else ones  # what one changed nominal absorbs of two effects misleads
     pair = second(case, catalogue, screening, best, rivals, base, noise, refit, factors, progress)
