@@ -21,6 +21,8 @@ from ._model import augment
 from ._model.model import Model
 from ._predict import at_rate, starts
 from ._record.record import Record
+from ._record.sets import check_set
+from ._rest import in_motion
 from ._train import train
 
 
@@ -61,6 +63,8 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
         ValueError: fewer than 2 members.
     """
     _enough(members)
+    check_set(records)
+    records, _ = in_motion(records)
     models = tuple(train(nominal, records, key=k, **options).model for k in jax.random.split(key, members))
     found = predict_band(Ensemble(models, 0.0), records)
     errors = [_relative(b, r) for b, r in zip(found, records, strict=True)]
@@ -75,13 +79,15 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     """
     if not 0 < level < 1:
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
-    stack = _stacked([at_rate(m, records[0].dt) for m in ensemble.models])
-    quantile = float(student.ppf(0.5 + level / 2, len(ensemble.models) - 1))
+    check_set(records)
+    models = [at_rate(m, records[0].dt) for m in ensemble.models]
+    stack = _stacked(models)
+    quantile = float(student.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
-        begin, spent = zip(*[starts(m, [r]) for m in ensemble.models], strict=True)
+        begin, spent = zip(*[starts(m, [r]) for m in models], strict=True)
         states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
-        model = ensemble.models[0]
+        model = models[0]
         x = np.asarray(states, np.float64) * model.scales.state[0]
         base = ensemble.error * np.ptp(r.displacement[r.observed])
         spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)

@@ -162,6 +162,11 @@ def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tup
         )
     if not path.slew_kept:
         warnings += ("no way into the target's first state was found within the slew limit: its start is cut",)
+    if not path.reached:
+        warnings += (
+            "no voltage within the limits swings the actuator into the target's first state: "
+            "it begins with an error; let it start at rest, or raise --max-voltage",
+        )
     return warnings
 
 

@@ -16,6 +16,7 @@ from scipy.optimize import lsq_linear
 from ._errors import BadInput
 from ._model.model import Model
 
+_NEAR = 0.02
 _JUMP = 0.3  # a change of x^(n-1) in one sample by this share of its range is a corner, not motion
 
 
@@ -27,11 +28,14 @@ class Path:
         displacement: model coordinates, m, shape (M,), from rest.
         target: where the target itself lies.
         slew_kept: the nominal force of the lead-in stays within the slew limit.
+        reached: the lead-in ends in the target's first state: x^(i) within 2 % of omega_0^i times the target's size.
+        period: of the nominal's resonance, s.
     """
 
     displacement: np.ndarray
     target: slice
     slew_kept: bool
+    reached: bool
     period: float
 
     def ramp_down(self, voltage: float, limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -65,18 +69,20 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
     moves = abs(states[0, 0]) > 1e-3 * span or abs(states[0, 1]) > 1e-2 * max(np.abs(states[:, 1]).max(), 1e-30)
     if not moves:
-        return Path(wanted, slice(0, len(wanted)), True, period)
+        return Path(wanted, slice(0, len(wanted)), True, True, period)
     high = float(model.input_map.force(jnp.asarray(limits.high)))
     low = 0.0 if limits.low == 0 else float(model.input_map.force(jnp.asarray(limits.low)))
-    lead, count, kept = np.zeros(0), 0, False
+    lead, count, kept, end = np.zeros(0), 0, False, np.zeros(order + 1)
     for stretch in (1, 2, 4):
         count = max(int(np.ceil(5 * stretch * period / dt)), 64)
-        lead, force = swing_in(model.physical_coefficients, states[0], count, dt, low, high)
+        lead, force, end = swing_in(model.physical_coefficients, states[0], count, dt, low, high)
         slew = np.abs(np.diff(np.asarray(model.input_map.voltage(force)))).max() / dt
         kept = bool(slew <= limits.slew)
         if kept:
             break
-    return Path(np.concatenate([lead, wanted]), slice(count, count + len(wanted)), kept, period)
+    off = np.abs(end - states[0])[:order] / (span * model.natural_frequency ** np.arange(order))
+    reached = bool((off <= _NEAR).all())
+    return Path(np.concatenate([lead, wanted]), slice(count, count + len(wanted)), kept, reached, period)
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
@@ -88,7 +94,8 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     the actuator has to be rocked. Cubic B-splines, 8 to a period of the resonance, at least 40.
 
     Returns:
-        displacement (count,) in m and force (count,); the next sample is the target's first.
+        displacement (count,) in m and force (count,), whose next sample is the target's first; and the state [x, ...,
+            x^(n)] in which it arrives: `end`, where the force's bounds let it.
     """
     pieces = int(np.clip(count // 4, 8, 40))
     knots = np.concatenate([np.zeros(3), np.linspace(0, count * dt, pieces + 1), np.full(3, count * dt)])
@@ -104,7 +111,7 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     rows = np.vstack([1e4 * last / size[:, None], smooth, 1e-2 * np.eye(basis.shape[1])])
     rhs = np.concatenate([1e4 * end / size / unit, np.zeros(len(smooth) + basis.shape[1])])
     c = lsq_linear(rows, rhs, bounds=(0.98 * low / unit, 0.98 * high / unit)).x * unit
-    return (states[:, 0] @ c)[:-1], (basis @ c)[:-1]
+    return (states[:, 0] @ c)[:-1], (basis @ c)[:-1], last @ c
 
 
 def _respond(a: np.ndarray, forces: np.ndarray, dt: float) -> np.ndarray:

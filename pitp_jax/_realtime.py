@@ -24,6 +24,7 @@ from ._errors import BadInput
 from ._model.drive import AbstractDrive, DirectDrive, ElectrodeLag
 from ._model.memory import AbstractMemory, FadingMemory
 from ._model.model import Model
+from ._predict import at_rate
 from ._recurrence import lag_after
 from ._residual import equation_force
 
@@ -79,6 +80,7 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
     _refuse_effects(model)
     if model.hold == "bandlimited":
         raise BadInput("a band-limited voltage is known between samples only later: no step in real time")
+    model = at_rate(model, dt)
     fractions = np.arange(2 * model.substeps + 1) / (2 * model.substeps)
 
     def one(carry: Float[Array, " carry"], drive: Float[Array, " one"]):

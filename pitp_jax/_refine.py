@@ -120,7 +120,7 @@ def _period(model: Model) -> float:
 
 def _windows(model: Model, data: Dataset, records: Sequence[Record]) -> Runs:
     """Windows of a few periods, side by side, each from its filtered state: no run can leave the data far behind."""
-    size = int(np.clip(_PERIODS * _period(model) / records[0].dt, 64, min(r.samples for r in records)))
+    size = int(np.clip(_PERIODS * _period(model) / records[0].dt, 64, np.median([r.samples for r in records])))
     places = [
         (k, first)
         for k, valid in enumerate(data.valid)
@@ -148,22 +148,37 @@ def _begun(model: Model, features: np.ndarray, voltage: float):
 
 
 def run_samples(records: Sequence[Record]) -> int:
-    """How many samples the longest free run has: all of the longest record, if some such fit half the budget."""
+    """How many samples the longest free run has: all of the longest record, if all or some such fit the budget."""
     longest = max(r.samples for r in records)
     share = _BUDGET // len(records) if len(records) <= _FEWEST else _BUDGET // 2 // _FEWEST
-    return longest if longest * len(records) <= _BUDGET else min(longest, max(share, _SHORTEST))
+    return longest if sum(r.samples for r in records) <= _BUDGET else min(longest, max(share, _SHORTEST))
 
 
 def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
     """All records, or some that stand for all and the beginnings of the others; each of the two counts half."""
-    size = run_samples(records)
-    if size * len(records) <= max(_BUDGET, _SHORTEST * len(records)):
+    size, most = run_samples(records), max(_BUDGET, _SHORTEST * len(records))
+    if size * len(records) <= most:
         return (_from_the_start(model, records, size, 1.0),)
+    if sum(min(r.samples, size) for r in records) <= most:
+        return tuple(
+            _from_the_start(model, some, min(size, max(r.samples for r in some)), len(some) / len(records))
+            for some in _alike(records)
+        )
     long = spread(records, max(_BUDGET // 2 // size, 1))
     others = [r for k, r in enumerate(records) if k not in set(long)]
     brief = min(size, max(_BUDGET // 2 // len(others), _SHORTEST))
     parts = ([records[k] for k in long], size), (others, brief)
     return tuple(_from_the_start(model, some, samples, 0.5) for some, samples in parts)
+
+
+def _alike(records: Sequence[Record]) -> list[list[Record]]:
+    """Sets in which no record is shorter than half the longest: one long among short ones would pad them all."""
+    sets: list[list[Record]] = []
+    for r in sorted(records, key=lambda r: r.samples, reverse=True):
+        if not sets or r.samples < sets[-1][0].samples / 2:
+            sets.append([])
+        sets[-1].append(r)
+    return sets
 
 
 def _from_the_start(model: Model, records: Sequence[Record], size: int, share: float) -> Runs:

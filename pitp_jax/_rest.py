@@ -1,6 +1,7 @@
-"""How a record begins: sensor noise, and whether the actuator is at rest at the first sample.
+"""Rest: sensor noise, records in which nothing moves, and whether the actuator is at rest at the first sample.
 
 sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
+still:  range <= 10 sigma  and  range <= a fifth of the largest one
 y(t) ~ c_0 + ... + c_4 t^4 over the first samples; rest when y(0) = offset and y'(0) = 0 within noise
 F = b + k(y - c) + a_1 y' + a_2 y'',    k(0) = 0        (whole records; c is the offset only if b = 0)
 
@@ -12,10 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ._errors import BadInput
 from ._record.preprocess import cutoff, force_band, preprocess
 from ._record.record import Record
 
 INITIAL_SAMPLES = 50
+_STILL, _SMALL = 10.0, 0.2
 _WINDOWS, _FEWEST = (7, 12, 24, 48), 6  # samples a first state is fitted over; and how many of them must be observed
 
 
@@ -29,6 +32,28 @@ def noise_std(displacement: np.ndarray) -> float:
     if len(fifth) == 0:
         return 0.0
     return float(min(1.4826 * np.median(np.abs(fifth)), fifth.std()) / np.sqrt(252.0))
+
+
+def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]:
+    """The records that move beyond their noise, and a line that names the others.
+
+    Errors are counted in ranges, and that of an actuator at rest is its noise: in a diagnosis one such record had a
+    floor of 14 % and hid a gap of 3 % in three sines beside it.
+
+    Raises:
+        BadInput: none moves.
+    """
+    ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
+    largest = max(ranges)
+    moving = [
+        r
+        for r, w in zip(records, ranges, strict=True)
+        if w > 0 and (w > _SMALL * largest or w > _STILL * noise_std(r.displacement))
+    ]
+    if not moving:
+        raise BadInput(f"{records[0].source or records[0].name}: no record moves; record the actuator under a drive")
+    still = [r.name for r in records if not any(r is m for m in moving)]
+    return moving, (f"left out, since they do not move beyond their noise: {', '.join(still)}",) if still else ()
 
 
 def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:

@@ -25,11 +25,13 @@ from ._errors import BadInput, ComputationFailed
 from ._model.memory import RingingMemory
 from ._model.model import Model
 from ._parameters import trainable
+from ._predict import at_rate
 from ._record.long_record import LongRecord
 from ._record.record import Record
 from ._record.sets import check_set
 from ._refine import refine, run_samples
 from ._residual import loss
+from ._rest import in_motion
 from ._settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
 from ._slow import OUTLASTS, SlowBalance, slow_balance, widened
 
@@ -51,7 +53,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Training:
-    """The trained model, the history of its losses, and whether it was cut short."""
+    """The trained model, the history of its losses, whether it was cut short, and its summary (`left_out`: lines)."""
 
     model: Model
     history: tuple[dict, ...]
@@ -74,15 +76,15 @@ def train(
     Args:
         nominal: an identified model; order, input map, hold and output are kept. Its effects come in with the free
             runs, and their numbers are fitted along.
-        records: the training records, one sampling rate.
+        records: the training records, one sampling rate; those in which nothing moves are left out (`in_motion`).
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
         mesh: devices of this process that share the free runs, by records (`records_mesh`); default one device.
         key: JAX key; the same key, records and machine give the same model.
 
     Raises:
-        BadInput: unknown preset, records of several rates, a mesh over several processes, or no usable sample left
-            after filtering.
+        BadInput: unknown preset, records of several rates, none that moves, a mesh over several processes, or no
+            usable sample left after filtering.
         ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
     """
@@ -90,6 +92,8 @@ def train(
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
+    records, left_out = in_motion(records)
+    nominal = at_rate(nominal, records[0].dt)
     key_init, key_stages = jax.random.split(key)
     data, slow = _prepared(nominal, records, settings)
     model = with_encoder(data, settings, key_init)
@@ -106,7 +110,7 @@ def train(
     if best is None:
         raise BadInput("settings allow no training stage: set stages to 1 or more")
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
-             "records": [r.name for r in records], "samples": int(data.equation.force.shape[0]),
+             "records": [r.name for r in records], "left_out": left_out, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "interrupted": interrupted}  # fmt: skip
     return Training(_annotated(best, data, slow, records, notes), tuple(history), interrupted, notes)

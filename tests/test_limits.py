@@ -117,6 +117,18 @@ def test_the_lead_in_swings_from_rest_to_the_targets_first_state(actuator, mid, 
     assert state[1] == pytest.approx(wanted[1], abs=1e-3 * amplitude * w)  # the last one starts below zero
 
 
+def test_a_first_state_out_of_the_amplifiers_reach_is_told(actuator):
+    """A metre off, at a tenth of the slowest resonance; within reach nothing is said."""
+
+    def told(top):
+        found = feedforward(actuator, Target(TIME, swing(top, 0.1 * top, 1.0)))
+        return [w for w in found.warnings if "first state" in w]
+
+    assert told(1e-3) == []
+    (line,) = told(1.0)
+    assert "no voltage within the limits" in line
+
+
 def test_a_target_at_rest_has_no_lead_in_and_its_own_clock(actuator):
     target = hump()
     found = feedforward(actuator, target)

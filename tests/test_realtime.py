@@ -13,7 +13,9 @@ from pitp_jax._inverse import invert_path
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.memory import ElapsedTime
 from pitp_jax._path import derivatives
+from pitp_jax._predict import predict
 from pitp_jax._realtime import decoder_step, inverse_step, restore_step
+from pitp_jax._record.record import Record
 
 DT = 1e-3
 
@@ -50,6 +52,16 @@ def test_decoder_with_an_electrode(lagging):
     truth = rollout(lagging, jnp.asarray(u, jnp.float32), DT, rest_state(lagging))[:, 0] * lagging.scales.state[0]
     found = play(decoder_step(lagging, DT), u[1:])
     np.testing.assert_allclose(found, truth[1:], rtol=0, atol=1e-5 * np.abs(truth).max())
+
+
+def test_a_step_coarser_than_the_models_has_substeps(linear):
+    """One Runge-Kutta step of 5 rad would leave every range."""
+    model, dt = linear(2, 20.0, dt=DT), 40 * DT
+    u = 500 * np.sin(2 * np.pi * 0.3 * dt * np.arange(100)) ** 2
+    found = play(decoder_step(model, dt), u[1:])
+    truth = predict(model, [Record("slow", dt * np.arange(100), u, np.append(0.0, found))])[0].displacement
+    assert np.ptp(found) > 0
+    np.testing.assert_allclose(found, truth[1:], rtol=0, atol=1e-5 * np.ptp(truth))
 
 
 def wanted(dt, count):

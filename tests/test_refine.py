@@ -221,3 +221,26 @@ def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch)
     assert _refine.run_samples(records) == SAMPLES
     (whole,) = _refine._free(model, records[:6])
     assert whole.voltage.shape == (6, SAMPLES)
+
+
+def test_a_long_record_among_short_ones_runs_to_its_end(plant, start, monkeypatch):
+    """Its padding is not charged: sets of like length, each record of the same weight."""
+    model, long = start[0], plant[1][1]
+    short = [Record(f"r{k}", TIME[:200], long.voltage[:200], long.displacement[:200]) for k in range(10)]
+    monkeypatch.setattr(_refine, "_BUDGET", SAMPLES + 2000)
+    monkeypatch.setattr(_refine, "_SHORTEST", 100)
+    records = [*short[:5], long, *short[5:]]
+    assert _refine.run_samples(records) == SAMPLES
+    whole, brief = _refine._free(model, records)
+    assert whole.voltage.shape == (1, SAMPLES) and brief.voltage.shape == (10, 200)
+    span = [np.ptp(r.displacement) / model.scales.state[0] for r in (long, short[0])]
+    np.testing.assert_allclose(whole.weight.sum(1), 1e4 / span[0] ** 2 / 11, rtol=1e-4)
+    np.testing.assert_allclose(brief.weight.sum(1), 1e4 / span[1] ** 2 / 11, rtol=1e-4)
+
+
+def test_one_short_record_does_not_shorten_the_windows(plant, start):
+    model, data = start
+    short = Record("short", TIME[:64], plant[1][1].voltage[:64], plant[1][1].displacement[:64])
+    more = replace(data, features=(*data.features, data.features[1][:64]), valid=(*data.valid, data.valid[1][:64]))
+    among = _refine._windows(model, more, [*plant[1], short])
+    assert among.voltage.shape == _refine._windows(model, data, plant[1]).voltage.shape

@@ -84,6 +84,20 @@ def test_the_longest_record_is_kept_as_it_was(sweep):
     assert np.std(left) < 1.2e-3 * np.ptp(sweep.displacement)  # the noise it was given
 
 
+def test_its_ends_are_kept_whatever_the_sensor_calls_zero(sweep):
+    """Low-passed about zero, 50 mm of offset would read 26 mm at either end."""
+    cut = slice(300, 4000)  # begins and ends while it moves
+    moved = replace(
+        sweep, time=sweep.time[cut], voltage=sweep.voltage[cut], displacement=sweep.displacement[cut] + 0.05
+    )
+    kept = thinned(moved, moved.voltage**2, False)
+    back = kept.record()
+    assert kept.step > 1
+    for found, meant in ((back.displacement, moved.displacement), (back.voltage, moved.voltage)):
+        left = np.abs(found[: moved.samples] - meant)[: -kept.step]  # none is kept behind those
+        assert max(left[:50].max(), left[-50:].max()) < 0.04 * np.ptp(meant)  # five times its noise
+
+
 def test_of_a_record_too_long_to_follow_its_beginning_is_kept(sweep, monkeypatch):
     monkeypatch.setattr(long_record, "_READ", 2000)
     kept = thinned(sweep, sweep.voltage**2, True)

@@ -17,7 +17,7 @@ from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._predict import predict
+from pitp_jax._predict import at_rate, predict
 from pitp_jax._record.record import Record
 from pitp_jax._settings import PRESETS, Settings, firmness_of
 from pitp_jax._shard import records_mesh
@@ -210,6 +210,29 @@ def test_gaps_are_masked(plant):
     model = train(nominal, torn, settings=TINY, key=KEY).model
     assert all(bool(jnp.isfinite(a).all()) for a in leaves(model) if eqx.is_inexact_array(a))
     assert (errors(model, held_out) * 3 < errors(nominal, held_out)).all()
+
+
+def test_what_does_not_move_is_left_out_and_told(plant, first):
+    """Weighted by its own range, a sensor that never moved would weigh without end."""
+    nominal, records, _ = plant
+    noise = 2e-6 * np.random.default_rng(3).standard_normal(SAMPLES)
+    still = [Record(name, TIME, np.zeros(SAMPLES), x) for name, x in (("rest", noise), ("dead", 0 * noise))]
+    found = train(nominal, [*records, *still], settings=TINY, key=KEY)
+    assert found.notes["left_out"] == ("left out, since they do not move beyond their noise: rest, dead",)
+    assert found.notes["records"] == [r.name for r in records]
+    for here, there in zip(leaves(found.model), leaves(first.model), strict=True):
+        np.testing.assert_array_equal(here, there)
+    with pytest.raises(BadInput, match="no record moves"):
+        train(nominal, still[1:], settings=TINY, key=KEY)
+
+
+def test_records_coarser_than_the_nominals_get_substeps(plant):
+    """Identified at a fine rate, trained on every fourth sample: one step between them would be four times as long."""
+    nominal, records, _ = plant
+    coarse = [Record(r.name, r.time[::4], r.voltage[::4], r.displacement[::4]) for r in records]
+    found = train(nominal, coarse, settings=replace(TINY, epochs=1, stages=1), key=KEY).model
+    assert found.substeps == 4 * nominal.substeps and found.provenance.dt == pytest.approx(4 * DT)
+    assert at_rate(found, 4 * DT).substeps == found.substeps
 
 
 def test_nothing_left_to_train_on(plant):

@@ -51,6 +51,8 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, input_colu
     told = describe(done.model)
     seconds = number(done.notes.get("seconds"), 3)
     print(f"trained a model of order {told['order']} on {listed([r.name for r in read_in])} in {seconds} s")
+    for line in done.notes.get("left_out", ()):
+        print(line)
     print_history(done.history)
     for effect in told["effects"]:
         print(f"with {in_words(effect)}")

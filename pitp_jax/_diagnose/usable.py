@@ -1,26 +1,20 @@
 """Which recordings a diagnosis can use, how much of each, and what it has to tell about the others.
 
-left out   range <= 10 sigma_white  and  range <= a fifth of the largest one     (errors are counted in ranges)
+left out   what does not move beyond its noise (`in_motion`)
 cut        to 240,000 samples in all, the longest first
-
-A recording of an actuator at rest has noise for a range: it alone had a floor of 14 %, and hid a gap of 3 % in three
-sines beside it.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from .._errors import BadInput
 from .._record.record import Record
 from .._record.sets import check_set
-from .._rest import noise_std
+from .._rest import in_motion
 
 BUDGET = 240_000  # samples in all
 _FEWEST = 4000  # samples that every record keeps
-_STILL, _SMALL = 10.0, 0.2
 
 
 def usable(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[str, ...]]:
@@ -33,14 +27,8 @@ def usable(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[str, ..
     name, times = Counter(r.name for r in records).most_common(1)[0]
     if times > 1:
         raise BadInput(f"{times} records are named {name!r}: give each its own name (dataclasses.replace(r, name=...))")
-    ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
-    moving = [w > 0 and (w > _SMALL * max(ranges) or w > _STILL * noise_std(r.displacement))
-              for w, r in zip(ranges, records, strict=True)]  # fmt: skip
-    if not any(moving):
-        raise BadInput(f"{records[0].source or records[0].name}: no record moves; record the actuator under a drive")
-    still = [r.name for r, moves in zip(records, moving, strict=True) if not moves]
-    notes = (f"left out, since they do not move beyond their noise: {', '.join(still)}",) if still else ()
-    kept, most = _cut([r for r, moves in zip(records, moving, strict=True) if moves])
+    moving, notes = in_motion(records)
+    kept, most = _cut(moving)
     if most is not None:
         count, seconds = sum(r.samples == most for r in kept), most * records[0].dt
         notes += (f"{count} of {len(kept)} recordings count with their first {seconds:.3g} s alone: more than "
