@@ -19,7 +19,7 @@ from ._model import augment
 from ._model.model import Model
 from ._parallel import rollout_by_size
 from ._record.record import Record
-from ._record.sets import check_set
+from ._record.sets import alike, check_set
 from ._rest import INITIAL_SAMPLES, first_known, starts_at_rest
 
 _FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
@@ -96,13 +96,21 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     """
     check_set(records)
     model = at_rate(model, records[0].dt)
+    found = {}
+    for places in alike(records):
+        found.update(zip(places, _predicted(model, [records[k] for k in places]), strict=True))
+    return tuple(found[k] for k in range(len(records)))
+
+
+def _predicted(model: Model, records: Sequence[Record]) -> list[Prediction]:
+    """Padded to one length."""
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     start, spent = starts(model, records)
     states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, start)
-    return tuple(
+    return [
         _prediction(model, r, np.asarray(s[: r.samples]), n) for r, s, n in zip(records, states, spent, strict=True)
-    )
+    ]
 
 
 def starts(model: Model, records: Sequence[Record]) -> tuple[Float[Array, "records state"], tuple[int, ...]]:

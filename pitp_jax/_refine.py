@@ -34,6 +34,7 @@ from ._parameters import parameters, trainable, with_parameters
 from ._predict import starts
 from ._record.drives import spread
 from ._record.record import Record
+from ._record.sets import alike
 from ._sensitivity import Runs
 from ._slow import SlowBalance
 
@@ -156,29 +157,17 @@ def run_samples(records: Sequence[Record]) -> int:
 
 def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
     """All records, or some that stand for all and the beginnings of the others; each of the two counts half."""
-    size, most = run_samples(records), max(_BUDGET, _SHORTEST * len(records))
-    if size * len(records) <= most:
-        return (_from_the_start(model, records, size, 1.0),)
-    if sum(min(r.samples, size) for r in records) <= most:
-        return tuple(
-            _from_the_start(model, some, min(size, max(r.samples for r in some)), len(some) / len(records))
-            for some in _alike(records)
-        )
+    size = run_samples(records)
+    if sum(min(r.samples, size) for r in records) <= max(_BUDGET, _SHORTEST * len(records)):
+        sets = [[records[k] for k in places] for places in alike(records)]
+        longest = [min(size, max(r.samples for r in some)) for some in sets]
+        shares = [len(some) / len(records) for some in sets]
+        return tuple(_from_the_start(model, *one) for one in zip(sets, longest, shares, strict=True))
     long = spread(records, max(_BUDGET // 2 // size, 1))
     others = [r for k, r in enumerate(records) if k not in set(long)]
     brief = min(size, max(_BUDGET // 2 // len(others), _SHORTEST))
     parts = ([records[k] for k in long], size), (others, brief)
     return tuple(_from_the_start(model, some, samples, 0.5) for some, samples in parts)
-
-
-def _alike(records: Sequence[Record]) -> list[list[Record]]:
-    """Sets in which no record is shorter than half the longest: one long among short ones would pad them all."""
-    sets: list[list[Record]] = []
-    for r in sorted(records, key=lambda r: r.samples, reverse=True):
-        if not sets or r.samples < sets[-1][0].samples / 2:
-            sets.append([])
-        sets[-1].append(r)
-    return sets
 
 
 def _from_the_start(model: Model, records: Sequence[Record], size: int, share: float) -> Runs:

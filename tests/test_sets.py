@@ -11,7 +11,7 @@ import pitp_jax as pitp
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._effects.sensor import SettlingDrift
 from pitp_jax._errors import BadInput
-from pitp_jax._record.sets import check_set, clock_start
+from pitp_jax._record.sets import alike, check_set, clock_start
 
 DT, SAMPLES, EPOCH = 2e-3, 800, 1.7e9
 TIME = np.arange(SAMPLES) * DT
@@ -40,6 +40,29 @@ def test_several_rates_are_refused_by_name(linear, use):
 def test_what_is_no_set_is_refused(given, word):
     with pytest.raises(BadInput, match=word):
         check_set(given)
+
+
+def cut(lengths):
+    return [replace(r, time=r.time[:n], voltage=r.voltage[:n], displacement=r.displacement[:n])
+            for n, r in ((n, record(f"{k}: {n}")) for k, n in enumerate(lengths))]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lengths", "sets"),
+    [
+        ([800, 300, 500], [[0, 1, 2]]),  # 2400 for 1600
+        ([100, 800, 100, 450, 100, 90], [[1, 3], [0, 2, 4, 5]]),  # 4800 for 1640
+        ([64] * 3, [[0, 1, 2]]),
+    ],
+)
+def test_records_are_padded_beside_their_like(lengths, sets):
+    assert alike(cut(lengths)) == sets
+
+
+def test_predictions_come_in_the_order_of_the_records(linear):
+    model, records = linear(2, dt=DT), cut([100, 800, 120, 90, 110])
+    for found, r in zip(pitp.predict(model, records), records, strict=True):
+        assert (found.name, len(found.displacement)) == (r.name, r.samples)
 
 
 def test_only_absolute_clocks_have_a_start():

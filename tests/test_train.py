@@ -79,7 +79,7 @@ def test_equation_error_alone_beats_the_nominal_threefold(plant, first):
 
 
 def test_few_records_behind_a_square_get_a_frugal_encoder(plant, first):
-    """And its nets are held a hundred times as firmly; a linear input or enough records keep the nets that see memories."""
+    """Its nets are held a hundred times as firmly; a linear input or enough records keep the nets that see memories."""
     nominal, records, _ = plant
     enough = train(nominal, records, settings=replace(TINY, epochs=1, few=3), key=KEY).model
     linear_input = replace(nominal, input_map=LinearInput())

@@ -1,6 +1,8 @@
-"""What the records of one set must share, one sampling rate and one kind of output, and when their session began."""
+"""Sets of records: what they must share (rate, kind of output), when their session began, which are alike in length."""
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from .._errors import BadInput
 from .record import Record
@@ -42,3 +44,20 @@ def clock_start(records: Sequence[Record]) -> float:
     """What clocks that show absolute time (epoch seconds) showed at the first record, s; 0 for a session's own."""
     first = min(float(r.time[0]) for r in records)
     return first if abs(first) > _ABSOLUTE else 0.0
+
+
+def alike(records: Sequence[Record]) -> list[list[int]]:
+    """Places of records to be padded to one length: all, or where that doubles them sets of like length.
+
+    One long record among short ones would make all of them as long. In a set of like length none is shorter than half
+    the longest.
+    """
+    lengths = [r.samples for r in records]
+    if max(lengths) * len(lengths) <= 2 * sum(lengths):
+        return [list(range(len(lengths)))]
+    sets: list[list[int]] = []
+    for k in np.argsort(lengths)[::-1].tolist():
+        if not sets or lengths[k] < lengths[sets[-1][0]] / 2:
+            sets.append([])
+        sets[-1].append(k)
+    return [sorted(places) for places in sets]
