@@ -60,8 +60,8 @@ def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
 def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     """Put a lead-in from rest in front of a target that does not start there.
 
-    The lead-in lasts 5 periods of the nominal resonance, doubled (twice at most) while its voltage breaks the slew
-    limit.
+    The lead-in lasts 5 periods of the nominal resonance (3 time constants at order 1, which has none to rock at),
+    doubled, twice at most, while its voltage breaks the slew limit or it does not arrive.
     """
     order = model.order
     states = derivatives(wanted, dt, order)
@@ -72,16 +72,15 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
         return Path(wanted, slice(0, len(wanted)), True, True, period)
     high = float(model.input_map.force(jnp.asarray(limits.high)))
     low = 0.0 if limits.low == 0 else float(model.input_map.force(jnp.asarray(limits.low)))
-    lead, count, kept, end = np.zeros(0), 0, False, np.zeros(order + 1)
+    lead, count, kept, reached = np.zeros(0), 0, False, False
     for stretch in (1, 2, 4):
-        count = max(int(np.ceil(5 * stretch * period / dt)), 64)
+        count = max(int(np.ceil((5 if order > 1 else 0.5) * stretch * period / dt)), 64)
         lead, force, end = swing_in(model.physical_coefficients, states[0], count, dt, low, high)
         slew = np.abs(np.diff(np.asarray(model.input_map.voltage(force)))).max() / dt
-        kept = bool(slew <= limits.slew)
-        if kept:
+        off = np.abs(end - states[0])[:order] / (span * model.natural_frequency ** np.arange(order))
+        kept, reached = bool(slew <= limits.slew), bool((off <= _NEAR).all())
+        if kept and reached:
             break
-    off = np.abs(end - states[0])[:order] / (span * model.natural_frequency ** np.arange(order))
-    reached = bool((off <= _NEAR).all())
     return Path(np.concatenate([lead, wanted]), slice(count, count + len(wanted)), kept, reached, period)
 
 

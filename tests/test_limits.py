@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from motions import DT, HIGH, SAMPLES, SLEW, TIME, hump, respond, swing, swing_force
+from scipy.signal import lsim
 
 from pitp_jax._errors import BadInput
 from pitp_jax._feedforward import feedforward
@@ -127,6 +128,18 @@ def test_a_first_state_out_of_the_amplifiers_reach_is_told(actuator):
     assert told(1e-3) == []
     (line,) = told(1.0)
     assert "no voltage within the limits" in line
+
+
+def test_a_single_time_constant_is_led_in_along_a_few_of_it(linear, bounded):
+    """It has no resonance to be rocked at: five periods of 1 / (2 pi tau) would take 31 tau."""
+    tau = 1 / (2 * np.pi * 2.5)
+    model = bounded(linear(1, 5.0), 0.0, 1800.0, slew=1e5)
+    found = feedforward(model, Target(TIME, swing(1e-3, 2e-4, 1.0)))
+    assert 2 * tau < TIME[0] - found.time[0] < 4 * tau
+    a0, a1 = model.physical_coefficients
+    force = found.voltage[: int(np.argmax(found.target)) + 1] ** 2
+    x = lsim(([1.0], [a1, a0]), force, DT * np.arange(len(force)))[1][-1]
+    assert x == pytest.approx(1e-3, rel=1e-3)
 
 
 def test_a_target_at_rest_has_no_lead_in_and_its_own_clock(actuator):
