@@ -147,7 +147,7 @@ def _improvements(
     if best is not None and settings.refine_steps:
         yield from refine(
             with_parts(best, nominal, settings), data, records, settings.refine_steps, partial(_report, progress),
-            firmness=firmness_of(settings, model), slow=slow, mesh=mesh,
+            firmness=firmness_of(settings, model, len(records)), slow=slow, mesh=mesh,
         )  # fmt: skip
 
 
