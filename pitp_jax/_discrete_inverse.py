@@ -53,9 +53,11 @@ def discrete_inverse(
         zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
 
     Raises:
-        ValueError: the model takes substeps (tokens change inside a sample; invert on the substep grid instead), or
-            its voltage is band-limited (one sample then acts on sixteen steps).
+        ValueError: the model has effects (use `feedforward`), takes substeps (tokens change inside a sample; invert on
+            the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
     """
+    if model.effects:
+        raise ValueError("discrete_inverse knows no effects: use feedforward")
     if model.hold == "bandlimited":
         raise ValueError("discrete_inverse needs hold foh or zoh")
     if model.substeps != 1:

@@ -19,7 +19,7 @@ from scipy.stats import t as student
 from ._decode import rollout
 from ._model import augment
 from ._model.model import Model
-from ._predict import at_rate, starts
+from ._predict import FAR, at_rate, starts
 from ._record.record import Record
 from ._record.sets import check_set
 from ._rest import in_motion
@@ -35,24 +35,36 @@ class Ensemble:
         error: rms error of the mean on the training records, over the range of each.
 
     Raises:
-        ValueError: fewer than 2 members.
+        ValueError: fewer than 2 members, or members that differ in their parts, scales or output.
     """
 
     models: tuple[Model, ...]
     error: float
 
     def __post_init__(self):
-        """One member has no spread."""
+        """One member has no spread, and members of two makes cannot be run at once."""
         _enough(len(self.models))
+        shapes = [jax.tree.map(jnp.shape, m) for m in _alike(self.models)]
+        if any(jax.tree.structure(s) != jax.tree.structure(shapes[0]) or s != shapes[0] for s in shapes):
+            raise ValueError("members differ in their parts, scales or output: train them from one nominal")
 
 
 @dataclass(frozen=True)
 class Band:
-    """The prediction of an ensemble for one record: mean and half width in rig coordinates (m or V), shape (T,)."""
+    """The prediction of an ensemble for one record.
+
+    Attributes:
+        name: of the record.
+        displacement, half_width: mean and half the band, rig coordinates (m or V), shape (T,); nan from the sample
+            where a member left every range.
+        diverged: whether one did.
+        scored: samples that count, shape (T,), as for `Prediction`.
+    """
 
     name: str
     displacement: np.ndarray
     half_width: np.ndarray
+    diverged: bool
     scored: np.ndarray
 
 
@@ -88,11 +100,13 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         begin, spent = zip(*[starts(m, [r]) for m in models], strict=True)
         states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
         model = models[0]
-        x = np.asarray(states, np.float64) * model.scales.state[0]
+        x = np.asarray(states, np.float64)
+        lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
+        x = np.where(lost, np.nan, x) * model.scales.state[0]
         base = ensemble.error * np.ptp(r.displacement[r.observed])
         spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)
         scored = np.arange(r.samples) >= spent[0][0]
-        bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, scored))
+        bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, bool(lost.any()), scored))
     return tuple(bands)
 
 
@@ -103,8 +117,12 @@ def _enough(members: int) -> None:
 
 def _stacked(models: Sequence[Model]) -> Model:
     """One model whose leaves have a leading axis of members; what they were made from is the first's."""
-    alike = [replace(m, provenance=models[0].provenance) for m in models]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *_alike(models))
+
+
+def _alike(models: Sequence[Model]) -> list[Model]:
+    """Without what they do not share: what they were made from."""
+    return [replace(m, provenance=models[0].provenance) for m in models]
 
 
 @eqx.filter_jit

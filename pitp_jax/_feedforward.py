@@ -23,6 +23,7 @@ from ._predict import at_rate, outside_share
 from ._record.reading import Target
 from ._spline_filter import fast_derivatives
 
+_BIPOLAR = 0.1  # of the largest voltage
 _SHOTS = 6
 _ROUNDING = 1e-6  # of the largest force
 
@@ -68,7 +69,7 @@ def feedforward(
 
     Args:
         model: identified or trained.
-        target: wanted displacement in rig coordinates, base unit.
+        target: wanted displacement in rig coordinates, base unit; its clock is the session's, which a drift reads.
         max_voltage: V; default the largest voltage of the training records. A higher one warns.
         max_slew: V/s; default the largest slew of the training records.
         shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone.
@@ -81,10 +82,14 @@ def feedforward(
     wanted = model.output.to_model(target.displacement)
     path = extend(wanted, target.dt, model, limits)
     warnings += _advice(model, target, wanted, path)
-    best = _shoot(model, path, limits, target.dt, shots)
     first, last = path.target.start, path.target.stop
+    age = max(model.provenance.age(target.time[0] - first * target.dt), 0.0)
+    if any(e.name == "stiffness_drift" for e in model.effects):
+        warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)
+    best = _shoot(model, path, limits, target.dt, shots, age)
     voltage, saturated = best.voltage, best.saturated
-    slack = _ROUNDING * np.abs(best.force).max()  # an actuator at rest asks for a force of zero, give or take a bit
+    # an actuator at rest asks for a force of zero, give or take a bit
+    slack = _ROUNDING * np.abs(best.force[np.isfinite(best.force)]).max(initial=0.0)
     infeasible = np.asarray(model.input_map.infeasible(jnp.asarray(best.force + slack)))
     if model.effects:
         film = model.input_map.voltage(jnp.asarray(best.force) * model.scales.force)
@@ -141,7 +146,8 @@ def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...
     if max_voltage == np.inf:
         raise BadInput("--max-voltage must be finite: give the amplifier's limit")
     if max_voltage is not None:
-        high, low = max_voltage, max(low, -max_voltage)
+        bipolar = -low > _BIPOLAR * high  # beyond the noise of a reading of zero volts
+        high, low = max_voltage, -max_voltage if bipolar else max(low, -max_voltage)
         if max_voltage > 1.0001 * trained_high:
             warnings += (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
     return Limits(min(low, 0.0), max(high, 0.0), trained_slew if max_slew is None else max_slew), warnings
@@ -180,10 +186,15 @@ def _out_of_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[
         )
     if saturated > 0.01:
         lines += (
-            f"{100 * saturated:.0f} % of the target's voltage is cut, by {limits.high:g} V or {limits.slew:.3g} V/s: "
+            f"{100 * saturated:.0f} % of the target's voltage is cut, by {_span(limits)} or {limits.slew:.3g} V/s: "
             "ask for less, or raise the limit if the rig allows it",
         )
     return lines
+
+
+def _span(limits: Limits) -> str:
+    """The range in words; from zero volts on only its end."""
+    return f"{limits.high:g} V" if limits.low == 0 else f"{limits.low:g} to {limits.high:g} V"
 
 
 @dataclass(frozen=True)
@@ -202,7 +213,7 @@ class _Shot:
     equation_error: float
 
 
-def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int) -> _Shot:
+def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int, age: float) -> _Shot:
     """Eq. 13, then move the reference by what the rollout missed, as long as that helps."""
     scale = model.scales.state[0]
     dtype = model.coefficients.dtype
@@ -213,9 +224,9 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int) -> _
         if model.effects:
             motion = np.asarray(augment.moves(model, jnp.asarray(reference / scale), dt), np.float64) * scale
         equation = scaled_equation(model, fast_derivatives(motion, dt, model.order))
-        force, voltage, features = invert_along(model, equation, dt)
+        force, voltage, features = invert_along(model, equation, dt, age)
         u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
-        states = rollout_by_size(model, jnp.asarray(u[None], dtype), dt, rest_state(model)[None])[0]
+        states = rollout_by_size(model, jnp.asarray(u[None], dtype), dt, rest_state(model, age)[None])[0]
         x = np.asarray(augment.readings(model, states), np.float64) * scale
         left = rmse(x[path.target], wanted[path.target])
         if best is not None and not left < best.left:

@@ -27,14 +27,17 @@ def equation_inverse(
 
 
 @eqx.filter_jit
-def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float):
-    """Scaled force, voltage before limits (V) and features along a path that starts at rest; vmap for a batch."""
+def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
+    """Scaled force, voltage before limits (V) and features along a path that starts at rest; vmap for a batch.
+
+    `age`: of the session at its first sample, s, which effects of the slow time read.
+    """
     start = model.memory.initial(jnp.zeros((), equation.dtype))
     memory = model.memory.trajectory(equation[:, 0], dt, start)
     features = jnp.concatenate([equation[:, :-1], memory], -1)
     if model.effects:
-        force = augment.required(model, equation, features, dt)
-        force = jnp.where(jnp.isfinite(force), force, jnp.inf)
+        force = augment.required(model, equation, features, dt, age)
+        force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end, to its own side
     else:
         force = equation_inverse(model, equation, memory)
     film = model.input_map.voltage(jnp.clip(force, -_HUGE, _HUGE) * model.scales.force)

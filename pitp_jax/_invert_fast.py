@@ -37,10 +37,10 @@ def force_and_voltage(
 
 
 @eqx.filter_jit
-def invert_along(model: Model, equation: Float[Array, "time tokens"], dt: float):
+def invert_along(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
     """Scaled force, voltage before limits (V) and features along a path that starts at rest, as `invert_path`."""
     if model.effects:
-        return invert_path(model, equation, dt)
+        return invert_path(model, equation, dt, age)
     start = model.memory.initial(jnp.zeros((), equation.dtype))
     force, voltage, memory = force_and_voltage(model, equation, dt, start)
     return force, voltage, jnp.concatenate([equation[:, :-1], memory], -1)

@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
 
+from ._effects.amplifier import Delay
 from ._errors import BadInput
 from ._model.model import Model
 
@@ -58,7 +59,7 @@ def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
 
 
 def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
-    """Put a lead-in from rest in front of a target that does not start there.
+    """Put a lead-in from rest in front of a target that does not start there, or whose voltage is late.
 
     The lead-in lasts 5 periods of the nominal resonance (3 time constants at order 1, which has none to rock at),
     doubled, twice at most, while its voltage breaks the slew limit or it does not arrive.
@@ -69,7 +70,9 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
     moves = abs(states[0, 0]) > 1e-3 * span or abs(states[0, 1]) > 1e-2 * max(np.abs(states[:, 1]).max(), 1e-30)
     if not moves:
-        return Path(wanted, slice(0, len(wanted)), True, True, period)
+        early = int(np.ceil(sum(float(e.time) for e in model.effects if isinstance(e, Delay)) / dt))
+        lead = np.zeros(early + 2 * order if early else 0)  # at rest: what is late has to be played before
+        return Path(np.append(lead, wanted), slice(len(lead), len(lead) + len(wanted)), True, True, period)
     high = float(model.input_map.force(jnp.asarray(limits.high)))
     low = 0.0 if limits.low == 0 else float(model.input_map.force(jnp.asarray(limits.low)))
     lead, count, kept, reached = np.zeros(0), 0, False, False

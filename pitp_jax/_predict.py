@@ -18,11 +18,12 @@ from ._decode import rest_state, rollout, settled_state
 from ._model import augment
 from ._model.model import Model
 from ._parallel import rollout_by_size
+from ._record.reading import session_clock
 from ._record.record import Record
 from ._record.sets import alike, check_set
 from ._rest import INITIAL_SAMPLES, first_known, starts_at_rest
 
-_FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
+FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
 
 @eqx.filter_jit
@@ -96,35 +97,41 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     """
     check_set(records)
     model = at_rate(model, records[0].dt)
-    found = {}
+    found, aged = {}, session_clock(records)
     for places in alike(records):
-        found.update(zip(places, _predicted(model, [records[k] for k in places]), strict=True))
+        found.update(zip(places, _predicted(model, [records[k] for k in places], aged), strict=True))
     return tuple(found[k] for k in range(len(records)))
 
 
-def _predicted(model: Model, records: Sequence[Record]) -> list[Prediction]:
+def _predicted(model: Model, records: Sequence[Record], aged: bool) -> list[Prediction]:
     """Padded to one length."""
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
-    start, spent = starts(model, records)
+    start, spent = starts(model, records, aged)
     states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, start)
     return [
         _prediction(model, r, np.asarray(s[: r.samples]), n) for r, s, n in zip(records, states, spent, strict=True)
     ]
 
 
-def starts(model: Model, records: Sequence[Record]) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
-    """Initial states of all records, and from how many samples each was estimated (0: it starts at rest)."""
-    found, spent = zip(*[_start(model, r) for r in records], strict=True)
+def starts(
+    model: Model, records: Sequence[Record], aged: bool | None = None
+) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
+    """Initial states of all records, and from how many samples each was estimated (0: it starts at rest).
+
+    `aged`: whether their times are one session's (default: where no two overlap); else nothing is known of their age.
+    """
+    aged = session_clock(records) if aged is None else aged
+    found, spent = zip(*[_start(model, r, model.provenance.age(r.time[0]) if aged else 0.0) for r in records],
+                       strict=True)  # fmt: skip
     return jnp.stack(found), spent
 
 
-def _start(model: Model, record: Record):
+def _start(model: Model, record: Record, age: float):
     """Rest, or the state estimated from the first samples; and how many samples that took (0 at rest).
 
     After a gap at the beginning the first 50 samples are those behind it: the rollout reaches them from the start.
     """
-    age = model.provenance.age(record)
     if starts_at_rest(record, model.output.offset):
         return rest_state(model, age), 0
     first = slice(0, first_known(record) + INITIAL_SAMPLES)
@@ -149,7 +156,7 @@ def outside_share(model: Model, features: np.ndarray) -> float:
 
 
 def _prediction(model: Model, record: Record, states: np.ndarray, spent: int) -> Prediction:
-    lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < _FAR))
+    lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
     seen = np.asarray(augment.readings(model, jnp.asarray(states[:first])), np.float64)

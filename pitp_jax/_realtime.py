@@ -52,8 +52,11 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
     Args:
         model: identified or trained, without effects.
         dt: sampling interval, s.
+
+    Raises:
+        BadInput: the model has effects, or dt is not positive.
     """
-    _refuse_effects(model)
+    _refuse(model, dt)
     memories, scale = model.memory.size, np.asarray(model.scales.state, np.float32)
 
     def one(carry: Float[Array, " carry"], wanted: Float[Array, " tokens"]):
@@ -75,9 +78,10 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
     """Displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
 
     Raises:
-        BadInput: the model has effects, or reads the voltage between samples from later ones (hold "bandlimited").
+        BadInput: the model has effects, dt is not positive, or the voltage between samples is read from later ones
+            (hold "bandlimited").
     """
-    _refuse_effects(model)
+    _refuse(model, dt)
     if model.hold == "bandlimited":
         raise BadInput("a band-limited voltage is known between samples only later: no step in real time")
     model = at_rate(model, dt)
@@ -150,9 +154,11 @@ def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) ->
     return lag_after(film, before, now, jnp.exp(drive.log_tau), dt)
 
 
-def _refuse_effects(model: Model) -> None:
+def _refuse(model: Model, dt: float) -> None:
     if model.effects:
         raise BadInput("real-time steps are for models without effects")
+    if not dt > 0:
+        raise BadInput(f"dt must be positive, got {dt} s")
 
 
 def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:

@@ -22,6 +22,7 @@ from ._path import derivatives
 from ._spline_filter import inner, reach
 
 _WINDOW = 1 << 17  # rows of a window
+_SMALLEST = 16
 _AHEAD = 2  # rows that `drive.lead` looks ahead and back
 _ROUNDING = 1e-6  # of the model's unit of force
 
@@ -48,16 +49,23 @@ def invert_stream(
         model: identified or trained, without effects.
         blocks: wanted displacement in rig coordinates, base unit.
         dt: sampling interval, s.
-        window: samples per pass; memory in use is proportional to it.
+        window: samples per pass, 16 at least; memory in use is proportional to it.
 
     Raises:
-        BadInput: the model has effects, or all blocks together are too short for its order.
+        BadInput: the model has effects, dt is not positive or the window too small; on the way, a sample is missing or
+            all blocks together are too short for its order.
     """
     if model.effects:
         raise BadInput("a stream is inverted by eq. 13 alone, which effects are no part of: use `feedforward`")
+    if not dt > 0 or window < _SMALLEST:
+        raise BadInput(f"dt {dt} s, window {window}: the first must be positive, the second {_SMALLEST} at least")
+    return _pieces(model, blocks, dt, window)
+
+
+def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
     state = model.memory.initial(jnp.zeros((), model.coefficients.dtype))
     rows, back = np.zeros((0, model.order + 1)), 0
-    moved = (model.output.to_model(np.asarray(block, np.float64)) for block in blocks)
+    moved = (model.output.to_model(block) for block in _whole(blocks))
     for more in _derivatives(_sized(moved, window), dt, model.order):
         rows = np.concatenate([rows, more])
         while len(rows) > window:
@@ -67,6 +75,18 @@ def invert_stream(
             rows = rows[window - 2 * _AHEAD :]
     if len(rows):
         yield _piece(model, force_and_voltage(model, scaled_equation(model, rows), dt, state), slice(back, None))
+
+
+def _whole(blocks) -> Iterator[np.ndarray]:
+    """The blocks, as long as nothing is missing: one nan would make a whole window's voltage zero."""
+    first = 0
+    for block in blocks:
+        values = np.asarray(block, np.float64)
+        if not np.isfinite(values).all():
+            place = first + int(np.argmin(np.isfinite(values)))
+            raise BadInput(f"sample {place} of the wanted displacement is not a number: fill it, or stop there")
+        first += len(values)
+        yield values
 
 
 def _piece(model: Model, found, kept: slice) -> Piece:

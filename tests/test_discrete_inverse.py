@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from pitp_jax._decode import rest_state, rollout
 from pitp_jax._discrete_inverse import discrete_inverse
+from pitp_jax._effects.stiffness import CubicStiffening
 from pitp_jax._model.encoder import AbstractEncoder
 from pitp_jax._model.input_map import LinearInput, SquareInput
 
@@ -137,3 +138,9 @@ def test_refuses_substeps(nonlinear):
     model = replace(nonlinear(2), substeps=2)
     with pytest.raises(ValueError, match="substeps = 1"):
         discrete_inverse(model, jnp.zeros((10, 4)), DT)
+
+
+def test_effects_are_refused(nonlinear):
+    model = replace(nonlinear(2), effects=(CubicStiffening(jnp.asarray(0.5, jnp.float32)),))
+    with pytest.raises(ValueError, match="knows no effects"):
+        discrete_inverse(model, jnp.zeros((20, 2 + model.memory.size)), 1e-3)

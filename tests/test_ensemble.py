@@ -1,5 +1,7 @@
 """Ensembles: members as `train` makes them, the band by its formula, and coverage where the spread is known."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,7 @@ import pytest
 from scipy.stats import t as student
 
 from pitp_jax._decode import rest_state, rollout, rollout_batch
+from pitp_jax._effects.amplifier import Delay
 from pitp_jax._ensemble import Ensemble, predict_band, train_ensemble
 from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
@@ -149,3 +152,18 @@ def test_fewer_than_two_members_are_refused(plant, ensemble, members):
 def test_a_level_that_is_no_share_is_refused(plant, ensemble, level):
     with pytest.raises(ValueError, match="no share between 0 and 1"):
         predict_band(ensemble, plant[2], level=level)
+
+
+def test_a_member_that_runs_away_is_told(plant):
+    nominal, records, _ = plant
+    away = nominal.changed(np.array([-30.0, 1.0, 1.0]))
+    (band,) = predict_band(Ensemble((nominal, away), 0.0), records[:1])
+    assert band.diverged and np.isnan(band.displacement[-1]) and np.isfinite(band.displacement[:10]).all()
+    assert not predict_band(Ensemble((nominal, nominal), 0.0), records[:1])[0].diverged
+
+
+def test_members_of_two_makes_are_refused(plant, linear):
+    other = replace(plant[0], effects=(Delay(jnp.asarray(0.01, jnp.float32)),))
+    for member in (other, linear(3, dt=DT)):
+        with pytest.raises(ValueError, match="members differ"):
+            Ensemble((plant[0], member), 0.0)

@@ -192,3 +192,13 @@ def test_a_target_outside_the_trained_region_warns_with_the_share(linear, bounde
     (line,) = found.warnings
     assert f"{100 * found.outside_training_share:.0f} %" in line
     assert feedforward(model, Target(TIME, swing(6e-4, 2e-4, 2.0))).outside_training_share == 0
+
+
+def test_a_limit_of_a_linear_input_holds_both_ways_for_both_signs_only(linear, bounded):
+    """Noise about zero volts does not make a rig bipolar."""
+    wanted = Target(TIME, swing(0.0, 2e-3, 1.0) * (1 - np.exp(-((5 * (TIME - TIME[0])) ** 3))))
+    both = feedforward(bounded(linear(2, input_map=LinearInput()), -1e6, 1e6, slew=1e12), wanted, max_voltage=5e6)
+    assert not both.saturated.any() and both.voltage.min() < -1.5e6 and both.voltage.max() > 1.5e6
+    one = feedforward(bounded(linear(2, input_map=LinearInput()), -1e4, 1e6, slew=1e12), wanted, max_voltage=5e6)
+    assert one.voltage.min() == pytest.approx(-1e4)
+    assert any("-1e+04 to 5e+06 V" in line or "-10000 to 5e+06 V" in line for line in one.warnings)

@@ -106,3 +106,9 @@ def test_what_needs_the_future_is_refused(nonlinear):
         decoder_step(nonlinear(2, hold="bandlimited"), DT)
     with pytest.raises(BadInput, match="effects"):
         inverse_step(eqx.tree_at(lambda m: m.effects, nonlinear(2), (1.0,)), DT)
+
+
+@pytest.mark.parametrize("make", [decoder_step, inverse_step])
+def test_no_interval_is_refused(nonlinear, make):
+    with pytest.raises(BadInput, match="dt must be positive"):
+        make(nonlinear(2), 0.0)

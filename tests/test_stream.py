@@ -77,3 +77,15 @@ def test_rig_coordinates(linear):
 def test_too_short_a_stream_is_refused(models):
     with pytest.raises(BadInput, match="samples"):
         list(invert_stream(models[2], [np.zeros(4)], DT))
+
+
+def test_a_missing_sample_is_told_with_its_place(models):
+    blocks = [np.zeros(300), np.where(np.arange(300) == 41, np.nan, 0.0)]
+    with pytest.raises(BadInput, match="sample 341 "):
+        list(invert_stream(models[2], blocks, DT, window=64))
+
+
+@pytest.mark.parametrize(("dt", "window"), [(DT, 4), (0.0, 64), (-DT, 64)])
+def test_what_cannot_run_is_refused_at_once(models, dt, window):
+    with pytest.raises(BadInput, match="must be positive"):
+        invert_stream(models[2], [], dt, window=window)

@@ -104,7 +104,7 @@ def build_case(model: Model, records: Sequence[Record], *, how: Split = "first",
     """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`."""
     model = _finer(at_rate(model, records[0].dt), records[0].dt)
     known = _session_known(records)
-    begin, spent = starts(model, records)
+    begin, spent = starts(model, records, known)
     fitted = split(records, how)
     size = max(r.samples for r in records)
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
@@ -200,7 +200,7 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     return Series(
         record=record, fitted=fitted, voltage=film, force=_force(model, film) / model.scales.force, motion=motion,
         tokens=np.asarray(tokens), offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest,
-        start=start[: n + model.memory.size], age=model.provenance.age(record) if known else 0.0, span=span,
+        start=start[: n + model.memory.size], age=model.provenance.age(record.time[0]) if known else 0.0, span=span,
     )  # fmt: skip
 
 

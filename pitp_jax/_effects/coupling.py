@@ -97,7 +97,7 @@ class DielectricSaturation(AbstractCouplingEffect):
     def uncouple(self, force, x):
         """In closed form below F_s."""
         left = 1 - self.inverse * jnp.abs(force)
-        return jnp.where(left > 0, force / jnp.where(left > 0, left, 1.0), jnp.inf)
+        return jnp.where(left > 0, force / jnp.where(left > 0, left, 1.0), jnp.sign(force) * jnp.inf)
 
 
 class TanhSaturation(AbstractCouplingEffect):
@@ -124,4 +124,4 @@ class TanhSaturation(AbstractCouplingEffect):
         inside = jnp.abs(r) < 1
         small = jnp.abs(r) < 0.03
         grown = jnp.arctanh(jnp.where(inside, r, 0.0)) / jnp.where(small, 1.0, r)
-        return jnp.where(inside, force * jnp.where(small, 1 + r**2 / 3, grown), jnp.inf)
+        return jnp.where(inside, force * jnp.where(small, 1 + r**2 / 3, grown), jnp.sign(force) * jnp.inf)

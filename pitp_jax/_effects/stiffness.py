@@ -112,7 +112,7 @@ class QuadraticSoftening(_Memoryless):
 
 
 class SaturatingSoftening(_Memoryless):
-    """f = k (L tanh(x / L) - x)."""
+    """f = 0.97 k (L tanh(x / L) - x): 3 % of the spring stay, or nothing would bring it back."""
 
     name, form, family, port = "softening", "saturating", "stiffness", "K"
     PARAMETERS = (Parameter("curvature", "1/x", length=-1, neutral=0.0, linear=False),)
@@ -124,7 +124,7 @@ class SaturatingSoftening(_Memoryless):
         return [bounded((0.6 / s.reach,), (0.02 / s.reach,), (4 / s.reach,))]
 
     def act(self, states, now: Instant, tokens, offset):
-        """The missing force; a tenth of the spring always stays."""
+        """The missing force."""
         x = now.state[0]
         r = self.curvature * x
         share = jnp.where(jnp.abs(r) < 0.03, -(r**2) / 3, jnp.tanh(r) / jnp.where(jnp.abs(r) < 0.03, 1.0, r) - 1)

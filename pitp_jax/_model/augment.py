@@ -102,9 +102,13 @@ def readings(model: "Model", states: Float[Array, "time state"]) -> Float[Array,
 
 
 def required(
-    model: "Model", equation: Float[Array, "time tokens"], features: Float[Array, "time features"], dt: float
+    model: "Model",
+    equation: Float[Array, "time tokens"],
+    features: Float[Array, "time features"],
+    dt: float,
+    age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " time"]:
-    """Eq. 13 with effects: the scaled force of the film along a wanted motion that starts at rest.
+    """Eq. 13 with effects: the scaled force of the film along a wanted motion that starts at rest, at that age in s.
 
     Every state of a force effect follows x alone, so it is known along the way; then couplings are divided out.
     """
@@ -112,7 +116,7 @@ def required(
     rates = jnp.asarray(model.scales.rates, equation.dtype)
     blunt = 0.1 / (rates[0] if n == 1 else jnp.sqrt(rates[0] * rates[-1]))
     x = equation[:, 0]
-    start = split(model, initial(model, x[0], jnp.zeros_like(x[0]), 0.0))
+    start = split(model, initial(model, x[0], jnp.zeros_like(x[0]), age))
 
     def advance(parts, ends):
         return moved(model, parts, ends[0], ends[1], dt), parts
@@ -152,9 +156,10 @@ def moves(model: "Model", reading: Float[Array, " time"], dt: float) -> Float[Ar
 
 
 def beyond(model: "Model", film: Float[Array, " time"], dt: float) -> Array:
-    """True where a drive effect lets no such film voltage pass."""
+    """True where a drive effect lets no such film voltage pass; each is asked about what leaves it."""
     out = ~jnp.isfinite(film)
-    for effect in model.effects:
+    for effect in reversed(model.effects):
         if isinstance(effect, AbstractDriveEffect):
             out = out | ~effect.passes(film, dt)
+            film = effect.undo(film, dt)
     return out

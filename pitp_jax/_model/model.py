@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from .._record.long_record import LongRecord
 from .._record.record import Record
+from .._record.sets import ABSOLUTE
 from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
@@ -57,9 +58,10 @@ class Provenance:
         """A copy with some fields replaced."""
         return replace(self, **changes)
 
-    def age(self, record: Record) -> float:
-        """How long the session had lasted when this record began, s."""
-        return float(record.time[0]) - self.clock
+    def age(self, time: float) -> float:
+        """How long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""
+        age = float(time) - self.clock
+        return age if abs(age) < ABSOLUTE else 0.0
 
     def driven_by(self, records: Sequence[Record]) -> "Provenance":
         """The same with range and slew of the voltage widened to those of these records."""

@@ -9,7 +9,7 @@ from .record import Record
 from .units import base_unit
 
 RATE_TOLERANCE = 1e-3  # relative difference of dt within one set
-_ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the session
+ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the session
 
 
 def check_set(records: Sequence[Record] | Record) -> None:
@@ -43,7 +43,7 @@ def _place(record: Record) -> str:
 def clock_start(records: Sequence[Record]) -> float:
     """What clocks that show absolute time (epoch seconds) showed at the first record, s; 0 for a session's own."""
     first = min(float(r.time[0]) for r in records)
-    return first if abs(first) > _ABSOLUTE else 0.0
+    return first if abs(first) > ABSOLUTE else 0.0
 
 
 def alike(records: Sequence[Record]) -> list[list[int]]:
