@@ -88,13 +88,7 @@ def feedforward(
         warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)
     best = _shoot(model, path, limits, target.dt, shots, age)
     voltage, saturated = best.voltage, best.saturated
-    # an actuator at rest asks for a force of zero, give or take a bit
-    slack = _ROUNDING * np.abs(best.force[np.isfinite(best.force)]).max(initial=0.0)
-    infeasible = np.asarray(model.input_map.infeasible(jnp.asarray(best.force + slack)))
-    if model.effects:
-        film = model.input_map.voltage(jnp.asarray(best.force) * model.scales.force)
-        infeasible = infeasible | np.asarray(augment.beyond(model, film, target.dt))
-    infeasible = np.append(infeasible, np.zeros(len(voltage) - len(infeasible), bool))
+    infeasible = np.append(_infeasible(model, best.force, target.dt), np.zeros(len(voltage) - len(best.force), bool))
     share = outside_share(model, best.features[first:last])
     if share > 0.01:
         warnings += (
@@ -119,6 +113,17 @@ def feedforward(
         equation_e_rms_percent=best.equation_error,
         warnings=warnings,
     )
+
+
+def _infeasible(model: Model, force: np.ndarray, dt: float) -> np.ndarray:
+    """Where no voltage makes this scaled force, or no effect of the drive lets it pass."""
+    # an actuator at rest asks for a force of zero, give or take a bit
+    slack = _ROUNDING * np.abs(force[np.isfinite(force)]).max(initial=0.0)
+    never = np.asarray(model.input_map.infeasible(jnp.asarray(force + slack)))
+    if model.effects:
+        film = model.input_map.voltage(jnp.asarray(force) * model.scales.force)
+        never = never | np.asarray(augment.beyond(model, film, dt))
+    return never
 
 
 @dataclass(frozen=True)

@@ -44,15 +44,14 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
         BadInput: none moves.
     """
     ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
-    largest = max(ranges)
-    moving = [
-        r
+    moves = [
+        w > 0 and (w > _SMALL * max(ranges) or w > _STILL * noise_std(r.displacement))
         for r, w in zip(records, ranges, strict=True)
-        if w > 0 and (w > _SMALL * largest or w > _STILL * noise_std(r.displacement))
     ]
-    if not moving:
+    if not any(moves):
         raise BadInput(f"{records[0].source or records[0].name}: no record moves; record the actuator under a drive")
-    still = [r.name for r in records if not any(r is m for m in moving)]
+    still = [r.name for r, one in zip(records, moves, strict=True) if not one]
+    moving = [r for r, one in zip(records, moves, strict=True) if one]
     return moving, (f"left out, since they do not move beyond their noise: {', '.join(still)}",) if still else ()
 
 

@@ -68,10 +68,9 @@ class Settings:
             them at 1e-4). Default: 1e-4; 0.06 over their number with `few` records behind a square, since the error
             is a mean over records (Peano-HASEL, 2 records, at a frequency it never saw, seeds 0 to 2: 9.2, 9.4,
             10.4 %, at 1e-3 10.1, 18.2, 13.4; 6 records of cone100 go from 0.49 to 0.53 % at 1e-2, and 3 without its
-            largest voltage do worse there);
-            1e-3 behind a linear input, where no rubber creeps. 1e-3 extrapolates in amplitude
-            (Silverbox at 1.3 times the trained one: 0.52 -> 0.27 mV; 0.32 since `_geodesic`) and costs a film some
-            accuracy (cone100: median 0.26 -> 0.29 %, worst 0.6 -> 1.3 %).
+            largest voltage do worse there); 1e-3 behind a linear input, where no rubber creeps. 1e-3 extrapolates
+            in amplitude (Silverbox at 1.3 times the trained one: 0.52 -> 0.27 mV; 0.32 since `_geodesic`) and costs a
+            film some accuracy (cone100: median 0.26 -> 0.29 %, worst 0.6 -> 1.3 %).
 
     Raises:
         BadInput: an unknown word.

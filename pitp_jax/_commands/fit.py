@@ -49,8 +49,8 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, input_colu
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
     told = describe(done.model)
-    seconds = number(done.notes.get("seconds"), 3)
-    print(f"trained a model of order {told['order']} on {listed([r.name for r in read_in])} in {seconds} s")
+    seconds, names = number(done.notes.get("seconds"), 3), done.notes.get("records", [r.name for r in read_in])
+    print(f"trained a model of order {told['order']} on {listed(names)} in {seconds} s")
     for line in done.notes.get("left_out", ()):
         print(line)
     print_history(done.history)
