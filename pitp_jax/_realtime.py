@@ -36,7 +36,8 @@ class CompiledStep:
     Attributes:
         carry: what the step starts from at rest, shape (C,), float32.
         inputs: how many numbers it takes per sample.
-        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled.
+        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. Where an input is not finite
+            the output is nan, and the carry stays as it was.
         exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore_step`.
     """
 
@@ -162,7 +163,12 @@ def _refuse(model: Model, dt: float) -> None:
 
 
 def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
+    def guarded(carry, values):
+        after, output = one(carry, values)
+        sound = jnp.isfinite(values).all()
+        return jnp.where(sound, after, carry), jnp.where(sound, output, jnp.nan)
+
     carry = carry.astype(np.float32)
     shapes = jax.ShapeDtypeStruct(carry.shape, jnp.float32), jax.ShapeDtypeStruct((inputs,), jnp.float32)
-    exported = export.export(jax.jit(one))(*shapes)
+    exported = export.export(jax.jit(guarded))(*shapes)
     return CompiledStep(carry, inputs, _compile(exported), exported)

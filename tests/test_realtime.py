@@ -112,3 +112,14 @@ def test_what_needs_the_future_is_refused(nonlinear):
 def test_no_interval_is_refused(nonlinear, make):
     with pytest.raises(BadInput, match="dt must be positive"):
         make(nonlinear(2), 0.0)
+
+
+@pytest.mark.parametrize("make", [inverse_step, decoder_step])
+def test_a_lost_sample_is_lost_alone(lagging, make):
+    """Nan out, and the next sample follows on the last sound one."""
+    compiled = make(lagging, DT)
+    rows = np.abs(np.random.default_rng(0).standard_normal((5, compiled.inputs))).astype(np.float32) * 1e-4
+    gap = np.insert(rows, 2, np.nan, axis=0)
+    found = play(compiled, gap)
+    assert np.isnan(found[2])
+    np.testing.assert_array_equal(np.delete(found, 2), play(compiled, rows))
