@@ -18,9 +18,8 @@ from ._decode import rest_state, rollout, settled_state
 from ._model import augment
 from ._model.model import Model
 from ._parallel import rollout_by_size
-from ._record.reading import session_clock
 from ._record.record import Record
-from ._record.sets import alike, check_set
+from ._record.sets import alike, check_set, session_clock
 from ._rest import INITIAL_SAMPLES, first_known, starts_at_rest
 
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged

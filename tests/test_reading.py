@@ -18,8 +18,9 @@ from record_files import (
 )
 
 from pitp_jax._errors import BadInput
-from pitp_jax._record.reading import read, read_target, session_clock
+from pitp_jax._record.reading import read, read_target
 from pitp_jax._record.record import Record
+from pitp_jax._record.sets import session_clock
 
 
 def test_dropped_sample_and_jitter(tmp_path):

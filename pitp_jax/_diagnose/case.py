@@ -26,6 +26,7 @@ from .._predict import at_rate, starts
 from .._record.drives import kind, loudest
 from .._record.preprocess import force_band, preprocess
 from .._record.record import Record
+from .._record.sets import session_clock
 
 Split = Literal["first", "second", "none"]
 
@@ -103,7 +104,7 @@ class Case:
 def build_case(model: Model, records: Sequence[Record], *, how: Split = "first", mesh: Mesh | None = None) -> Case:
     """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`."""
     model = _finer(at_rate(model, records[0].dt), records[0].dt)
-    known = _session_known(records)
+    known = len(records) > 1 and session_clock(records)
     begin, spent = starts(model, records, known)
     fitted = split(records, how)
     size = max(r.samples for r in records)
@@ -127,12 +128,6 @@ def _force(model: Model, voltage):
 def _finer(model: Model, dt: float) -> Model:
     """Substeps of at most 0.1 / omega: stiff contacts and frozen forces need a finer step than the nominal."""
     return replace(model, substeps=max(model.substeps, int(np.ceil(model.natural_frequency * dt / 0.1))))
-
-
-def _session_known(records: Sequence[Record]) -> bool:
-    """More than one record, and none overlaps another in time."""
-    spans = sorted((r.time[0], r.time[-1]) for r in records)
-    return len(spans) > 1 and all(a[1] <= b[0] for a, b in zip(spans[:-1], spans[1:], strict=True))
 
 
 def split(records: Sequence[Record], how: Split = "first") -> set[str]:

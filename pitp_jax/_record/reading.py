@@ -108,16 +108,6 @@ def read_target(path: str | os.PathLike, output_column: str | None = None) -> Ta
     return Target(time, wanted, unit, table.source)
 
 
-def session_clock(records: Sequence[Record]) -> bool:
-    """Whether the times of a set are one session clock: no two records overlap (a single one: True).
-
-    Args:
-        records: the records of a set, in any order.
-    """
-    spans = sorted((record.time[0], record.time[-1], record.dt) for record in records)
-    return all(later[0] > span[1] - 0.5 * span[2] for span, later in zip(spans, spans[1:], strict=False))
-
-
 def _existing(path: str | os.PathLike) -> Path:
     path = Path(path)
     try:

@@ -46,6 +46,16 @@ def clock_start(records: Sequence[Record]) -> float:
     return first if abs(first) > ABSOLUTE else 0.0
 
 
+def session_clock(records: Sequence[Record]) -> bool:
+    """Whether the times of a set are one session clock: no two records overlap (a single one: True).
+
+    Args:
+        records: the records of a set, in any order.
+    """
+    spans = sorted((record.time[0], record.time[-1], record.dt) for record in records)
+    return all(later[0] > span[1] - 0.5 * span[2] for span, later in zip(spans, spans[1:], strict=False))
+
+
 def alike(records: Sequence[Record]) -> list[list[int]]:
     """Places of records to be padded to one length: all, or where that doubles them sets of like length.
 
