@@ -90,8 +90,8 @@ def candidates(model, volts, mesh):
     runs = []
     for shared in (None, mesh):
         case = build_case(model, records, mesh=shared)
-        lanes = [Lane(np.array([0.02 * k, 1e-3 * k]), np.full(3, 1 + 0.01 * k), k % 3) for k in range(70)]
-        runs.append(np.stack(Lanes(case, forms).run(lanes)))
+        lanes = [Lane(forms, ((0.02 * k,), (1e-3 * k,)), np.full(3, 1 + 0.01 * k), k % 3) for k in range(70)]
+        runs.append(np.stack(Lanes(case, [forms]).run(lanes)))
     return error(runs[1], runs[0])
 
 

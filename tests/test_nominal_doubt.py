@@ -75,7 +75,7 @@ def test_a_refit_settles_the_hold_once_the_effect_is_known(nominal, hold):
     begin = Candidate(
         (sensor.SensorLag,), ((0.015,),), (sensor.SensorLag.starts(case.surroundings)[0],), np.ones(3), True
     )
-    lanes = Lanes(case, (sensor.SensorLag,))
+    lanes = Lanes(case, [(sensor.SensorLag,)])
     (best,) = judge(lanes, fit(lanes, [begin]))
     found, model = settled(case, best, held)
     assert model.hold == hold

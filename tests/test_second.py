@@ -76,7 +76,7 @@ def test_the_second_effect_is_what_screens_best_around_the_first(nominal):
     form = coupling.ExponentialCoupling
     starts = form.starts(case.surroundings)
     begin = [Candidate((form,), (s.values,), (s,), np.ones(3), False) for s in starts]
-    lanes = Lanes(case, (form,))
+    lanes = Lanes(case, [(form,)])
     first = min(judge(lanes, fit(lanes, begin)), key=lambda j: j.heldout)
     pairs = _around(case, CATALOGUE, [first], False)
     assert pairs[0].names == ("stretch_coupling", "coulomb_friction")

@@ -66,26 +66,25 @@ def attribute(
     noise = estimate(case, [s.error for s in case.series])
     ones = np.ones(case.model.order + 1)
     progress("screening every form")
-    screening = screen(case, catalogue, refit=refit)
+    screening = screen(case, catalogue, ones, refit=refit)
     screened = singles(screening)
     bare = [Candidate((), (), (), ones, False), Candidate((), (), (), ones, True)]
-    given, changed, *rivals = tried(case, catalogue, finalists(screened), ones, refit, bare, progress)
+    given, changed, *rivals = tried(case, catalogue, finalists(screened), refit, bare, progress)
     base = changed if refit else given
     least = min([changed, *rivals], key=lambda r: r.train)
     if refit and least.train > 1.15 * floor(case, noise, sides(case)[0]):
         progress("screening again from the refitted nominal")
         factors = least.candidate.factors
-        screening = screen(moved(case, factors), catalogue, refit=True)
+        screening = screen(moved(case, factors), catalogue, factors, refit=True)
         screened = singles(screening)
-        rivals += tried(case, catalogue, finalists(screened), factors, True, [], progress)
+        rivals += tried(case, catalogue, finalists(screened), True, [], progress, least.candidate.train)
     if not refit and "parameter_change" not in exclude:
         rivals.append(changed)
     _, held = sides(case)
     best = _part_of_a_change(parsimonious(rivals), rivals, floor(case, noise, held), own_misfit(case.model))
     noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: (j.names != best.names, j.heldout)))
-    factors = best.candidate.factors if refit else ones  # what one changed nominal absorbs of two effects misleads
-    pair = second(case, catalogue, screening, best, rivals, base, noise, refit, factors, progress)
+    pair = second(case, catalogue, screening, best, rivals, base, noise, refit, progress)
     if pair:
         best, rivals = pair[0], [r for r in pair[1] if pair[0].names[1] in r.names]
     equal = equivalents(case, best, rivals, noise, held)

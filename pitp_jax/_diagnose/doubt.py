@@ -13,12 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._effects import CATALOGUE
 from .._effects.amplifier import Delay
 from .._model.model import Model
 from .case import Case
 from .fit import Candidate, nudged, residuals, stacked
-from .judged import Judged, in_order, sides
+from .judged import Judged, sides
 from .lanes import Lanes
 
 
@@ -29,7 +28,7 @@ def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
         return replace(judged, candidate=replace(c, covariance=c.covariance + _of_the_hold(c, nominal, case.dt)))
     if spread is None or not c.covariance.size:
         return judged
-    lanes = Lanes(case, in_order(CATALOGUE, c.forms))
+    lanes = Lanes(case, [c.forms])
     fitted, _ = sides(case)
     open_to_both = replace(c, refit=True)
     near = [nudged(open_to_both, k) for k in range(open_to_both.size - 1)]  # the zero stays

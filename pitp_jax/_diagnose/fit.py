@@ -20,6 +20,8 @@ from .lanes import Lane, Lanes
 _STEP = 3e-3
 _ZERO = 0.2  # farthest that a sensor's zero may be off, scaled
 _MOST, _ENOUGH = 16, 2e-3  # iterations, and the relative decrease below which two of them end the fit
+# given up from this step on: what at its present pace ends above so many times the least cost
+_PATIENCE, _BEHIND = 3, 2.0
 _PROMISE = 2e-4  # and the one promised by the linearised model below which none is made
 
 
@@ -104,17 +106,14 @@ def _at(c: Candidate, z: np.ndarray) -> Candidate:
     return replace(c, values=tuple(values), factors=np.exp(z[len(free) : -1]), zero=float(z[-1]))
 
 
-def lane_of(lanes: Lanes, c: Candidate, series: int) -> Lane:
+def lane_of(c: Candidate, series: int) -> Lane:
     """The lane of a candidate on a record."""
-    theta = lanes.neutral.copy()
-    for form, values in zip(c.forms, c.values, strict=True):
-        theta[lanes.places[form]] = values
-    return Lane(theta, c.factors, series)
+    return Lane(c.forms, c.values, c.factors, series)
 
 
 def residuals(lanes: Lanes, candidates: Sequence[Candidate], series: Sequence[int]) -> list[list[np.ndarray]]:
     """Per candidate and record y - y_measured in % of range, zero where the output does not count."""
-    jobs = [lane_of(lanes, c, k) for c in candidates for k in series]
+    jobs = [lane_of(c, k) for c in candidates for k in series]
     runs, found = lanes.run(jobs), []
     for i in range(len(candidates)):
         row = []
@@ -146,9 +145,10 @@ def fit(
     candidates: Sequence[Candidate],
     *,
     most: int = _MOST,
+    beat: float = np.inf,
     progress: Callable[[int, float], None] = lambda step, best: None,
 ) -> list[Candidate]:
-    """Every candidate at its least squares on the fitted records."""
+    """Every candidate at its least squares on the fitted records; `beat` is the cost of one fitted before."""
     series = [k for k, s in enumerate(lanes.case.series) if s.fitted]
     level = stacked(lanes, [(s.weight > 0) * 100 / s.span for s in lanes.case.fitted], series)  # slope of the zero
     states = [_State(_clip(c)) for c in candidates]
@@ -175,9 +175,9 @@ def fit(
         for s, tried, rows in zip(active, tries, residuals(lanes, tries, series), strict=True):
             s.judge(tried, stacked(lanes, rows, series), mean_square(lanes, rows, series))
         best = min(s.cost for s in states)
-        for s in active:  # far behind, and not catching up
-            s.done = s.done or (iteration >= 3 and s.cost > 30 * best and s.gain < 0.2)
-            s.done = s.done or (iteration >= 5 and s.cost > 2 * best and s.gain < 0.02)
+        for s in active:
+            late = s.after(most - 1 - iteration) > _BEHIND * min(best, beat)
+            s.done = s.done or (iteration >= _PATIENCE and late)
         progress(iteration + 1, best)
     return [s.finished() for s in states]
 
@@ -203,7 +203,7 @@ class _State:
 
     def __init__(self, candidate: Candidate):
         self.candidate, self.damping, self.slow = candidate, 1e-2, 0
-        self.done, self.cost, self.gain = candidate.size == 0, np.inf, 1.0
+        self.done, self.cost, self.gains = candidate.size == 0, np.inf, (1.0, 1.0)
         self.residual, self.jacobian = np.zeros(0), np.zeros((0, candidate.size))
 
     def proposal(self) -> Candidate:
@@ -227,13 +227,18 @@ class _State:
 
     def judge(self, tried: Candidate, residual: np.ndarray, cost: float):
         """Accept what lowers the error."""
-        self.gain = max(1 - cost / max(self.cost, 1e-300), 0.0)
+        gain = max(1 - cost / max(self.cost, 1e-300), 0.0)
+        self.gains = (self.gains[1], gain)
         if cost < self.cost:
-            self.slow = self.slow + 1 if self.gain < _ENOUGH else 0
+            self.slow = self.slow + 1 if gain < _ENOUGH else 0
             self.candidate, self.residual, self.cost, self.damping = tried, residual, cost, self.damping / 10
         else:
             self.damping *= 10
         self.done = self.done or self.slow >= 2 or self.damping > 1e3
+
+    def after(self, steps: int) -> float:
+        """The cost after further steps at the better of the last two's pace."""
+        return self.cost * (1 - max(self.gains)) ** steps
 
     def finished(self) -> Candidate:
         """The candidate with its error and the covariance of its coordinates."""

@@ -8,11 +8,10 @@ sensor's second-order lag of 8.00 ms read 7.57 +- 0.01; under a linear voltage 8
 
 from dataclasses import replace
 
-from .._effects import CATALOGUE
 from .._model.model import Model
 from .case import Case, build_case
 from .fit import fit
-from .judged import Judged, in_order, judge
+from .judged import Judged, judge
 from .lanes import Lanes
 
 
@@ -22,7 +21,7 @@ def settled(case: Case, best: Judged, nominal: Model) -> tuple[Judged, Model]:
         return best, nominal
     linear = replace(nominal, hold="foh")
     again = build_case(linear, [s.record for s in case.series], how=case.split, mesh=case.mesh)
-    lanes = Lanes(again, in_order(CATALOGUE, best.candidate.forms))
+    lanes = Lanes(again, [best.candidate.forms])
     (found,) = judge(lanes, fit(lanes, [best.candidate]))
     better = found.train < best.train and found.heldout < best.heldout
     return (found, linear) if better else (best, nominal)

@@ -54,13 +54,17 @@ def sides(case: Case) -> tuple[list[int], list[int]]:
     return fitted, held or fitted
 
 
-def tried(case: Case, catalogue, chosen, factors, refit, bare, progress) -> list[Judged]:
-    """The bare candidates and the chosen forms (or pairs of them), fitted and judged."""
+def tried(case: Case, catalogue, chosen, refit, bare, progress, beat: float = np.inf) -> list[Judged]:
+    """The bare candidates and the chosen forms (or pairs of them), fitted and judged; `beat` as in `fit`."""
     chosen = _with_remainders(chosen, catalogue)
-    lanes = Lanes(case, in_order(catalogue, [f for s in chosen for f in s.forms]))
-    alone = [Candidate(s.forms, s.values, s.starts, factors, refit) for s in chosen]
+    groups: dict[frozenset[str], list] = {}
+    for s in chosen:
+        groups.setdefault(frozenset(s.names), []).extend(s.forms)
+    lanes = Lanes(case, list(groups.values()) or [()])
+    alone = [Candidate(s.forms, s.values, s.starts, s.factors, refit) for s in chosen]
     progress(f"fitting {len(alone)} forms of {len({s.names for s in chosen})} effects or pairs")
-    fitted = fit(lanes, [*bare, *alone], progress=lambda k, b: progress(f"fit: step {k}, {np.sqrt(b):.3f} %"))
+    told = lambda k, b: progress(f"fit: step {k}, {np.sqrt(b):.3f} %")  # noqa: E731
+    fitted = fit(lanes, [*bare, *alone], beat=beat, progress=told)
     return judge(lanes, fitted)
 
 
@@ -81,11 +85,6 @@ def _with_remainders(chosen: Sequence[Screened], catalogue) -> list[Screened]:
             values[k], starts[k] = kept[0], Start(*kept[1:])
             found.append(replace(s, forms=forms, values=tuple(values), starts=tuple(starts)))
     return found
-
-
-def in_order(catalogue, forms) -> list:
-    """In the catalogue's order: velocity and friction see all that comes before them."""
-    return [c for c in catalogue if c in forms]
 
 
 def judge(lanes: Lanes, candidates: Sequence[Candidate]) -> list[Judged]:

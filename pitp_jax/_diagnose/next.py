@@ -87,9 +87,8 @@ def separate(case: Case, a: "Judged", b: "Judged", noise: Noise) -> Experiment:
             Series(record, False, film, blank, motion, motion, blank, blank, blank, blank, True, start, 0.0, 1.0)
         )
     imagined = replace(case, series=tuple(series))
-    forms = list(dict.fromkeys([*a.candidate.forms, *b.candidate.forms]))
-    lanes = Lanes(imagined, forms)
-    first, second = (lanes.run([lane_of(lanes, j.candidate, k) for k in range(len(series))]) for j in (a, b))
+    lanes = Lanes(imagined, [(*a.candidate.forms, *b.candidate.forms)])
+    first, second = (lanes.run([lane_of(j.candidate, k) for k in range(len(series))]) for j in (a, b))
     gains = []
     for x, y in zip(first, second, strict=True):
         d = x.astype(float) - y

@@ -9,6 +9,9 @@ import numpy as np
 
 from .._effects.base import AbstractEffect, Start
 
+# what the regression may multiply a coefficient by
+_CHANGE = (0.5, 2.0)
+
 
 @dataclass(frozen=True)
 class Screened:
@@ -18,12 +21,14 @@ class Screened:
         forms: one or two.
         values: their parameters there, strengths regressed.
         starts: bounds that go with them.
+        factors: on the given nominal's coefficients, regressed beside them in a refit, shape (n + 1,).
         train, heldout: mean squared error in (1 %)^2, pooled over records.
     """
 
     forms: tuple[type[AbstractEffect], ...]
     values: tuple[tuple[float, ...], ...]
     starts: tuple[Start, ...]
+    factors: np.ndarray
     train: float
     heldout: float
 
@@ -41,12 +46,14 @@ class Screening:
         points: (form, parameters, start) of every column.
         fitted, heldout: means over records, shape (1 + Q + M, 1 + Q + M).
         nuisance: Q.
+        factors: of the nominal screened around, on the given one's coefficients, shape (n + 1,).
     """
 
     points: tuple
     fitted: np.ndarray
     heldout: np.ndarray
     nuisance: int
+    factors: np.ndarray
 
 
 def _limits(form) -> tuple[float, float]:
@@ -124,6 +131,7 @@ def _told(found: Screening, columns, strengths) -> Screened:
         tuple(p[0] for p in points),
         tuple(_scaled(p[0], p[1], p[2], s) for p, s in zip(points, strengths, strict=True)),
         tuple(p[2] for p in points),
+        found.factors * np.clip(1 + v[1 : 1 + q], *_CHANGE) if q else found.factors,
         float(v @ found.fitted @ v),
         float(v @ found.heldout @ v),
     )

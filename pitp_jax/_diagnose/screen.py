@@ -68,8 +68,8 @@ def nuisance(case: Case, series: Series, refit: bool) -> np.ndarray:
     return responses(case.model, case.dt, -a * series.motion)
 
 
-def screen(case: Case, catalogue, *, refit: bool) -> Screening:
-    """Every form of `catalogue` at its grid."""
+def screen(case: Case, catalogue, factors: np.ndarray, *, refit: bool) -> Screening:
+    """Every form of `catalogue` at its grid; `factors` are those of the case's nominal on the given one."""
     catalogue = tuple(c for c in catalogue if c.starts(case.surroundings))
     grids = [grid(c, c.starts(case.surroundings)) for c in catalogue]
     rows = np.zeros((LANES, sum(len(c.PARAMETERS) for c in catalogue)), np.float32)
@@ -84,7 +84,7 @@ def screen(case: Case, catalogue, *, refit: bool) -> Screening:
     fitted = np.array([s.fitted for s in case.series])
     inside = sum(g for g, f in zip(grams, fitted, strict=True) if f) / fitted.sum()
     outside = sum(g for g, f in zip(grams, fitted, strict=True) if not f) / max((~fitted).sum(), 1)
-    return Screening(points, inside, outside if (~fitted).any() else inside, len(inside) - 1 - len(points))
+    return Screening(points, inside, outside if (~fitted).any() else inside, len(inside) - 1 - len(points), factors)
 
 
 def _grams(case: Case, effects, rows, which, refit: bool) -> list[np.ndarray]:

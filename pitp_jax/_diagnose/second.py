@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from .case import Case, build_case
-from .judged import Judged, augmented, floor, in_order, judge, parsimonious, sides, tried
+from .judged import Judged, augmented, floor, judge, parsimonious, sides, tried
 from .lanes import Lanes
 from .noise import Noise
 from .regress import Screened, Screening, pairs, singles
@@ -41,7 +41,6 @@ def second(
     base: Judged,
     noise: Noise,
     refit: bool,
-    factors,
     progress,
 ):
     """The best pair and its rivals, if it pays, else None; screened as pairs, for one may hide the other.
@@ -55,19 +54,20 @@ def second(
     chosen = pairs(screening, _PAIRS)
     if not chosen:
         return None
-    judged = tried(case, catalogue, chosen, factors, refit, [], progress)
+    fitted = lambda pairs: tried(case, catalogue, pairs, refit, [], progress, first.candidate.train)  # noqa: E731
+    judged = fitted(chosen)
     done = {frozenset(j.candidate.forms) for j in judged}
     foremost = sorted(judged, key=lambda j: j.train)[:_FOREMOST]
     foremost = [j for j in foremost if j.train <= _NEAR * foremost[0].train]
     others = [s for j in foremost for s in pairs(screening, _FORM_PAIRS, frozenset(j.names))]
     others = [s for s in others if frozenset(s.forms) not in done]
-    if others:
-        judged += tried(case, catalogue, others, factors, refit, [], progress)
+    if others and foremost[0].train < first.train:
+        judged += fitted(others)
     plain = _PLAIN * low < first.heldout < _HALF * base.heldout
     if plain:
         progress("screening around the best effects")
         around = _around(case, catalogue, rivals, refit)
-        judged += tried(case, catalogue, around, factors, refit, [], progress) if around else []
+        judged += fitted(around) if around else []
     best = parsimonious(judged)
     left = np.sqrt(max(best.heldout**2 - low**2, 0.0) / max(first.heldout**2 - low**2, 1e-30))
     share = (first.heldout**2 - best.heldout**2) / max(base.heldout**2 - low**2, 1e-30)
@@ -75,7 +75,7 @@ def second(
     progress(f"{said}: leaves {100 * left:.0f} % of what one left, removes {100 * share:.2g} % of the gap")
     less = left <= _LESS and (plain or share >= _MUCH)
     pays = share >= _LEAST and (left <= _LITTLE or less) and best.train < first.train
-    return (_foremost_first(case, catalogue, best), judged) if pays else None
+    return (_foremost_first(case, best), judged) if pays else None
 
 
 def _around(case: Case, catalogue, rivals: list[Judged], refit: bool) -> list[Screened]:
@@ -89,18 +89,18 @@ def _around(case: Case, catalogue, rivals: list[Judged], refit: bool) -> list[Sc
     for r in list(near.values())[:_AROUND]:
         model, c = augmented(case, r, case.model), r.candidate
         beside = build_case(model, [s.record for s in case.series], how=case.split, mesh=case.mesh)
-        partners = [s for s in singles(screen(beside, catalogue, refit=refit)) if s.names != r.names]
+        partners = [s for s in singles(screen(beside, catalogue, c.factors, refit=refit)) if s.names != r.names]
         for name in list(dict.fromkeys(s.names for s in partners))[:_PARTNERS]:
             for s in [s for s in partners if s.names == name][:_PARTNERS]:
                 forms, values, limits = (*c.forms, *s.forms), (*c.values, *s.values), (*c.starts, *s.starts)
-                found.append(Screened(forms, values, limits, s.train, s.heldout))
+                found.append(Screened(forms, values, limits, s.factors, s.train, s.heldout))
     return found
 
 
-def _foremost_first(case: Case, catalogue, pair: Judged) -> Judged:
+def _foremost_first(case: Case, pair: Judged) -> Judged:
     """The pair with the effect first that leaves more behind when it is taken away."""
     c = pair.candidate
-    lanes = Lanes(case, in_order(catalogue, c.forms))
+    lanes = Lanes(case, [c.forms])
     alone = [
         replace(c, forms=(f,), values=(v,), starts=(s,)) for f, v, s in zip(c.forms, c.values, c.starts, strict=True)
     ]
