@@ -1,11 +1,12 @@
 """Lanes: many parameter vectors of composite models rolled out at once, each under its own record.
 
-A composite carries the nominal's own effects and all forms of one or two names, neutral unless a lane's numbers say
-otherwise, so candidates (and all finite differences of each) are rows of one array under one compiled program. A lane
-pays for every form of its composite: with one per name, not all names in one, a fit of 13 forms of five took 0.12 for
-0.32 us a lane and sample. What was compiled once serves all splits and fits of a nominal. Time runs in chunks of fixed
-length and lanes in blocks of fixed width: records of any length, candidates in any number. Over a mesh every device
-has a block of its own; no lane asks another, so nothing is communicated.
+A composite carries the nominal's own effects and a group of forms, neutral unless a lane's numbers say otherwise, so
+candidates (and all finite differences of each) are rows of one array under one compiled program. A lane pays for every
+form of its composite: with one per name, not all names in one, a fit of 13 forms of five names took 0.12 for 0.32 us a
+lane and sample (with all forms of the name, asked for or not, a diagnosis of a roll took 92 for 76 s). What was
+compiled once serves all splits and fits of a nominal. Time runs in chunks of fixed length and lanes in blocks of fixed
+width: records of any length, candidates in any number. Over a mesh every device has a block of its own; no lane asks
+another, so nothing is communicated.
 """
 
 from collections.abc import Sequence
@@ -46,7 +47,7 @@ class Lane:
 
 
 class Lanes:
-    """The composites of a case: one per group of forms (and all others of their names), compiled when first asked."""
+    """The composites of a case: one per group of forms, compiled when a lane first asks for it."""
 
     def __init__(self, case: Case, groups: Sequence[Forms]):
         self.case = case
@@ -79,8 +80,7 @@ class _Composite:
     """The nominal with a group of forms, in the catalogue's order: velocity and friction see all that comes before."""
 
     def __init__(self, case: Case, forms: Forms, stages: list[np.ndarray]):
-        names = {f.name for f in forms}
-        self.forms = tuple(f for f in CATALOGUE if f.name in names)
+        self.forms = tuple(f for f in CATALOGUE if f in forms)
         neutral = tuple(f.neutral() for f in self.forms)
         self._case, self._stages = case, stages
         self._model = replace(case.model, effects=(*case.model.effects, *neutral))
