@@ -41,7 +41,7 @@ def arguments(smoke: bool, argv):
     parser.add_argument("--refit", action="store_true", help="the nominal is identified on the real records")
     parser.add_argument("--noise", choices=("white", "ar"), default="white", help="ar: AR(0.9)")
     parser.add_argument("--pairs", action="store_true", help="two effects at once")
-    parser.add_argument("--outside", action="store_true", help="disturbances outside the catalogue")
+    parser.add_argument("--outside", action="store_true", help="disturbances outside the catalogue, all or --effects")
     parser.add_argument(
         "--none", type=int, default=0, metavar="N", help="healthy cases a kind, seeds from the first on"
     )
@@ -71,7 +71,7 @@ def chosen(options) -> list[Spec]:
     only = options.pairs or options.outside or options.none
     names = [(n,) for n in (options.effects or ([] if only else INSIDE))]
     names += list(PAIRS) if options.pairs else []
-    names += [(n,) for n in OUTSIDE] if options.outside else []
+    names += [(n,) for n in OUTSIDE] if options.outside and not options.effects else []
     grid = [(n, kind, seed) for n in names for kind in options.kinds for seed in options.seeds]
     grid += [((), kind, options.seeds[0] + k) for kind in options.kinds for k in range(options.none)]
     return sorted((Spec(*g, options.strength, options.noise) for g in grid), key=lambda s: s.key)

@@ -96,6 +96,17 @@ def test_two_effects_are_both_named(nominal):
     assert found.gap.closed_fraction > 0.95 and found.gap.after < 0.5 * found.ranking[0].heldout
 
 
+def test_two_effects_are_both_named_beside_a_refit(nominal):
+    """Where a gain's column, less the coefficients', is the whole error, every pair once had the gain for a half."""
+    parts = amplifier.VoltageClip(jnp.asarray(1 / 850.0)), sensor.SensorLag(jnp.asarray(0.02))
+    records = play(replace(nominal, effects=parts))
+    bent = pitp.identify(records, order=2).model
+    found = pitp.diagnose(bent, records, refit_nominal=True, exclude=FEW)
+    assert found.verdict == "explained" and set(found.effects) == {"voltage_clip", "sensor_lag"}
+    np.testing.assert_allclose(found.model.physical_coefficients, nominal.physical_coefficients, rtol=0.02)
+    assert not {"sensor_gain", "added_mass"} & {r.effect for r in found.ranking}
+
+
 def test_effects_the_nominal_has_are_kept(nominal):
     """A model with three lags of its own: no gap on its own records, and a new effect stands beside them."""
     own = (

@@ -23,8 +23,10 @@ from .screen import screen
 from .second import second
 
 _NAMES, _FORMS = 5, 12  # finalists
-# what a change of all coefficients holds as one number, and the most floors that a nominal is granted of its own: one
-# a twentieth off its noise left a sensor's gain 0.306 %, and all three coefficients, which mended it as well, 0.292
+# what a change of all coefficients holds as one number: no candidates of a refit, where a gain's column, the nominal's
+# run, less the coefficients' is the whole error, so that it stood first in every screening and half of every pair.
+# And the most floors that a nominal is granted of its own: one a twentieth off its noise left a sensor's gain 0.306 %,
+# and all three coefficients, which mended it as well, 0.292
 _WITHIN, _OWN = ("added_mass", "sensor_gain"), 2.0
 _BLOCKS, _DRAWS = 20, 400
 
@@ -60,8 +62,9 @@ def attribute(
     progress: Callable[[str], None] = lambda line: None,
 ) -> Attribution:
     """Fit, judge and compare every effect of the catalogue but the excluded names, and what holds one as its rest."""
+    without = {*exclude, *(_WITHIN if refit else ())}
     catalogue = tuple(
-        c for c in CATALOGUE if c.name not in exclude and not (c in REMAINDERS and REMAINDERS[c][0].name in exclude)
+        c for c in CATALOGUE if c.name not in without and not (c in REMAINDERS and REMAINDERS[c][0].name in without)
     )
     noise = estimate(case, [s.error for s in case.series])
     ones = np.ones(case.model.order + 1)

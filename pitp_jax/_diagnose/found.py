@@ -41,7 +41,7 @@ class Ranked:
     Attributes:
         effect, family, form: as in the catalogue.
         parameters: name to value, unit and standard error (None where it was only screened).
-        train, heldout: error left, % of range.
+        train, heldout: error left, % of range; of one that fell far behind, where its fit was given up.
         closed_fraction, ci95: as in `Gap`.
         screened: True where the figures come from screening, not from whole rollouts.
     """
