@@ -49,8 +49,9 @@ def second(
     """
     _, held = sides(case)
     low = floor(case, noise, held)
-    if first.heldout <= 1.15 * low or base.heldout <= 1.1 * low:
-        return None
+    whole = max(base.heldout**2 - low**2, 1e-30)
+    if first.heldout <= 1.15 * low or base.heldout <= 1.1 * low or first.heldout**2 - low**2 < _LEAST * whole:
+        return None  # no gap, or less of it left than a second effect must remove
     chosen = pairs(screening, _PAIRS)
     if not chosen:
         return None
@@ -70,7 +71,7 @@ def second(
         judged += fitted(around) if around else []
     best = parsimonious(judged)
     left = np.sqrt(max(best.heldout**2 - low**2, 0.0) / max(first.heldout**2 - low**2, 1e-30))
-    share = (first.heldout**2 - best.heldout**2) / max(base.heldout**2 - low**2, 1e-30)
+    share = (first.heldout**2 - best.heldout**2) / whole
     said = " and ".join(best.names)
     progress(f"{said}: leaves {100 * left:.0f} % of what one left, removes {100 * share:.2g} % of the gap")
     less = left <= _LESS and (plain or share >= _MUCH)
