@@ -22,6 +22,7 @@ ROWS = {
     "fit_cone": "fit_cone",
     "fit_roll": "fit_roll",
     "diagnose": "diagnose",
+    "diagnose_unknown": "diagnose_unknown",
     "import": "import_time",
 }
 
