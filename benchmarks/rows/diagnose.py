@@ -31,10 +31,15 @@ def records(model) -> tuple[pitp.Record, ...]:
 
 def measure(seconds: float) -> dict:
     """One diagnosis, compilation included."""
+    return diagnosed((ElectrodeRC(jnp.asarray(0.01)),))
+
+
+def diagnosed(effects: tuple, **how) -> dict:
+    """The row of one diagnosis of records that have these effects; `how`: options of `diagnose`."""
     model = nominal()
-    real = records(replace(model, effects=(ElectrodeRC(jnp.asarray(0.01)),)))
+    real = records(replace(model, effects=effects))
     began = time.perf_counter()
-    finding = pitp.diagnose(model, real)
+    finding = pitp.diagnose(model, real, **how)
     taken = time.perf_counter() - began
     told = {"records": RECORDS, "samples": RECORDS * STEPS, "verdict": f"{finding.verdict} {finding.effects}"}
     return summary([taken]) | {"peer": None, "peer_median_ms": None, "ratio": None} | told

@@ -20,9 +20,8 @@ from .lanes import Lane, Lanes
 _STEP = 3e-3
 _ZERO = 0.2  # farthest that a sensor's zero may be off, scaled
 _MOST, _ENOUGH = 16, 2e-3  # iterations, and the relative decrease below which two of them end the fit
-# given up from this step on: what at its present pace ends above so many times the least cost
-_PATIENCE, _BEHIND = 3, 2.0
 _PROMISE = 2e-4  # and the one promised by the linearised model below which none is made
+_PATIENCE, _BEHIND = 3, 2.0  # from that step on given up: what at its pace ends above so many times the least cost
 
 
 @dataclass(frozen=True)

@@ -63,9 +63,11 @@ def tried(case: Case, catalogue, chosen, refit, bare, progress, beat: float = np
     lanes = Lanes(case, list(groups.values()) or [()])
     alone = [Candidate(s.forms, s.values, s.starts, s.factors, refit) for s in chosen]
     progress(f"fitting {len(alone)} forms of {len({s.names for s in chosen})} effects or pairs")
-    told = lambda k, b: progress(f"fit: step {k}, {np.sqrt(b):.3f} %")  # noqa: E731
-    fitted = fit(lanes, [*bare, *alone], beat=beat, progress=told)
-    return judge(lanes, fitted)
+
+    def told(step: int, least: float) -> None:
+        progress(f"fit: step {step}, {np.sqrt(least):.3f} %")
+
+    return judge(lanes, fit(lanes, [*bare, *alone], beat=beat, progress=told))
 
 
 def _with_remainders(chosen: Sequence[Screened], catalogue) -> list[Screened]:

@@ -55,7 +55,10 @@ def second(
     chosen = pairs(screening, _PAIRS)
     if not chosen:
         return None
-    fitted = lambda pairs: tried(case, catalogue, pairs, refit, [], progress, first.candidate.train)  # noqa: E731
+
+    def fitted(some: list[Screened]) -> list[Judged]:
+        return tried(case, catalogue, some, refit, [], progress, first.candidate.train)
+
     judged = fitted(chosen)
     done = {frozenset(j.candidate.forms) for j in judged}
     foremost = sorted(judged, key=lambda j: j.train)[:_FOREMOST]
