@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 
 import pitp_jax as pitp
-from pitp_jax import _demo, _settings, _train
-from pitp_jax._dataset import build_dataset
+from pitp_jax._demo import protocol
 from pitp_jax._metrics import e_rms_percent
+from pitp_jax._train import settings, training
+from pitp_jax._train.dataset import build_dataset
 
 from .clock import take_turns
 
@@ -28,24 +29,24 @@ def records(name: str):
     folder = _DATA / name
     if folder.is_dir():
         parts = [pitp.read(folder / part) for part in ("sweep", "train", "test")]
-        return *parts, _settings.PRESETS["default"], "recordings"
+        return *parts, settings.PRESETS["default"], "recordings"
     actuator = pitp.plant(name)
-    parts = [_demo.measure(actuator, _demo.excitations(name, part, True)) for part in ("sweep", "train", "test")]
-    return *parts, replace(_settings.PRESETS["default"], **_demo.QUICK_TRAINING), "virtual, quick"
+    parts = [protocol.measure(actuator, protocol.excitations(name, part, True)) for part in ("sweep", "train", "test")]
+    return *parts, replace(settings.PRESETS["default"], **protocol.QUICK_TRAINING), "virtual, quick"
 
 
 def step_ways(nominal, train, settings) -> tuple[dict, str]:
     """One epoch of ours, a few steps of PyTorch's; both report per step through `scale`."""
-    memory = partial(_settings.memory_of, settings, nominal, None)
+    memory = partial(settings.memory_of, settings, nominal, None)
     data = build_dataset(nominal, train, scaling=settings.scaling, difference=settings.difference, memory=memory)
-    model = _settings.with_encoder(data, settings, jax.random.key(0))
-    params, static = eqx.partition(model, _train._trainable(model))
-    state, box = _train._OPTIMISER.init(params), jnp.asarray([0.6, 1.5])
+    model = settings.with_encoder(data, settings, jax.random.key(0))
+    params, static = eqx.partition(model, training._trainable(model))
+    state, box = training._OPTIMISER.init(params), jnp.asarray([0.6, 1.5])
     rows = data.equation
     few = rows.take(slice(0, 20 * settings.batch))
 
     def ours():
-        return _train._epoch(params, static, state, few, box, jnp.asarray(1e-3), settings, jax.random.key(1))[2]
+        return training._epoch(params, static, state, few, box, jnp.asarray(1e-3), settings, jax.random.key(1))[2]
 
     steps = max(few.force.shape[0] // settings.batch, 1)
     try:

@@ -10,11 +10,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._inverse import equation_inverse
-from pitp_jax._invert_fast import scaled_equation
+from pitp_jax._invert.equation import equation_inverse, scaled_equation
 from pitp_jax._model.model import Model
-from pitp_jax._model.rows import force_rows
-from pitp_jax._spline_filter import fast_derivatives
+from pitp_jax._numerics.spline_derivative import fast_derivatives
+from pitp_jax._simulate.rows import force_rows
 
 from .clock import row, take_turns
 from .machine import floor

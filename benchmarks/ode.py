@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._decode import rest_state, scaled_force
-from pitp_jax._decode import step as decoder_step
 from pitp_jax._model.model import Model
+from pitp_jax._simulate.decoder import rest_state, scaled_force
+from pitp_jax._simulate.decoder import step as decoder_step
 
 from .machine import floor, operations
 

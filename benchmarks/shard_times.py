@@ -1,16 +1,13 @@
-"""Run by the row `devices` with a number of host devices: sharded inversion, rollout and normal equations, as JSON."""
+"""Run by the row `devices` with a number of host devices: sharded inversion and rollout, as JSON."""
 
 import json
 import sys
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._decode import rest_state
-from pitp_jax._parameters import parameters
-from pitp_jax._sensitivity import Runs
-from pitp_jax._shard import records_mesh, sharded_inverse, sharded_normal_equations, sharded_rollout
+from pitp_jax._sharding import records_mesh, sharded_inverse, sharded_rollout
+from pitp_jax._simulate.decoder import rest_state
 
 from .clock import take_turns
 from .subjects import DT, default, target, voltages
@@ -21,13 +18,9 @@ def main(seconds: float) -> dict:
     mesh, model = records_mesh(), default()
     paths = np.stack([target(20_000) * (0.5 + 0.01 * k) for k in range(32)])
     volts, start = voltages(256, 1000), np.tile(np.asarray(rest_state(model)), (256, 1))
-    fit = voltages(32, 1000)
-    runs = Runs(*(jnp.asarray(a) for a in (start[:32], np.ones(32, np.float32), fit, 0 * fit, 1e-3 + 0 * fit)))
-    vector = parameters(model)[0]
     ways = {
         "inverse, 32 x 20,000": lambda: sharded_inverse(model, paths, DT, mesh),
         "rollout, 256 x 1,000": lambda: sharded_rollout(model, volts, DT, start, mesh),
-        "normal equations, 32 x 1,000": lambda: sharded_normal_equations(model, runs, DT, 4, vector, mesh).hessian,
     }
     found = take_turns(ways, seconds)
     sums = {name: float(np.abs(np.asarray(run(), np.float64)).mean()) for name, run in ways.items()}

@@ -121,7 +121,7 @@ class Inverse(nn.Module):
 
 
 class Step(nn.Module):
-    """One decoder step of `_decode` for a batch of records: state (records, n + K), three stage forces."""
+    """One decoder step of `decoder` for a batch of records: state (records, n + K), three stage forces."""
 
     def __init__(self, model: Model, dt: float):
         super().__init__()

@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._demo import excitations, measure
-from pitp_jax._settings import PRESETS
+from pitp_jax._demo.protocol import excitations, measure
+from pitp_jax._train.settings import PRESETS
 
 
 def records_of(case: str, data: Path):

@@ -13,8 +13,8 @@ from _paper import ACTUATORS, RESONANCE_HZ, TOKENS, Bench, errors
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax import _plot
-from pitp_jax._demo_files import SWEEP_HZ
+from pitp_jax._demo.files import SWEEP_HZ
+from pitp_jax._plot import paper_figures
 
 
 def main(smoke: bool = False, argv=()):
@@ -35,7 +35,7 @@ def main(smoke: bool = False, argv=()):
         swept = pitp.e_rms_percent(run.displacement, bench.sweep.displacement, run.scored)
         values = np.array(list(scores.values()))
         held_out.append((name, None, float(np.median(values)), float(values.max()), swept, f"{seconds:.0f} s"))
-        _plot.sweep_response(
+        paper_figures.sweep_response(
             bench.sweep.time, bench.sweep.displacement, run.displacement, ax,
             sweep_hz=SWEEP_HZ[bench.kind] if not options.smoke else None,
         )  # fmt: skip

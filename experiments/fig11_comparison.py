@@ -13,8 +13,8 @@ from _paper import PRESETS, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax import _plot
-from pitp_jax._plot_lines import ERROR
+from pitp_jax._plot import paper_figures
+from pitp_jax._plot.lines import ERROR
 
 FREQUENCY = {"roll": 110.0, "cone": 8.0}  # Hz
 DEFAULT = PRESETS["default"]
@@ -72,7 +72,7 @@ def _draw(options, name, record, frequency, models):
         ax.plot(time, error, color=ERROR, lw=0.8)
         ax.set_ylim(-1.05 * np.abs(errors_um).max(), 1.05 * np.abs(errors_um).max())
     for column, label in ((0, "x (mm)"), (1, "error (µm)")):
-        _plot.finish(axes[:, column], "time (s)", [label] * len(models))
+        paper_figures.finish(axes[:, column], "time (s)", [label] * len(models))
     for ax, title in zip(axes[:, 0], models, strict=True):
         panel(ax, title)
     finish(figure, options, f"fig11_comparison_{name}.png", axes[0, 0])

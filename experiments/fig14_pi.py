@@ -15,7 +15,7 @@ from _paper import TABLE_2, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax import _plot
+from pitp_jax._plot import paper_figures
 
 SECONDS = {"roll": 2.0, "cone": 20.0}
 SOFTER = 0.97
@@ -69,7 +69,7 @@ def _draw(options, name, track, pair):
     """The drifted plant at the first frequency, without and with PI."""
     figure, axes = axes_grid(3, 2, (8.0, 4.2), (2, 1, 1.2))
     for column, (x, u), label in zip(axes.T, pair, ("feedforward alone", "with PI"), strict=True):
-        _plot.tracking(track.time, track.target, x, u, column)
+        paper_figures.tracking(track.time, track.target, x, u, column)
         panel(column[0], f"{name}, 3 % softer, {track.frequency:g} Hz: {label}")
     for row in axes:
         row[0].sharey(row[1])

@@ -12,8 +12,8 @@ from _paper import TABLE_2, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax import _plot
-from pitp_jax._plot_lines import CYCLE
+from pitp_jax._plot import paper_figures
+from pitp_jax._plot.lines import CYCLE
 
 LOADS = ("cone100", "cone122", "cone150", "roll")
 HELD_OUT = {"roll": (48.0,), "cone": (5.5,)}  # Hz
@@ -41,7 +41,7 @@ def main(smoke: bool = False, argv=()):
             _loop(column[2], track.target, track.achieved, cycle, color=color, lw=1.2, label=f"{f:g} Hz: {loop:.2f} %")
             if f == SHOWN_HZ[bench.kind]:
                 _track(column[:2], name, track)
-        _plot.finish(column[2:], "achieved (of the target's range)", ["target (of its range)"], 1)
+        paper_figures.finish(column[2:], "achieved (of the target's range)", ["target (of its range)"], 1)
         column[2].legend(
             loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, fontsize=7, handlelength=1,
             columnspacing=1, title="RMHE of one cycle (dotted: quasi-static)", title_fontsize=8, alignment="left",
@@ -62,7 +62,7 @@ def quasi_static(bench, model, track):
 def _track(axes, name, track):
     """Fig. 15: target, motion and error over the last four periods."""
     last = track.time >= track.time[-1] - 4 / track.frequency
-    _plot.prediction(track.time[last], track.target[last], track.achieved[last], axes)
+    paper_figures.prediction(track.time[last], track.target[last], track.achieved[last], axes)
     panel(axes[0], f"{name}, {track.frequency:g} Hz")
 
 

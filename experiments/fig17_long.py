@@ -12,8 +12,8 @@ from _paper import PRESETS, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax import _plot
-from pitp_jax._plot_lines import CYCLE
+from pitp_jax._plot import paper_figures
+from pitp_jax._plot.lines import CYCLE
 
 SECONDS, FREQUENCY = 50.0, 0.5
 
@@ -34,11 +34,11 @@ def main(smoke: bool = False, argv=()):
             seconds[label] = per_second(track)
             _report(label, track, seconds[label])
             if label == "default":
-                _plot.tracking(track.time, track.target, track.achieved, track.voltage, axes[:3, 0])
+                paper_figures.tracking(track.time, track.target, track.achieved, track.voltage, axes[:3, 0])
                 panel(axes[0, 0], f"{name}, {label} preset")
             clock = np.arange(len(seconds[label])) + 0.5
             axes[3, 0].plot(clock, seconds[label], marker=".", lw=0.8, color=color, label=f"{label} preset")
-        _plot.finish(axes[3:, 0], "time (s)", ["error of each\nsecond (%)"])
+        paper_figures.finish(axes[3:, 0], "time (s)", ["error of each\nsecond (%)"])
         axes[3, 0].set_ylim(bottom=0)
         figure.align_ylabels(axes[:, 0])
         rows = [

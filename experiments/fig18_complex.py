@@ -11,7 +11,7 @@ from _paper import Bench
 from _show import arguments, axes_grid, finish, panel, show
 from scipy.ndimage import gaussian_filter1d
 
-from pitp_jax import _plot
+from pitp_jax._plot import paper_figures
 from pitp_jax._record.excitation import complex_trajectory, steps, triangle
 
 BAND = {"roll": (20.0, 1.0), "cone": (1.5, 10.0)}  # slowest frequency (Hz) and length (s)
@@ -29,7 +29,7 @@ def main(smoke: bool = False, argv=()):
             track = bench.play(model, target)
             rows.append((f"{name}, {shape}", None, track.e_rms, track.self_check))
             pair = column[2 * k : 2 * k + 2]
-            _plot.prediction(track.time, track.target, track.achieved, pair)
+            paper_figures.prediction(track.time, track.target, track.achieved, pair)
             panel(pair[0], f"{name}, {shape}")
     figure.align_ylabels(axes[:, 0])
     show("Fig. 18, held-out", ("cell", "paper (%)", "ours (%)", "model's own check (%)"), rows)

@@ -14,8 +14,8 @@ from _paper import PRESETS, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax import _plot
-from pitp_jax._plot_lines import CYCLE
+from pitp_jax._plot import paper_figures
+from pitp_jax._plot.lines import CYCLE
 
 PAPER = PRESETS["paper"]
 SHOWN_HZ = {"roll": (10, 100), "cone": (3, 5)}
@@ -65,8 +65,8 @@ def _draw(options, bench, fits):
         style = {"color": color, "lw": 1.0, "marker": "." if options.smoke else ""}
         axes[0, 0].semilogy(np.arange(1, len(losses) + 1), losses, **style)
         axes[0, 1].semilogy(np.arange(1, len(losses) + 1), best, label=label, **style)
-    _plot.finish(axes[0, :1], "epoch", ["training loss"])
-    _plot.finish(axes[0, 1:], "epoch", ["best physics loss"], 1)
+    paper_figures.finish(axes[0, :1], "epoch", ["training loss"])
+    paper_figures.finish(axes[0, 1:], "epoch", ["best physics loss"], 1)
     axes[0, 1].get_legend().set(loc="center right", bbox_to_anchor=(1, 0.42))
     for column, frequency in zip(axes[1:].T, SHOWN_HZ[bench.kind], strict=True):
         record = bench.grid(frequency)
@@ -75,7 +75,7 @@ def _draw(options, bench, fits):
             run = pitp.predict(fit.model, [record])[0].displacement
             overlay(ax, record.time, record.displacement, run)
             ax.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
-        _plot.finish(column, "time (s)", ["x (mm)"] * len(column))
+        paper_figures.finish(column, "time (s)", ["x (mm)"] * len(column))
         for ax, label in zip(column, fits, strict=True):
             panel(ax, f"{label}, {frequency} Hz")
     finish(figure, options, f"fig19_ablations_{bench.name}.png", axes[1, 0])

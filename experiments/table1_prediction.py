@@ -11,7 +11,7 @@ from _paper import ACTUATORS, TABLE_1, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax import _plot
+from pitp_jax._plot import paper_figures
 
 FIG_8 = {"roll": (20, 130), "cone": (2, 10)}  # Hz
 FIG_9_HZ, FIG_10_HZ = {"roll": 100, "cone": 8}, {"roll": (10, 50, 100), "cone": (1, 4, 8)}
@@ -60,7 +60,7 @@ def _draw(column, bench, model):
     for k, f in enumerate(FIG_8[bench.kind]):
         record = bench.grid(f)
         run, part = pitp.predict(model, [record])[0].displacement, _last(record, f, 4)
-        _plot.prediction(record.time[part], record.displacement[part], run[part], column[2 * k : 2 * k + 2])
+        paper_figures.prediction(record.time[part], record.displacement[part], run[part], column[2 * k : 2 * k + 2])
         panel(column[2 * k], f"{bench.name}, {f} Hz")
     f = FIG_9_HZ[bench.kind]
     records = [r for r in bench.train if r.name.startswith(f"sine_{f:03d}Hz")]
@@ -68,13 +68,13 @@ def _draw(column, bench, model):
         part = _last(record, f, 3)
         clock = record.time[part] - record.time[part][0]
         overlay(column[4], clock, record.displacement[part], run.displacement[part])
-    _plot.finish(column[4:5], "time (s)", ["displacement (mm)"])
+    paper_figures.finish(column[4:5], "time (s)", ["displacement (mm)"])
     panel(column[4], f"{bench.name}, {f} Hz, {len(records)} amplitudes")
     for f in FIG_10_HZ[bench.kind]:
         record = bench.grid(f)
         run, part = pitp.predict(model, [record])[0].displacement, _last(record, f, 1)
         signals = record.voltage[part], record.displacement[part], run[part]
-        _plot.hysteresis_loops(*signals, column[5], label=f"{f} Hz")
+        paper_figures.hysteresis_loops(*signals, column[5], label=f"{f} Hz")
     solid = [loop for loop in column[5].lines if loop.get_label().endswith("Hz")]
     style = {"loc": "lower left", "bbox_to_anchor": (0, 1), "frameon": False, "fontsize": 8}
     column[5].legend(handles=solid, ncols=len(solid), handlelength=1, columnspacing=1, borderpad=0, **style)

@@ -9,7 +9,7 @@ import sys
 from _paper import ACTUATORS, TABLE_2, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
-from pitp_jax import _plot
+from pitp_jax._plot import paper_figures
 
 HELD_OUT = {"roll": (17.0, 48.0, 83.0, 117.0), "cone": (0.6, 2.5, 5.5, 8.5)}  # Hz, between the training sines
 
@@ -36,7 +36,7 @@ def main(smoke: bool = False, argv=()):
 def _draw(axes, name, track):
     """The last four periods."""
     last = track.time >= track.time[-1] - 4 / track.frequency
-    _plot.tracking(track.time[last], track.target[last], track.achieved[last], track.voltage[last], axes)
+    paper_figures.tracking(track.time[last], track.target[last], track.achieved[last], track.voltage[last], axes)
     panel(axes[0], f"{name}, {track.frequency:g} Hz")
 
 

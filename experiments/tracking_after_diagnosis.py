@@ -5,7 +5,7 @@
     python experiments/tracking_after_diagnosis.py [--plant cone100] [--smoke]
 
 Changes: electrodes aged (a lag of 8 ms before the square), a heavier load (+20 %), a softer membrane (-8 %). The plant
-(`pitp_jax._plant`) is none of the model's forms. Printed: e_rms of the noise-free displacement in % of the target's
+(`pitp_jax.plant`) is none of the model's forms. Printed: e_rms of the noise-free displacement in % of the target's
 range, played open loop with the old model's voltage and with the diagnosed one's; the healthy rig's beside them.
 """
 
@@ -18,8 +18,8 @@ from _show import show
 from scipy.signal import lfilter
 
 import pitp_jax as pitp
-from pitp_jax import _demo
-from pitp_jax._settings import PRESETS
+from pitp_jax._demo import protocol
+from pitp_jax._train.settings import PRESETS
 
 LAG = 8e-3  # s
 SEED = 7  # of the sensor noise on the changed rig
@@ -75,13 +75,17 @@ def main(smoke: bool = False, argv=None):
     if smoke or options.smoke:
         return
     plant = pitp.plant(options.plant)
-    drives = {part: _demo.excitations(plant.name, part, True) for part in ("sweep", "train")}
-    (swept,), train = (_demo.measure(plant, drives[part]) for part in ("sweep", "train"))
-    settings = replace(PRESETS["default"], **_demo.QUICK_TRAINING)
+    drives = {part: protocol.excitations(plant.name, part, True) for part in ("sweep", "train")}
+    (swept,), train = (protocol.measure(plant, drives[part]) for part in ("sweep", "train"))
+    settings = replace(PRESETS["default"], **protocol.QUICK_TRAINING)
     model = pitp.train(pitp.identify([swept]).model, train, settings=settings, key=jax.random.key(0)).model
-    scale, frequencies, targets = _demo.SCALES[_demo.kind(plant.name)], list(_demo.TRACKING_PAPER[plant.name]), []
+    scale, frequencies, targets = (
+        protocol.SCALES[protocol.kind(plant.name)],
+        list(protocol.TRACKING_PAPER[plant.name]),
+        [],
+    )
     for f in frequencies:
-        amplitude, mean = _demo.swing(_demo.nearest(train, plant.name, f))
+        amplitude, mean = protocol.swing(protocol.nearest(train, plant.name, f))
         time, wanted = pitp.excitation.sine(f, scale.track_s, plant.rate_hz, amplitude, mean, rise=scale.rise_s)
         targets.append(pitp.Target(time, wanted))
     rows = []

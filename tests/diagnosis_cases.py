@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax._diagnose.diagnosis import Diagnosis
-from pitp_jax._diagnose.found import Gap, Ranked, Trace
-from pitp_jax._diagnose.next import Experiment
+from pitp_jax._diagnose.next_experiment import Experiment
+from pitp_jax._diagnose.result import Gap, Ranked, Trace
 from pitp_jax._effects import electrode
 
 T = np.arange(2000) / 500.0

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._decode import rest_state, rollout
 from pitp_jax._effects import CATALOGUE
-from pitp_jax._model import augment
+from pitp_jax._simulate import ports
+from pitp_jax._simulate.decoder import rest_state, rollout
 
 HZ, DT, SAMPLES = 5.0, 4e-3, 1500
 TIME = np.arange(SAMPLES) * DT
@@ -40,7 +40,7 @@ def play(model, noise=NOISE, extra=0.0, seed=0, louder=()):
     for k, (name, u) in enumerate(drives().items()):
         u = 1.5 * u if name in louder else u
         states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))
-        x = np.asarray(augment.readings(model, states), float) * model.scales.state[0]
+        x = np.asarray(ports.readings(model, states), float) * model.scales.state[0]
         x = x + noise * rng.standard_normal(SAMPLES)
         found.append(pitp.Record(name, TIME + 10 * k, u, x + extra * np.sin(2 * np.pi * 17.3 * TIME + k)))
     return found

@@ -8,22 +8,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._decode import rest_state, rollout_batch
+from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.lanes import Lane, Lanes
 from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._effects.stiffness import CubicStiffening
-from pitp_jax._free_runs import FreeRuns
-from pitp_jax._inverse import invert_path
+from pitp_jax._invert.equation import invert_path
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.memory import FadingMemory
 from pitp_jax._model.model import Output, Provenance, linear_model
-from pitp_jax._parameters import parameters
-from pitp_jax._path import derivatives
+from pitp_jax._numerics.spline_derivative import derivatives
 from pitp_jax._record.record import Record
-from pitp_jax._sensitivity import Runs, normal_equations
-from pitp_jax._shard import records_mesh, sharded_inverse, sharded_normal_equations, sharded_rollout
+from pitp_jax._sharding import local_rows, over_records, records_mesh, sharded_inverse, sharded_rollout, spread
+from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax._train.forward_sensitivity import Runs, run_slopes
+from pitp_jax._train.free_run_problem import FreeRuns
+from pitp_jax._train.parameters import parameters
 
 DT, SAMPLES, RECORDS = 1e-3, 200, 11
 
@@ -69,9 +69,9 @@ def errors(me: int, processes: int) -> dict:
     def runs(rows):
         return Runs(*(jnp.asarray(a[rows]) for a in (start, np.ones(len(volts), np.float32), volts, target, weight)))
 
-    sums = sharded_normal_equations(model, runs(mine), DT, 4, vector, mesh)
-    whole = normal_equations(model, runs(slice(None)), DT, 4, vector)
-    found |= {name: error(getattr(sums, name), getattr(whole, name)) for name in ("cost", "gradient", "hessian")}
+    batch = spread(runs(mine).filled(len(mesh.local_devices)), mesh)
+    slopes = local_rows(over_records(lambda m, r: run_slopes(m, r, DT, 4), mesh, model, (batch,)), RECORDS)
+    found["slopes"] = error(slopes, run_slopes(model, runs(slice(None)), DT, 4)[mine])
     if processes > 1:
         return found
     prior, batch = (np.full(len(vector), 1e-3), 0 * vector), (runs(slice(None)),)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax._decode import frozen_increment, rest_state, rollout
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
-from pitp_jax._predict import outside_share, predict
 from pitp_jax._record.record import Record
+from pitp_jax._simulate.decoder import frozen_increment, rest_state, rollout
+from pitp_jax._simulate.prediction import outside_share, predict
 
 DT = 4e-3
 COARSE = 1000 + 800 * np.random.default_rng(5).uniform(-1, 1, 26)  # V, linear between 26 samples

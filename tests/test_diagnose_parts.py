@@ -9,19 +9,19 @@ from played import DT, HZ, SAMPLES, TIME, nominal_of, play
 from scipy.signal import lfilter
 
 import pitp_jax._diagnose.fit as fitting
-from pitp_jax._diagnose.along import nominal_filter, responses
-from pitp_jax._diagnose.attribute import Attribution, _part_of_a_change
+from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case, split
 from pitp_jax._diagnose.diagnosis import _verdict
+from pitp_jax._diagnose.effect_responses import nominal_filter, responses
+from pitp_jax._diagnose.effect_selection import Attribution, _part_of_a_change
+from pitp_jax._diagnose.evaluation import Judged, sides
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._diagnose.found import Gap
-from pitp_jax._diagnose.judged import Judged, sides
-from pitp_jax._diagnose.lanes import Lane, Lanes
 from pitp_jax._diagnose.noise import estimate
 from pitp_jax._diagnose.regress import singles
+from pitp_jax._diagnose.result import Gap
 from pitp_jax._diagnose.screen import screen
 from pitp_jax._effects import CATALOGUE, amplifier, sensor, stiffness
-from pitp_jax._record.drives import kind
+from pitp_jax._record.excitation_kind import kind
 
 
 @pytest.fixture(scope="module")

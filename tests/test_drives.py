@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pitp_jax._record.drives import kind, loudest, spread
+from pitp_jax._record.excitation_kind import kind, loudest, spread
 from pitp_jax._record.record import Record
 
 DT = 1e-3

@@ -9,13 +9,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import pitp_jax as pitp
-from pitp_jax._decode import rest_state, rollout
+from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._diagnose.lanes import Lane, Lanes
 from pitp_jax._effects import CATALOGUE, dissipation, hysteresis, key, sensor, stiffness, viscoelastic
 from pitp_jax._effects.electrode import ElectrodeRC
-from pitp_jax._model import augment
+from pitp_jax._simulate import ports
+from pitp_jax._simulate.decoder import rest_state, rollout
 
 HZ, DT, SAMPLES = 5.0, 2e-3, 2500
 TIME = np.arange(SAMPLES) * DT
@@ -84,7 +84,7 @@ def test_half_the_step_changes_little(case, runs, form):
     k = int(np.argmax([np.abs(y - s.run).max() for y, s in zip(runs[form], case.series, strict=True)]))
     s = case.series[k]
     states = rollout(finer, jnp.asarray(s.voltage, jnp.float32), DT, rest_state(finer, s.age))
-    y = np.asarray(augment.readings(finer, states))
+    y = np.asarray(ports.readings(finer, states))
     change = np.sqrt(np.mean((runs[form][k] - s.run) ** 2))
     assert np.sqrt(np.mean((y - runs[form][k]) ** 2)) < 0.03 * change
 
@@ -125,7 +125,7 @@ def test_feedforward_undoes_it(case, form):
     if key(form) in HARD:
         blind = pitp.feedforward(case.model, pitp.Target(TIME, x))
         states = rollout(model, jnp.asarray(blind.voltage, jnp.float32), DT, rest_state(model))
-        y = np.asarray(augment.readings(model, states), float)[blind.target] * 1e-3
+        y = np.asarray(ports.readings(model, states), float)[blind.target] * 1e-3
         assert plan.self_check_e_rms_percent < pitp.e_rms_percent(y, x)
 
 

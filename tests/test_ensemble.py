@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from pitp_jax._decode import rest_state, rollout, rollout_batch
 from pitp_jax._effects.amplifier import Delay
-from pitp_jax._ensemble import Ensemble, predict_band, train_ensemble
-from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
-from pitp_jax._settings import Settings
-from pitp_jax._train import train
+from pitp_jax._simulate.decoder import rest_state, rollout, rollout_batch
+from pitp_jax._simulate.prediction import predict
+from pitp_jax._train.ensemble import Ensemble, predict_band, train_ensemble
+from pitp_jax._train.settings import Settings
+from pitp_jax._train.training import train
 
 DT, SAMPLES = 2e-3, 500
 TIME = np.arange(SAMPLES) * DT

@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-from pitp_jax._record.excitation import (
-    complex_trajectory,
-    multisine,
-    protocol,
-    sine,
-    steps,
-    sweep,
-    triangle,
-)
+from pitp_jax._record.excitation import complex_trajectory, multisine, protocol, sine, steps, sweep, triangle
 from pitp_jax._record.waveforms import smooth_step
 
 

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pitp_jax import _file, _file_parts
 from pitp_jax._errors import BadInput
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput, SquareInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from pitp_jax._model.model import Model, Output, Provenance, Scales
+from pitp_jax._model_file import model_file, parts
 
 KEY = jax.random.key(3)
 SECTIONS = (1.5, 0.1, 20.0, 3e-7, 1 / 3, 1e12)
@@ -95,11 +95,11 @@ def assert_same(left, right):
 @pytest.mark.parametrize("case", CASES)
 def test_round_trip_is_exact(tmp_path, case):
     path, saved = tmp_path / "model", CASES[case]()
-    _file.save(path, saved)
-    loaded = _file.load(path)
+    model_file.save(path, saved)
+    loaded = model_file.load(path)
     assert_same(saved, loaded)
     assert loaded.provenance == saved.provenance
-    _file.save(tmp_path / "again", loaded)
+    model_file.save(tmp_path / "again", loaded)
     assert (tmp_path / "again").read_bytes() == path.read_bytes()
 
 
@@ -107,14 +107,14 @@ def test_round_trip_is_exact(tmp_path, case):
 def test_dtype_is_kept_whatever_the_session_uses(tmp_path, dtype):
     with jax.enable_x64(True):
         saved = model(dtype=dtype)
-    _file.save(tmp_path / "m", saved)
-    loaded = _file.load(tmp_path / "m")
+    model_file.save(tmp_path / "m", saved)
+    loaded = model_file.load(tmp_path / "m")
     assert loaded.coefficients.dtype == dtype
     assert_same(saved, loaded)
 
 
 def test_header_is_readable_json_without_infinities(tmp_path):
-    _file.save(tmp_path / "m", model())
+    model_file.save(tmp_path / "m", model())
     magic, digest, rest = (tmp_path / "m").read_bytes().split(b"\n", 2)
     assert magic == b"pitp_jax model 1"
     assert digest.startswith(b"sha256 ")
@@ -130,7 +130,7 @@ def test_header_is_readable_json_without_infinities(tmp_path):
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     path = tmp_path_factory.mktemp("stored") / "m"
-    _file.save(path, CASES["compact"]())
+    model_file.save(path, CASES["compact"]())
     return path, path.read_bytes()
 
 
@@ -138,7 +138,7 @@ def refused(path, data):
     broken = path.with_name("broken")
     broken.write_bytes(data)
     with pytest.raises(BadInput) as caught:
-        _file.load(broken)
+        model_file.load(broken)
     assert "\n" not in str(caught.value)
     assert str(broken) in str(caught.value)
     return str(caught.value)
@@ -252,13 +252,13 @@ def test_sealed_extra_bytes_are_refused(stored):
 
 def test_missing_folder_and_unwritable(tmp_path):
     with pytest.raises(BadInput, match="no such model file"):
-        _file.load(tmp_path / "absent")
+        model_file.load(tmp_path / "absent")
     with pytest.raises(BadInput, match="is a folder"):
-        _file.load(tmp_path)
+        model_file.load(tmp_path)
     with pytest.raises(BadInput, match="cannot read"):
-        _file.load("a\0b")
+        model_file.load("a\0b")
     with pytest.raises(BadInput, match="cannot write"):
-        _file.save(tmp_path / "absent" / "m", model())
+        model_file.save(tmp_path / "absent" / "m", model())
 
 
 class Foreign(AbstractEncoder):
@@ -275,19 +275,19 @@ class Effect(eqx.Module):
 
 def test_unknown_parts_are_not_saved(tmp_path):
     with pytest.raises(BadInput, match="Foreign has no place"):
-        _file.save(tmp_path / "m", eqx.tree_at(lambda m: m.encoder, model(), Foreign()))
+        model_file.save(tmp_path / "m", eqx.tree_at(lambda m: m.encoder, model(), Foreign()))
     with pytest.raises(BadInput, match="Effect has no place"):
-        _file.save(tmp_path / "m", model(effects=(Effect(1),)))
+        model_file.save(tmp_path / "m", model(effects=(Effect(1),)))
     with pytest.raises(BadInput, match="int32"):
-        _file.save(tmp_path / "m", eqx.tree_at(lambda m: m.coefficients, model(), jnp.zeros(3, jnp.int32)))
+        model_file.save(tmp_path / "m", eqx.tree_at(lambda m: m.coefficients, model(), jnp.zeros(3, jnp.int32)))
     with pytest.raises(BadInput, match="not those its parts"):
-        _file.save(tmp_path / "m", eqx.tree_at(lambda m: m.coefficients, model(), jnp.zeros(5)))
+        model_file.save(tmp_path / "m", eqx.tree_at(lambda m: m.coefficients, model(), jnp.zeros(5)))
     assert not list(tmp_path.iterdir())
 
 
 def test_an_effect_needs_one_line(tmp_path, monkeypatch):
-    line = _file_parts.Part(Effect, lambda effect: {"size": effect.size}, Effect)
-    monkeypatch.setitem(_file_parts.EFFECTS, "effect", line)
+    line = parts.Part(Effect, lambda effect: {"size": effect.size}, Effect)
+    monkeypatch.setitem(parts.EFFECTS, "effect", line)
     saved = model(effects=(Effect(2), Effect(5)))
-    _file.save(tmp_path / "m", saved)
-    assert_same(saved, _file.load(tmp_path / "m"))
+    model_file.save(tmp_path / "m", saved)
+    assert_same(saved, model_file.load(tmp_path / "m"))

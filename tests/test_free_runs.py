@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from normal import normal_equations
 
-from pitp_jax import _free_runs
-from pitp_jax._decode import rest_state
-from pitp_jax._free_runs import FreeRuns
-from pitp_jax._parameters import parameters
-from pitp_jax._sensitivity import Runs, normal_equations
-from pitp_jax._shard import records_mesh
+from pitp_jax._sharding import records_mesh
+from pitp_jax._simulate.decoder import rest_state
+from pitp_jax._train import free_run_problem
+from pitp_jax._train.forward_sensitivity import Runs
+from pitp_jax._train.free_run_problem import FreeRuns
+from pitp_jax._train.parameters import parameters
 
 DT, EVERY = 2e-3, 3
 
@@ -70,7 +71,7 @@ def test_they_are_the_normal_equations_and_the_prior(problem):
 def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
     """Thirteen runs in parts of equal size, a core has at least four: the sums of all at once, to rounding."""
     truth = sums(built(problem, mesh=records_mesh(jax.devices()[:1])), problem[3])
-    monkeypatch.setattr(_free_runs, "_cores", lambda: cores)
+    monkeypatch.setattr(free_run_problem, "_cores", lambda: cores)
     shared = built(problem)
     assert [part.voltage.shape[1] for part in shared._parts] == [200] * min(cores, 3) + [90]
     assert len({part.voltage.shape for part in shared._parts}) == 2
@@ -81,8 +82,8 @@ def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
 
 def test_very_many_are_cut(problem, monkeypatch):
     """Beyond what stays in a core's memory: more parts than cores."""
-    monkeypatch.setattr(_free_runs, "_cores", lambda: 2)
-    monkeypatch.setattr(_free_runs, "_MOST", 3)
+    monkeypatch.setattr(free_run_problem, "_cores", lambda: 2)
+    monkeypatch.setattr(free_run_problem, "_MOST", 3)
     cut = built(problem)
     assert [part.voltage.shape for part in cut._parts] == [(3, 200)] * 5 + [(3, 90)]
     close(sums(cut, problem[3]), sums(built(problem, mesh=records_mesh(jax.devices()[:1])), problem[3]))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pitp_jax import _geodesic, _levenberg
-from pitp_jax._geodesic import steps
+from pitp_jax._numerics import geodesic_steps, levenberg_marquardt
+from pitp_jax._numerics.geodesic_steps import steps
 
 TIME = np.linspace(0, 3, 200)
 TRUTH = np.array([1.3, -0.9, 1.8, 0.7])
@@ -68,14 +68,16 @@ def test_a_bent_valley_takes_fewer_jacobians(monkeypatch):
 
     def normal(p):
         r, (j,) = valley(p), slopes_of(valley)(p)
-        return _levenberg.Normal(float(r @ r), j.T @ r, j.T @ j)
+        return levenberg_marquardt.Normal(float(r @ r), j.T @ r, j.T @ j)
 
     def jacobians():
         return next(k for k, (_, cost, _) in enumerate(walk(valley, start)) if cost < 1e-10)
 
-    plain = next(k for k, (_, n, _) in enumerate(_levenberg.steps(normal, start, np.full(2, np.inf))) if n.cost < 1e-10)
+    plain = next(
+        k for k, (_, n, _) in enumerate(levenberg_marquardt.steps(normal, start, np.full(2, np.inf))) if n.cost < 1e-10
+    )
     bent = jacobians()
-    monkeypatch.setattr(_geodesic, "_BENT", 0.0)  # every turn is too sharp
+    monkeypatch.setattr(geodesic_steps, "_BENT", 0.0)  # every turn is too sharp
     straight = jacobians()
     assert bent < 0.7 * straight and bent < 0.7 * plain
 
@@ -88,7 +90,9 @@ def test_a_linear_problem_has_no_bend():
     truth = np.linalg.lstsq(matrix, side, rcond=None)[0]
     hessian = matrix.T @ matrix
     reached = [
-        np.linalg.solve(hessian + _geodesic._START * _geodesic._FACTOR**k * np.diag(np.diag(hessian)), matrix.T @ side)
+        np.linalg.solve(
+            hessian + geodesic_steps._START * geodesic_steps._FACTOR**k * np.diag(np.diag(hessian)), matrix.T @ side
+        )
         for k in range(-30, 2)
     ]
     assert min(np.abs(taken[1][0] - r).max() for r in reached) < 1e-9

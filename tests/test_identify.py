@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from pitp_jax._errors import BadInput, ComputationFailed
-from pitp_jax._identify import identify
+from pitp_jax._identify.identification import identify
 from pitp_jax._record.record import Record
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from motions import DT
 
-from pitp_jax._decode import rest_state, rollout
 from pitp_jax._effects.amplifier import Delay, VoltageClip, VoltageOffset
 from pitp_jax._effects.coupling import DielectricSaturation, TanhSaturation
 from pitp_jax._effects.electrode import ChargeLeak, ElectrodeRC
 from pitp_jax._effects.sensor import SettlingDrift
-from pitp_jax._feedforward import feedforward
+from pitp_jax._invert.feedforward_plan import feedforward
 from pitp_jax._metrics import e_rms_percent
-from pitp_jax._predict import predict
 from pitp_jax._record.reading import Target
 from pitp_jax._record.record import Record
+from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax._simulate.prediction import predict
 
 TIME = DT * np.arange(2000)
 

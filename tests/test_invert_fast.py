@@ -7,14 +7,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pitp_jax import _spline_filter
-from pitp_jax._inverse import invert_path
-from pitp_jax._invert_fast import invert_along, invert_displacement
+from pitp_jax._invert.equation import invert_along, invert_displacement, invert_path
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._path import derivatives
-from pitp_jax._spline_filter import fast_derivatives, inner, reach
+from pitp_jax._numerics import spline_derivative
+from pitp_jax._numerics.spline_derivative import derivatives, fast_derivatives, inner, reach
 
 DT = 1e-3
 
@@ -103,11 +101,11 @@ def test_from_displacement(models):
 
 def test_effects_take_the_plain_way(nonlinear, monkeypatch):
     model = eqx.tree_at(lambda m: m.effects, nonlinear(2), (jnp.ones(()),))
-    monkeypatch.setattr("pitp_jax._invert_fast.invert_path", lambda *_: "plain")
+    monkeypatch.setattr("pitp_jax._invert.equation.invert_path", lambda *_: "plain")
     assert invert_along.__wrapped__(model, jnp.zeros((5, 3)), DT) == "plain"
 
 
 def test_short_paths_are_the_splines():
     x = np.random.default_rng(0).normal(0, 1, 30)
     np.testing.assert_array_equal(fast_derivatives(x, DT, 2), derivatives(x, DT, 2))
-    assert _spline_filter.reach(2) > 30
+    assert spline_derivative.reach(2) > 30

@@ -6,7 +6,7 @@ from motions import DT, HIGH, SAMPLES, SLEW, TIME, hump, respond, swing, swing_f
 from scipy.signal import lsim
 
 from pitp_jax._errors import BadInput
-from pitp_jax._feedforward import feedforward
+from pitp_jax._invert.feedforward_plan import feedforward
 from pitp_jax._metrics import e_rms_percent
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._record.reading import Target

@@ -9,12 +9,12 @@ import pytest
 from played import DT, FEW, nominal_of, play
 
 import pitp_jax as pitp
+from pitp_jax._diagnose.batched_rollouts import Lanes
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.doubt import doubted
+from pitp_jax._diagnose.evaluation import Judged, judge
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.hold import settled
-from pitp_jax._diagnose.judged import Judged, judge
-from pitp_jax._diagnose.lanes import Lanes
+from pitp_jax._diagnose.parameter_uncertainty import doubted
 from pitp_jax._effects import CATALOGUE, amplifier, sensor
 
 

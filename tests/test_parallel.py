@@ -7,10 +7,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pitp_jax import _parallel
-from pitp_jax._decode import rest_state, rollout
 from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._parallel import affine_scan, parallel_rollout, rollout_by_size, suits
+from pitp_jax._simulate import parallel_in_time
+from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax._simulate.parallel_in_time import affine_scan, parallel_rollout, rollout_by_size, suits
 
 DT = 1e-3
 
@@ -73,9 +73,9 @@ def test_what_does_not_converge_is_rolled_out(nonlinear, monkeypatch):
     """A residual that no iterate can meet: the sequential rollout answers."""
     model = nonlinear(2)
     u, start = jnp.asarray(voltage(500.0), jnp.float32)[None], rest_state(model)[None]
-    lost = _parallel.Parallel(jnp.full((600, 4), jnp.nan), jnp.array(60), jnp.array(False))
-    monkeypatch.setattr(_parallel, "suits", lambda *_: True)
-    monkeypatch.setattr(_parallel, "parallel_rollout", lambda *_: lost)
+    lost = parallel_in_time.Parallel(jnp.full((600, 4), jnp.nan), jnp.array(60), jnp.array(False))
+    monkeypatch.setattr(parallel_in_time, "suits", lambda *_: True)
+    monkeypatch.setattr(parallel_in_time, "parallel_rollout", lambda *_: lost)
     found = rollout_by_size(model, u, DT, start)
     truth = rollout(model, u[0], DT, start[0])
     np.testing.assert_allclose(found[0], truth, rtol=0, atol=1e-5 * np.abs(truth).max())
@@ -87,5 +87,5 @@ def test_chosen_by_size_and_backend(nonlinear, monkeypatch):
     model = nonlinear(2)
     u, start = jnp.asarray(np.stack([voltage(400.0), voltage(500.0)]), jnp.float32), jnp.tile(rest_state(model), (2, 1))
     one_way = rollout_by_size(model, u, DT, start)
-    monkeypatch.setattr(_parallel, "suits", lambda *_: True)
+    monkeypatch.setattr(parallel_in_time, "suits", lambda *_: True)
     np.testing.assert_allclose(rollout_by_size(model, u, DT, start), one_way, rtol=0, atol=1e-4 * np.abs(one_way).max())

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import lsim
 
-from pitp_jax._poles import coast, exponential, logs_from_roots, polynomial, polynomial_slopes, respond
+from pitp_jax._identify.linear_ode import coast, exponential, logs_from_roots, polynomial, polynomial_slopes, respond
 
 STEP = 0.4
 

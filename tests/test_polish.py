@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax._output_error import build_problem, normal_equations, residual
-from pitp_jax._polish import _solve, polish
+from pitp_jax._identify.final_fit import _solve, polish
+from pitp_jax._identify.output_error import build_problem, normal_equations, residual
 from pitp_jax._record.record import Record
 
 DT, SAMPLES = 2e-3, 1500

@@ -132,7 +132,7 @@ def test_target(tmp_path):
 
 def test_measured_records(shared):
     records = read(shared / "data" / "hasel_peano")
-    assert [r.name for r in records] == ["sine_03Hz", "sine_07Hz", "steps"]
+    assert [r.name for r in records] == ["sine_01Hz", "sine_03Hz", "sine_07Hz", "sine_11Hz", "steps"]
     assert all(r.voltage[0] > 1 for r in records)  # voltage_V, not the command
     silver = read(shared / "data" / "silverbox" / "multisine_test.csv.gz")[0]
     assert silver.displacement_unit == "V"

@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lsim
 
-from pitp_jax._recurrence import first_order_lags, lag_after, linear_recurrence, oscillator, pieces, times
+from pitp_jax._numerics.linear_recurrence import (
+    first_order_lags,
+    lag_after,
+    linear_recurrence,
+    oscillator,
+    pieces,
+    times,
+)
 
 LENGTHS = (1, 2, 3, 5, 16, 17, 97)
 

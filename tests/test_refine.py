@@ -8,17 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax import _refine
-from pitp_jax._dataset import build_dataset
-from pitp_jax._decode import rest_state, rollout, rollout_batch
 from pitp_jax._errors import ComputationFailed
 from pitp_jax._metrics import e_rms_percent
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.memory import FadingMemory
-from pitp_jax._predict import predict
 from pitp_jax._record.record import Record
-from pitp_jax._refine import refine
+from pitp_jax._simulate.decoder import rest_state, rollout, rollout_batch
+from pitp_jax._simulate.prediction import predict
+from pitp_jax._train import refine as refining
+from pitp_jax._train.dataset import build_dataset
+from pitp_jax._train.refine import refine
 
 DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
 TIME = np.arange(SAMPLES) * DT
@@ -91,7 +91,7 @@ def test_every_step_goes_down_and_is_told(refined):
         assert [line[3] for line in told][1:] == errors
         assert told[0][3] >= errors[0]  # the start is told too
         assert [line[1] for line in told] == list(range(len(told)))
-        assert len(told) - 1 <= {"short runs": _refine._SHORT_STEPS, "free runs": 25}[stage]
+        assert len(told) - 1 <= {"short runs": refining._SHORT_STEPS, "free runs": 25}[stage]
 
 
 def test_only_trained_numbers_move(start, refined):
@@ -109,7 +109,7 @@ def test_whole_records_weigh_the_same(plant, start):
     holes = records[1].displacement.copy()
     holes[200:300] = np.nan
     short = Record("short", TIME[:600], records[1].voltage[:600], holes[:600])
-    (runs,) = _refine._free(model, [records[0], short])
+    (runs,) = refining._free(model, [records[0], short])
     assert runs.voltage.shape == (2, SAMPLES)
     weight, target = np.asarray(runs.weight), np.asarray(runs.target)
     assert (weight[1, 600:] == 0).all() and (weight[1, 200:300] == 0).all() and (weight[1, :200] > 0).all()
@@ -123,7 +123,7 @@ def test_whole_records_weigh_the_same(plant, start):
 def test_windows_start_where_the_record_is(plant, start):
     """Every window's first scaled displacement is its filtered state, its last sample still on the record."""
     model, data = start
-    runs = _refine._windows(model, data, plant[1])
+    runs = refining._windows(model, data, plant[1])
     count, size = runs.target.shape
     assert count == 2 and size == pytest.approx(6 * 0.2 / DT, abs=2)  # one a record
     assert not any(valid[0] for valid in data.valid)
@@ -150,9 +150,9 @@ def lost(model, runs):
 
 
 def test_a_diverging_start_is_tamed(plant, start, runaway):
-    (runs,) = _refine._free(runaway, plant[1])
+    (runs,) = refining._free(runaway, plant[1])
     assert lost(runaway, runs)
-    tamed = _refine._tamed(runaway, (runs,), DT)
+    tamed = refining._tamed(runaway, (runs,), DT)
     assert not lost(tamed, runs)
     assert float(tamed.encoder.fading[0, 0] / runaway.encoder.fading[0, 0]) < 0.5
     np.testing.assert_array_equal(tamed.encoder.bounds, runaway.encoder.bounds)
@@ -161,17 +161,17 @@ def test_a_diverging_start_is_tamed(plant, start, runaway):
 
 
 def test_a_good_start_is_left_alone(plant, start):
-    (runs,) = _refine._free(start[0], plant[1])
-    tamed = _refine._tamed(start[0], (runs,), DT)
+    (runs,) = refining._free(start[0], plant[1])
+    tamed = refining._tamed(start[0], (runs,), DT)
     for a, b in zip(jax.tree.leaves(tamed), jax.tree.leaves(start[0]), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 def test_a_start_that_swings_far_beyond_its_targets_is_not_near(plant, start):
     """Finite, but no step leads back: it is tamed as what diverges is."""
-    (runs,) = _refine._free(start[0], plant[1])
-    assert _refine._stays(start[0], runs, DT)
-    assert not _refine._stays(start[0], eqx.tree_at(lambda r: r.target, runs, runs.target / 20), DT)
+    (runs,) = refining._free(start[0], plant[1])
+    assert refining._stays(start[0], runs, DT)
+    assert not refining._stays(start[0], eqx.tree_at(lambda r: r.target, runs, runs.target / 20), DT)
 
 
 def test_no_start_at_all_is_told(plant, start):
@@ -183,14 +183,14 @@ def test_no_start_at_all_is_told(plant, start):
 
 @pytest.mark.parametrize(("hz", "every"), [(0.2, 8), (5.0, 8), (20.0, 2), (100.0, 1)])
 def test_ten_errors_to_a_period(linear, hz, every):
-    assert _refine._thinning(linear(2, hz), DT) == every
+    assert refining._thinning(linear(2, hz), DT) == every
 
 
 def test_records_shorter_than_the_filter_still_have_a_window(plant, start):
     """Where no window starts at a valid sample the first record's beginning serves."""
     model, data = start
     nowhere = replace(data, valid=tuple(np.zeros_like(v) for v in data.valid))
-    runs = _refine._windows(model, nowhere, plant[1])
+    runs = refining._windows(model, nowhere, plant[1])
     assert runs.target.shape[0] == 1 and bool(jnp.isfinite(runs.weight).all())
 
 
@@ -213,13 +213,13 @@ def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch)
     """Half of the budget for whole records, half for the beginnings of the others; each half of the weight."""
     model, records = start[0], [replace(plant[1][0], name=f"r{k}") for k in range(20)]
     for name, value in {"_BUDGET": 14 * SAMPLES, "_FEWEST": 6, "_SHORTEST": 300}.items():
-        monkeypatch.setattr(_refine, name, value)
-    long, brief = _refine._free(model, records)
+        monkeypatch.setattr(refining, name, value)
+    long, brief = refining._free(model, records)
     assert long.voltage.shape == (7, SAMPLES)
     assert brief.voltage.shape == (13, 7 * SAMPLES // 13)
     assert float(long.weight.sum()) == pytest.approx(float(brief.weight.sum()), rel=1e-3)
-    assert _refine.run_samples(records) == SAMPLES
-    (whole,) = _refine._free(model, records[:6])
+    assert refining.run_samples(records) == SAMPLES
+    (whole,) = refining._free(model, records[:6])
     assert whole.voltage.shape == (6, SAMPLES)
 
 
@@ -227,11 +227,11 @@ def test_a_long_record_among_short_ones_runs_to_its_end(plant, start, monkeypatc
     """Its padding is not charged: sets of like length, each record of the same weight."""
     model, long = start[0], plant[1][1]
     short = [Record(f"r{k}", TIME[:200], long.voltage[:200], long.displacement[:200]) for k in range(10)]
-    monkeypatch.setattr(_refine, "_BUDGET", SAMPLES + 2000)
-    monkeypatch.setattr(_refine, "_SHORTEST", 100)
+    monkeypatch.setattr(refining, "_BUDGET", SAMPLES + 2000)
+    monkeypatch.setattr(refining, "_SHORTEST", 100)
     records = [*short[:5], long, *short[5:]]
-    assert _refine.run_samples(records) == SAMPLES
-    whole, brief = _refine._free(model, records)
+    assert refining.run_samples(records) == SAMPLES
+    whole, brief = refining._free(model, records)
     assert whole.voltage.shape == (1, SAMPLES) and brief.voltage.shape == (10, 200)
     span = [np.ptp(r.displacement) / model.scales.state[0] for r in (long, short[0])]
     np.testing.assert_allclose(whole.weight.sum(1), 1e4 / span[0] ** 2 / 11, rtol=1e-4)
@@ -242,5 +242,5 @@ def test_one_short_record_does_not_shorten_the_windows(plant, start):
     model, data = start
     short = Record("short", TIME[:64], plant[1][1].voltage[:64], plant[1][1].displacement[:64])
     more = replace(data, features=(*data.features, data.features[1][:64]), valid=(*data.valid, data.valid[1][:64]))
-    among = _refine._windows(model, more, [*plant[1], short])
-    assert among.voltage.shape == _refine._windows(model, data, plant[1]).voltage.shape
+    among = refining._windows(model, more, [*plant[1], short])
+    assert among.voltage.shape == refining._windows(model, data, plant[1]).voltage.shape

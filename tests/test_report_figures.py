@@ -6,22 +6,22 @@ import pytest
 from diagnosis_cases import T, traces, where
 from matplotlib.figure import Figure
 
-from pitp_jax._diagnose import figures, glance, words
-from pitp_jax._diagnose.report import report
+from pitp_jax._diagnose.report import figures, formatting, gap_figure
+from pitp_jax._diagnose.report.page import report
 from pitp_jax._effects import CATALOGUE
 
 
 def test_a_line_in_every_recording_is_a_disturbance(unknown):
-    assert glance.outside_line(unknown) is None
+    assert gap_figure.outside_line(unknown) is None
     hummed = replace(unknown, traces=traces(error=0.0, hum=1e-4))
-    hz, share = glance.outside_line(hummed)
+    hz, share = gap_figure.outside_line(hummed)
     assert hz == pytest.approx(7.5, abs=0.2) and share > 0.9
     assert "one oscillation at 7.50 Hz" in report(hummed)
 
 
 def test_figures_take_and_return_axes(tied, no_gap, unknown):
     for diagnosis in (tied, no_gap, unknown):
-        for draw, count in ((glance.gap, 2), (figures.shares, 3)):
+        for draw, count in ((gap_figure.gap, 2), (figures.shares, 3)):
             axes = Figure().subplots(count, 1)
             assert all(a is b for a, b in zip(draw(diagnosis, axes), axes, strict=True))
         for draw in (figures.where_map, figures.ranking):
@@ -32,26 +32,26 @@ def test_figures_take_and_return_axes(tied, no_gap, unknown):
     with pytest.raises(ValueError, match="no further experiment"):
         figures.excitation(no_gap)
     with pytest.raises(ValueError, match="needs 2 axes"):
-        glance.gap(tied, Figure().subplots(3, 1))
+        gap_figure.gap(tied, Figure().subplots(3, 1))
 
 
 def test_the_gap_is_drawn_where_it_is_largest_in_the_users_unit(explained):
-    part = glance.telling(glance.worst(explained))
+    part = gap_figure.telling(gap_figure.worst(explained))
     assert T[part.start] >= 1.9 and 1.5 < (part.stop - part.start) / 500 <= 2.1  # six of 3 Hz, after 2 s
-    axes = glance.gap(explained)
+    axes = gap_figure.gap(explained)
     labels = [text.get_text() for text in axes[0].get_legend().get_texts()]
     assert labels == ["measured", "model as given", "with electrode_rc"]
     assert axes[0].get_ylabel() == "displacement (mm)"
     assert max(axes[0].lines[0].get_ydata()) == pytest.approx(1.0, rel=0.01)
     assert max(axes[1].lines[0].get_ydata()) == pytest.approx(0.2, rel=0.01)
-    before, after = glance.left(explained.traces[2])
+    before, after = gap_figure.left(explained.traces[2])
     assert before == pytest.approx(100 * 2e-4 / 2 / 2e-3, rel=0.02) and after == pytest.approx(before / 50)
 
 
 def test_an_electronic_output_is_told_in_volts(explained):
     known = explained.model.provenance.with_(displacement_unit="mV")
     electronic = replace(explained, model=replace(explained.model, provenance=known))
-    assert glance.gap(electronic)[0].get_ylabel() == "output (mV)"
+    assert gap_figure.gap(electronic)[0].get_ylabel() == "output (mV)"
     text = report(electronic)
     assert "displacements of 1.1 to 1.2 mV" in text and "range (mV)" in text and "In mV, rms" in text
 
@@ -76,21 +76,24 @@ def test_maps_and_bars_show_the_shares(tied):
 
 
 def test_numbers_have_sensible_digits():
-    assert words.with_error(0.00047808, 2.1e-7, "s") == "(4.781 ± 0.002)·10⁻⁴ s"
-    assert words.with_error(7623.0, 10804.0, "V²") == "8000 ± 11000 V²"
-    assert words.with_error(-1.5, None, "V") == "−1.50 V"
-    assert words.parameter("tau", {"value": 0.00047808, "unit": "s", "stderr": 2.1e-7}, "mm")[1] == "0.4781 ± 0.0002 ms"
-    assert words.parameter("place", {"value": 0.0022, "unit": "m", "stderr": None}, "um")[1] == "2200 µm"
-    assert words.parameter("inverse", {"value": 2e-5, "unit": "s/V", "stderr": 1.2e-6}, "m") == (
+    assert formatting.with_error(0.00047808, 2.1e-7, "s") == "(4.781 ± 0.002)·10⁻⁴ s"
+    assert formatting.with_error(7623.0, 10804.0, "V²") == "8000 ± 11000 V²"
+    assert formatting.with_error(-1.5, None, "V") == "−1.50 V"
+    assert (
+        formatting.parameter("tau", {"value": 0.00047808, "unit": "s", "stderr": 2.1e-7}, "mm")[1]
+        == "0.4781 ± 0.0002 ms"
+    )
+    assert formatting.parameter("place", {"value": 0.0022, "unit": "m", "stderr": None}, "um")[1] == "2200 µm"
+    assert formatting.parameter("inverse", {"value": 2e-5, "unit": "s/V", "stderr": 1.2e-6}, "m") == (
         "limit", "50000 ± 3000 V/s",
     )  # fmt: skip
-    assert [words.percent(v) for v in (-1e-9, 0.999, 0.9999, 1.0, None, float("nan"))] == [
+    assert [formatting.percent(v) for v in (-1e-9, 0.999, 0.9999, 1.0, None, float("nan"))] == [
         "0 %", "99.9 %", "100 %", "100 %", "–", "–",
     ]  # fmt: skip
-    assert words.interval(0.9767, 0.9816) == "97.7 % to 98.2 %"
-    assert words.interval(0.5, 0.8) == "50 % to 80 %"
-    assert [words.figure(v) for v in (0.0, 41686, 1e-9, None)] == ["0", "41700", "1.00·10⁻⁹", "–"]
+    assert formatting.interval(0.9767, 0.9816) == "97.7 % to 98.2 %"
+    assert formatting.interval(0.5, 0.8) == "50 % to 80 %"
+    assert [formatting.figure(v) for v in (0.0, 41686, 1e-9, None)] == ["0", "41700", "1.00·10⁻⁹", "–"]
 
 
 def test_every_effect_has_plain_words():
-    assert {c.name for c in CATALOGUE} | {"parameter_change"} == set(words.PLAIN)
+    assert {c.name for c in CATALOGUE} | {"parameter_change"} == set(formatting.PLAIN)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from pitp_jax._record.initial_state import first_known, first_states, initial_rest, noise_std, starts_at_rest
 from pitp_jax._record.record import Record
-from pitp_jax._rest import first_known, first_states, initial_rest, noise_std, starts_at_rest
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
 TIME = np.arange(3000) * DT

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._decode import rest_state, rollout, rollout_batch
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._rollout_fast import fast_rollout
+from pitp_jax._simulate.batched_rollout import fast_rollout
+from pitp_jax._simulate.decoder import rest_state, rollout, rollout_batch
 
 DT, SAMPLES = 1e-3, 250
 
@@ -58,7 +58,7 @@ def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
     model = nonlinear(2, substeps=6)
     volts, start = runs(model, 1)
     scanned = rollout(model, volts[0], DT, start[0])
-    monkeypatch.setattr("pitp_jax._decode.UNROLLED", 6)
+    monkeypatch.setattr("pitp_jax._simulate.decoder.UNROLLED", 6)
     np.testing.assert_allclose(scanned, rollout(model, volts[0], DT, start[0]), rtol=0, atol=1e-5)
 
 
@@ -67,5 +67,5 @@ def test_what_is_not_written_out_takes_the_plain_way(linear, monkeypatch, part):
     volts, start = runs(linear(2), 1)
     model = eqx.tree_at(lambda m: getattr(m, part), linear(2), (jnp.ones(()),))
     plain = jnp.zeros((*volts.shape, start.shape[1]))
-    monkeypatch.setattr("pitp_jax._rollout_fast.rollout_batch", lambda *_: plain)
+    monkeypatch.setattr("pitp_jax._simulate.batched_rollout.rollout_batch", lambda *_: plain)
     assert fast_rollout.__wrapped__(model, volts, DT, start) is plain

@@ -8,8 +8,8 @@ import pytest
 
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
-from pitp_jax._model.piecewise import tables
-from pitp_jax._model.rows import encoder_rows, memory_rates, tokens_rows
+from pitp_jax._simulate.relu_tables import tables
+from pitp_jax._simulate.rows import encoder_rows, memory_rates, tokens_rows
 
 RINGING = RingingMemory(jnp.array(1.5), jnp.array(-2.0), jnp.array([-1.0, 0.5]))
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from played import SAMPLES, TIME, nominal_of, play
 
+from pitp_jax._diagnose.batched_rollouts import Lanes
 from pitp_jax._diagnose.case import build_case
+from pitp_jax._diagnose.effect_pairs import _around
+from pitp_jax._diagnose.evaluation import judge
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._diagnose.judged import judge
-from pitp_jax._diagnose.lanes import Lanes
 from pitp_jax._diagnose.noise import estimate
-from pitp_jax._diagnose.repeats import scatter
-from pitp_jax._diagnose.second import _around
+from pitp_jax._diagnose.repeatability import scatter
 from pitp_jax._effects import CATALOGUE, coupling, dissipation
 
 QUIET = 1e-3

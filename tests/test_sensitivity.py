@@ -7,16 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from normal import normal_equations
 
-from pitp_jax._decode import rest_state, rollout
 from pitp_jax._effects.amplifier import Delay
 from pitp_jax._effects.dissipation import QuadraticDrag
 from pitp_jax._effects.sensor import SensorLag
-from pitp_jax._model import augment
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.memory import NoMemory
-from pitp_jax._parameters import parameters, trainable, with_parameters
-from pitp_jax._sensitivity import Runs, normal_equations
+from pitp_jax._simulate import ports
+from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax._train.forward_sensitivity import Runs
+from pitp_jax._train.parameters import parameters, trainable, with_parameters
 
 DT, SAMPLES = 2e-3, 48
 CASES = [(2, 1, "foh"), (2, 1, "zoh"), (3, 2, "foh")]
@@ -37,7 +38,7 @@ def runs_of(model, samples=SAMPLES):
     """One record from rest, one that starts moving; targets off the runs, weights of zero among the others."""
     rng = np.random.default_rng(4)
     moving = jnp.concatenate([jnp.asarray([0.4, -0.3, 0.2])[: model.order], jnp.full(model.memory.size, 0.3)])
-    held = augment.initial(model, moving[0], jnp.zeros(()), 0.0)
+    held = ports.initial(model, moving[0], jnp.zeros(()), 0.0)
     start = jnp.stack([rest_state(model), jnp.concatenate([moving, held]).astype(model.coefficients.dtype)])
     weight = rng.uniform(0.5, 2, (2, samples))
     weight[1, 5:9] = 0
@@ -52,7 +53,7 @@ def runs_of(model, samples=SAMPLES):
 
 def root_residuals(model, runs, every=1):
     """Sqrt(every w) e at every `every`-th sample, from the plain decoder."""
-    run = jax.vmap(lambda u, s: augment.readings(model, rollout(model, u, DT, s)))(runs.voltage, runs.start)
+    run = jax.vmap(lambda u, s: ports.readings(model, rollout(model, u, DT, s)))(runs.voltage, runs.start)
     last = runs.target.shape[1] // every * every
     error = jnp.sqrt(every * runs.weight) * (run - runs.target)
     return error[:, :last:every].ravel()

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
 
-from pitp_jax import _slow
-from pitp_jax._dataset import build_dataset
-from pitp_jax._file import load, save
-from pitp_jax._identify import identify
+from pitp_jax._identify.identification import identify
 from pitp_jax._model.memory import FadingMemory
-from pitp_jax._parameters import parameters, with_parameters
-from pitp_jax._predict import predict
+from pitp_jax._model_file.model_file import load, save
 from pitp_jax._record import long_record
 from pitp_jax._record.long_record import thinned
 from pitp_jax._record.record import Record
-from pitp_jax._settings import PRESETS, with_encoder
-from pitp_jax._train import _prepared, train
+from pitp_jax._simulate.prediction import predict
+from pitp_jax._train import creep_balance
+from pitp_jax._train.dataset import build_dataset
+from pitp_jax._train.parameters import parameters, with_parameters
+from pitp_jax._train.settings import PRESETS, with_encoder
+from pitp_jax._train.training import _prepared, train
 
 DT, OMEGA, TAU, SHARE = 0.02, 2 * np.pi, 15.0, 0.5  # s, rad/s, s; creep's share of the stiffness
 
@@ -136,7 +136,7 @@ def test_slopes_are_those_of_the_residuals(nominal, records, double):
     data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda states: memory)
     settings = replace(PRESETS["default"], memories=3, width=4)
     model = with_encoder(data, settings, jax.random.key(1))
-    balance = _slow.slow_balance(data.model, nominal.provenance.long_record, data.region)
+    balance = creep_balance.slow_balance(data.model, nominal.provenance.long_record, data.region)
     rng = np.random.default_rng(0)
     start = parameters(model)[0]
     start = start + 0.1 * rng.standard_normal(len(start))
@@ -158,9 +158,11 @@ def test_a_spring_that_is_off_shows_beside_a_mean_that_is_not(nominal, records):
     """1 % too stiff leaves r = 0.01 x: in a window 0.01 mean x, and, below the resonance, 3 times 0.01 std x."""
     data = build_dataset(nominal, records, scaling="rms", difference="stencil",
                          memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
-    balance = _slow.slow_balance(data.model, nominal.provenance.long_record, [(-1e3, 1e3)] * 3)
+    balance = creep_balance.slow_balance(data.model, nominal.provenance.long_record, [(-1e3, 1e3)] * 3)
     stiffer = replace(data.model, coefficients=data.model.coefficients * jnp.asarray([1.01, 1.0, 1.0], jnp.float32))
-    more = np.asarray(_slow._left(stiffer, balance.series) - _slow._left(data.model, balance.series), np.float64)
+    more = np.asarray(
+        creep_balance._left(stiffer, balance.series) - creep_balance._left(data.model, balance.series), np.float64
+    )
     used, force = balance.scale > 0, 0.01 * float(data.model.coefficients[0])
     x, inside = np.asarray(balance.series.states[..., 0]), np.asarray(balance.series.weight[:, 0]) > 0
     slow = more[:, 1] != 0
@@ -177,10 +179,10 @@ def test_what_training_covers_counts_and_nothing_else(nominal, records):
     data = build_dataset(nominal, records[:2], scaling="rms", difference="stencil",
                          memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
     long = nominal.provenance.long_record
-    everything = _slow.slow_balance(data.model, long, [(-1e3, 1e3)] * 3)
-    covered = _slow.slow_balance(data.model, long, data.region)
+    everything = creep_balance.slow_balance(data.model, long, [(-1e3, 1e3)] * 3)
+    covered = creep_balance.slow_balance(data.model, long, data.region)
     assert np.count_nonzero(covered.scale) < 95 <= np.count_nonzero(everything.scale)
-    assert _slow.slow_balance(data.model, long, [(-1e-6, 1e-6)] * 3) is None
+    assert creep_balance.slow_balance(data.model, long, [(-1e-6, 1e-6)] * 3) is None
     low, high = np.array(data.region)[:2].T
     rows = covered.features(data.model)
     assert (rows[:, :2] >= low).all() and (rows[:, :2] <= high).all() and rows.shape[1] == 3

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pitp_jax._errors import BadInput
-from pitp_jax._inverse import invert_path
+from pitp_jax._invert.equation import invert_path
+from pitp_jax._invert.stream import invert_stream
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._path import derivatives
-from pitp_jax._stream import invert_stream
+from pitp_jax._numerics.spline_derivative import derivatives
 
 DT = 1e-3
 

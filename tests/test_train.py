@@ -17,11 +17,11 @@ from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._predict import at_rate, predict
 from pitp_jax._record.record import Record
-from pitp_jax._settings import PRESETS, Settings, firmness_of
-from pitp_jax._shard import records_mesh
-from pitp_jax._train import train
+from pitp_jax._sharding import records_mesh
+from pitp_jax._simulate.prediction import at_rate, predict
+from pitp_jax._train.settings import PRESETS, Settings, firmness_of
+from pitp_jax._train.training import train
 
 DT, SAMPLES = 2e-3, 1000
 TIME = np.arange(SAMPLES) * DT

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._plant import plant, simulate, stepper
-from pitp_jax._trim import KV_PER_MM, pi_trim
+from pitp_jax._invert.pi_control import KV_PER_MM, pi_trim
+from pitp_jax._plant.virtual_actuator import plant, simulate, stepper
 
 POLE, GAIN, DT = 0.9, 2e-7, 1e-3  # x' = POLE x + GAIN u + load
 

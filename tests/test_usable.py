@@ -8,15 +8,15 @@ import pytest
 from played import SAMPLES, TIME, nominal_of, play
 
 import pitp_jax as pitp
-from pitp_jax._diagnose import usable as rules
-from pitp_jax._diagnose.attribute import bootstrap
+from pitp_jax._diagnose import select_records as rules
 from pitp_jax._diagnose.case import build_case, split
-from pitp_jax._diagnose.next import excitations
+from pitp_jax._diagnose.effect_selection import bootstrap
+from pitp_jax._diagnose.next_experiment import excitations
 from pitp_jax._diagnose.noise import estimate
-from pitp_jax._diagnose.usable import usable
+from pitp_jax._diagnose.select_records import usable
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._errors import BadInput
-from pitp_jax._record.drives import kind
+from pitp_jax._record.excitation_kind import kind
 
 OTHERS = sorted({c.name for c in CATALOGUE} - {"drag"})
 

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
-from pitp_jax import _demo
+from pitp_jax._demo import protocol
 from pitp_jax._metrics import e_rms_percent
 
 from ..clock import row, take_turns
@@ -16,7 +16,7 @@ from ..clock import row, take_turns
 
 def sweep():
     """The quick protocol's sweep, measured on the virtual cone."""
-    return _demo.measure(pitp.plant("cone100"), _demo.excitations("cone100", "sweep", True))[0]
+    return protocol.measure(pitp.plant("cone100"), protocol.excitations("cone100", "sweep", True))[0]
 
 
 def by_scipy(record, near: np.ndarray) -> np.ndarray:

@@ -13,9 +13,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 import pitp_jax as pitp
-from pitp_jax._inverse import invert_path
-from pitp_jax._invert_fast import invert_displacement
-from pitp_jax._path import derivatives
+from pitp_jax._invert.equation import invert_displacement, invert_path
+from pitp_jax._numerics.spline_derivative import derivatives
 
 from ..clock import row, take_turns
 from ..subjects import DT, SAMPLES, default, target

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._decode import rest_state, rollout_batch
-from pitp_jax._parallel import parallel_rollout, rollout_by_size, suits
-from pitp_jax._rollout_fast import fast_rollout
+from pitp_jax._simulate.batched_rollout import fast_rollout
+from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax._simulate.parallel_in_time import parallel_rollout, rollout_by_size, suits
 
 from ..clock import row, take_turns
 from ..ode import films, rollout_floor, solve

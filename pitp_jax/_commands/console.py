@@ -44,7 +44,7 @@ class ProgressBar:
         self._tty, self._last, self._stage = sys.stderr.isatty(), -1e9, None
 
     def update(self, progress: Any) -> None:
-        """Show one `_train.Progress`."""
+        """Show one `training.Progress`."""
         now, ends = time.monotonic(), progress.step >= progress.steps
         fresh = progress.stage != self._stage
         if not (fresh or ends or now - self._last >= (_REDRAW_S if self._tty else _EVERY_S)):

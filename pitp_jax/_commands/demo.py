@@ -1,7 +1,7 @@
 """`pitp demo`: the paper's experiments on a virtual actuator."""
 
-from .. import _demo
-from .. import _demo_files as files
+from .._demo import files
+from .._demo.protocol import run, tables
 from .console import ProgressBar, number, print_table, say
 from .outputs import check_folder, staged_folder
 
@@ -18,10 +18,10 @@ def demo(plant, out, quick) -> None:
         BadInput, ComputationFailed: with nothing written.
     """
     check_folder(out, files.FILES)
-    found = _demo.run(plant, quick=quick, say=say, progress=ProgressBar().update)
+    found = run(plant, quick=quick, say=say, progress=ProgressBar().update)
     with staged_folder(out) as stage:
         files.write(found, stage)
-    for table in _demo.tables(found):
+    for table in tables(found):
         print(table.title)
         rows = [[cell if isinstance(cell, str) else number(cell, 3) for cell in row] for row in table.rows]
         print_table(table.header, rows)

@@ -4,14 +4,14 @@ from pathlib import Path
 
 from .._diagnose.diagnosis import Diagnosis
 from .._diagnose.diagnosis import diagnose as run_diagnosis
-from .._diagnose.figures import FIGURES, figures
-from .._diagnose.report import NEXT_CSV, report
-from .._file import load, save
+from .._diagnose.report.figures import FIGURES, figures
+from .._diagnose.report.page import NEXT_CSV, report
+from .._model_file.model_file import load, save
 from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
+from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
-from .suits import check_suits
 
 MODEL, REPORT = "model_augmented", "report.html"
 FILES = (MODEL, REPORT, NEXT_CSV, *(f"{name}.png" for name in FIGURES))

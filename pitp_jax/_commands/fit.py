@@ -4,17 +4,19 @@ from dataclasses import replace
 
 import jax
 
-from .. import _identify, _train
 from .._errors import BadInput
-from .._file import load, save
+from .._identify.identification import identify
 from .._model.input_map import INPUT_MAPS
 from .._model.model import Model
+from .._model_file.model_file import load, save
+from .._record.excitation_kind import is_sweep
 from .._record.reading import read
-from .._settings import preset_of
+from .._train.settings import preset_of
+from .._train.training import train
+from .compatibility import check_suits
 from .console import ProgressBar, number, say
 from .outputs import check_files
 from .reports import describe, in_words, listed, print_history
-from .suits import check_suits
 
 
 def fit(records, out, nominal, order, preset, learn, input_map, seed, input_column, output_column) -> None:
@@ -44,7 +46,7 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, input_colu
         start = _identified(read_in, order or "auto", input_map or "square")
     check_suits(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
-    done = _train.train(start, read_in, settings=settings, key=jax.random.key(seed), progress=ProgressBar().update)
+    done = train(start, read_in, settings=settings, key=jax.random.key(seed), progress=ProgressBar().update)
     save(out, done.model)
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
@@ -72,11 +74,11 @@ def _given(path: str, order, input_map) -> Model:
 
 def _identified(records, order, input_map) -> Model:
     """A nominal from the sweeps among the records, else from all."""
-    sweeps = [record for record in records if _identify.is_sweep(record)]
+    sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
         say(f"identifying on the sweeps among {len(records)} records: {listed([r.name for r in sweeps])}")
     else:
         say(f"no record is a sweep: identifying on all, {listed([r.name for r in records])}")
-    found = _identify.identify(sweeps or records, order=order, input_map=input_map, progress=say)
+    found = identify(sweeps or records, order=order, input_map=input_map, progress=say)
     say(f"identified order {found.model.order}")
     return found.model

@@ -1,8 +1,8 @@
 """`pitp identify`: records to a linear model of the right order."""
 
-from .._file import save
-from .._identify import Identification
-from .._identify import identify as run_identify
+from .._identify.identification import Identification
+from .._identify.identification import identify as run_identify
+from .._model_file.model_file import save
 from .._record.reading import read
 from .._record.units import from_base
 from .console import number, print_table, say

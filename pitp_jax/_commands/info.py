@@ -1,6 +1,6 @@
 """`pitp info`: what a model file holds."""
 
-from .._file import load
+from .._model_file.model_file import load
 from .outputs import check_files, write_json
 from .reports import describe, print_model
 

@@ -1,12 +1,12 @@
 """`pitp invert`: a wanted trajectory to the voltage that makes it."""
 
-from .. import _feedforward
-from .._file import load
+from .._invert.feedforward_plan import feedforward
+from .._model_file.model_file import load
 from .._record.reading import read_target
 from .._record.writing import write_csv
+from .compatibility import check_kind
 from .console import number, say
 from .outputs import check_files, staged_files, write_json
-from .suits import check_kind
 
 
 def invert(model, target, out, max_voltage, max_slew, json_file, output_column) -> None:
@@ -28,7 +28,7 @@ def invert(model, target, out, max_voltage, max_slew, json_file, output_column) 
     loaded = load(model)
     wanted = read_target(target, output_column)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
-    found = _feedforward.feedforward(loaded, wanted, max_voltage=max_voltage, max_slew=max_slew)
+    found = feedforward(loaded, wanted, max_voltage=max_voltage, max_slew=max_slew)
     for warning in found.warnings:
         say(f"warning: {' '.join(warning.split())}")
     result = {

@@ -5,17 +5,18 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from .. import _predict
 from .._errors import ComputationFailed
-from .._file import load
 from .._metrics import e_rms_percent, nrmse_percent, rmse
+from .._model_file.model_file import load
 from .._record.reading import read
 from .._record.record import Record
 from .._record.units import from_base
 from .._record.writing import write_csv
+from .._simulate.prediction import Prediction
+from .._simulate.prediction import predict as run_predict
+from .compatibility import check_suits
 from .console import number, print_table
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
-from .suits import check_suits
 
 
 def predict(model, records, out, json_file, input_column, output_column) -> None:
@@ -42,7 +43,7 @@ def predict(model, records, out, json_file, input_column, output_column) -> None
     if out is not None:
         check_folder(out, files, inputs=[*sources, *([json_file] if json_file else [])])
     check_suits(loaded, model, read_in)
-    predictions = _predict.predict(loaded, read_in)
+    predictions = run_predict(loaded, read_in)
     scores = {r.name: score(r, p) for r, p in zip(read_in, predictions, strict=True)}
     result = {"records": scores, "median_e_rms_percent": median_e_rms(list(scores.values()))}
     with staged_files(json_file) as (json_stage,):
@@ -59,7 +60,7 @@ def predict(model, records, out, json_file, input_column, output_column) -> None
         )
 
 
-def score(record: Record, prediction: _predict.Prediction) -> dict:
+def score(record: Record, prediction: Prediction) -> dict:
     """One record's row of the result; a diverged one has no figures.
 
     `samples` counts the whole record, `missing` those without a measurement; the figures leave out those and
@@ -92,7 +93,7 @@ def median_e_rms(rows: Sequence[dict]) -> float | None:
     return _finite(statistics.median(values)) if values else None
 
 
-def _write_record(path: Path, record: Record, prediction: _predict.Prediction) -> None:
+def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
     volts, unit = record.voltage_unit, record.displacement_unit
     columns = {
         "time_s": record.time,
@@ -104,7 +105,7 @@ def _write_record(path: Path, record: Record, prediction: _predict.Prediction) -
     write_csv(path, columns)
 
 
-def _print_scores(result: dict, predictions: Sequence[_predict.Prediction]) -> None:
+def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
     header = ("record", "e_rms (%)", "nrmse (%)", "rmse", "unit", "samples", "missing", "outside (%)", "")
     rows = [
         (

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from .._diagnose.found import physical
+from .._diagnose.result import physical
 from .._model.input_map import LinearInput
 from .._model.model import Model
 from .._record.units import base_unit

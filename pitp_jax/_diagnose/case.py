@@ -16,17 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
-from .._decode import rollout_batch
 from .._effects.base import Surroundings
 from .._errors import BadInput
-from .._model import augment
 from .._model.input_map import SquareInput
 from .._model.model import Model
-from .._predict import at_rate, starts
-from .._record.drives import kind, loudest
+from .._record.excitation_kind import kind, loudest
 from .._record.preprocess import force_band, preprocess
 from .._record.record import Record
 from .._record.sets import session_clock
+from .._simulate import ports
+from .._simulate.decoder import rollout_batch
+from .._simulate.prediction import at_rate, starts
 
 Split = Literal["first", "second", "none"]
 
@@ -111,7 +111,7 @@ def build_case(model: Model, records: Sequence[Record], *, how: Split = "first",
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     dtype = model.coefficients.dtype
     states = rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, begin)
-    runs = np.asarray(jax.vmap(lambda s: augment.readings(model, s))(states), np.float64)
+    runs = np.asarray(jax.vmap(lambda s: ports.readings(model, s))(states), np.float64)
     top = force_band([_force(model, r.voltage) for r in records], records[0].dt)
     cut = min(max(3 * top, 3 * model.natural_frequency / (2 * np.pi)), 0.3 / records[0].dt)
     series = tuple(
@@ -184,7 +184,7 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     span = float(np.ptp(x[seen]))
     weight = 1e4 * counts / (max(counts.sum(), 1) * span**2)
     rest = spent == 0
-    late = augment.delayed(model, jnp.asarray(record.voltage, jnp.float32), record.dt, jnp.asarray(rest))
+    late = ports.delayed(model, jnp.asarray(record.voltage, jnp.float32), record.dt, jnp.asarray(rest))
     voltage = np.asarray(model.drive.film(late, record.dt, jnp.asarray(rest)))
     memory = model.memory.trajectory(
         jnp.asarray(motion[:, 0], jnp.float32), record.dt, model.memory.initial(jnp.asarray(motion[0, 0], jnp.float32))

@@ -18,15 +18,15 @@ from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import clock_start
-from .attribute import Attribution, attribute
 from .case import Case, Split, build_case, split
-from .doubt import doubted, own_misfit
-from .found import GAP, Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
+from .effect_selection import Attribution, attribute
+from .evaluation import augmented, floor, sides
 from .hold import settled
-from .judged import augmented, floor, sides
-from .next import Experiment, separate
+from .next_experiment import Experiment, separate
 from .noise import STRUCK
-from .usable import usable
+from .parameter_uncertainty import doubted, own_misfit
+from .result import GAP, Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
+from .select_records import usable
 from .where import locate
 
 _TIES = 3

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .._effects.base import AbstractEffect, Parameter, Start
-from .lanes import Lane, Lanes
+from .batched_rollouts import Lane, Lanes
 
 _STEP = 3e-3
 _ZERO = 0.2  # farthest that a sensor's zero may be off, scaled

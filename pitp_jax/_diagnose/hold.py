@@ -9,10 +9,10 @@ sensor's second-order lag of 8.00 ms read 7.57 +- 0.01; under a linear voltage 8
 from dataclasses import replace
 
 from .._model.model import Model
+from .batched_rollouts import Lanes
 from .case import Case, build_case
+from .evaluation import Judged, judge
 from .fit import fit
-from .judged import Judged, judge
-from .lanes import Lanes
 
 
 def settled(case: Case, best: Judged, nominal: Model) -> tuple[Judged, Model]:

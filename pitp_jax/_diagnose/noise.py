@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .case import Case
-from .repeats import scatter
+from .repeatability import scatter
 
 _QUARTILE = -np.log(0.75)
 _BINS = 24

@@ -15,8 +15,8 @@ import numpy as np
 
 from .._effects.amplifier import Delay
 from .._effects.base import AbstractEffect, Start
-from .along import Columns, Nominal, compiled, nominal_filter, responses
 from .case import Case, Series
+from .effect_responses import Columns, Nominal, compiled, nominal_filter, responses
 from .regress import Screening
 
 POINTS, LANES = 20, 24  # grid points of a form besides its starts, and in all

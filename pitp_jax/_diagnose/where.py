@@ -9,10 +9,10 @@ A cell is flagged where the missing force stands out of what noise leaves there,
 
 import numpy as np
 
-from .._record.drives import kind, spectrum
+from .._record.excitation_kind import kind, spectrum
 from .case import Case, Series
 from .noise import Noise
-from .tone import steady_tone
+from .steady_tone import steady_tone
 
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency

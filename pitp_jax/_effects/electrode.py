@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._recurrence import first_order_lags, lag_after
+from .._numerics.linear_recurrence import first_order_lags, lag_after
 from .base import AbstractDriveEffect, Parameter, Surroundings, bounded
 from .lags import lag_starts, lags_in_a_row, lead
 

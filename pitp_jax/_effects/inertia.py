@@ -14,15 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .base import (
-    AbstractForceEffect,
-    AbstractSensorEffect,
-    Instant,
-    Parameter,
-    Surroundings,
-    bounded,
-    nothing,
-)
+from .base import AbstractForceEffect, AbstractSensorEffect, Instant, Parameter, Surroundings, bounded, nothing
 from .lags import oscillate
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._model.drive import slope
-from .._recurrence import lag_after
+from .._numerics.linear_recurrence import lag_after
 from .base import Start, Surroundings, bounded
 
 

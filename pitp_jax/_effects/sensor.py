@@ -11,15 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._model.drive import slope
-from .base import (
-    AbstractForceEffect,
-    AbstractSensorEffect,
-    Instant,
-    Parameter,
-    Surroundings,
-    bounded,
-    nothing,
-)
+from .base import AbstractForceEffect, AbstractSensorEffect, Instant, Parameter, Surroundings, bounded, nothing
 from .lags import lag_starts, lags_in_a_row, lead, oscillate
 
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._recurrence import lag_after
+from .._numerics.linear_recurrence import lag_after
 from .base import AbstractForceEffect, Instant, Parameter, Surroundings, bounded
 
 BORDER = 15.0  # tau omega_0

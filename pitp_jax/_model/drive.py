@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._recurrence import first_order_lags, scalar_recurrence
+from .._numerics.linear_recurrence import first_order_lags, scalar_recurrence
 
 
 class AbstractDrive(eqx.Module):

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._recurrence import first_order_lags, oscillator
+from .._numerics.linear_recurrence import first_order_lags, oscillator
 
 
 class AbstractMemory(eqx.Module):

@@ -1,1 +1,13 @@
-"""Host side (NumPy, float64): what a recording is, how it is read, filtered, and how excitations are made."""
+"""Recordings: files in, `Record`s out, checked, in V, m and s (or V and V), NumPy and float64 throughout.
+
+Verbs: `read` (files and folders to records), `read_target` (a wanted motion). A record is one excitation of one
+actuator, sampled uniformly; missing output samples are nan. `preprocess` filters and differentiates it (paper, eqs. 8
+and 9), `initial_state` says how it begins, `excitation` makes the drives of the paper's protocol, and `writing` puts
+files down whole or not at all.
+"""
+
+from . import excitation as excitation
+from .reading import Target as Target
+from .reading import read as read
+from .reading import read_target as read_target
+from .record import Record as Record

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from cli_cases import DRIVES, TIME, motion, truth, write_record
 
-from pitp_jax import _feedforward, _file, _identify
+from pitp_jax._identify import identification
+from pitp_jax._invert import feedforward_plan
+from pitp_jax._model_file import model_file
 from pitp_jax._record import writing
 from pitp_jax._record.record import Record
 from pitp_jax.cli import main
@@ -19,7 +21,7 @@ def bench(tmp_path_factory):
     (root / "records").mkdir()
     for name in DRIVES:
         write_record(root / "records" / f"{name}.csv", *motion(name), units=("kV", "mm"))
-    _file.save(root / "nominal", truth())
+    model_file.save(root / "nominal", truth())
     rise = 0.5 * (1 - np.cos(np.pi * np.clip(TIME / 1.0, 0, 1)))
     wanted = 1e-3 * rise * (1.0 + 0.5 * np.sin(2 * np.pi * TIME))
     (root / "target.csv").write_text(
@@ -42,40 +44,40 @@ def call(capsys):
 @pytest.fixture(scope="session")
 def identified():
     """A real identification, once."""
-    return _identify.identify([Record("sweep", TIME, *motion("sweep"), "kV", "mm")], order=2)
+    return identification.identify([Record("sweep", TIME, *motion("sweep"), "kV", "mm")], order=2)
 
 
 @pytest.fixture
 def quick_identify(monkeypatch, identified):
-    """`_identify.identify` that only notes what it was called with."""
+    """`identify` that only notes what it was called with."""
     calls = []
 
     def fake(records, **options):
         calls.append(([r.name for r in records], options))
         return identified
 
-    monkeypatch.setattr(_identify, "identify", fake)
+    monkeypatch.setattr("pitp_jax._commands.fit.identify", fake)
     monkeypatch.setattr("pitp_jax._commands.identify.run_identify", fake)
     return calls
 
 
 @pytest.fixture
 def quick_inverse(monkeypatch):
-    """`_feedforward.feedforward` that only notes its limits."""
+    """`feedforward` that only notes its limits."""
     calls = []
 
     def fake(model, target, *, max_voltage=None, max_slew=None):
         calls.append((target, max_voltage, max_slew))
         time = np.arange(-100, 2100) * target.dt
         count, inside = len(time), (time >= 0) & (time < 4)
-        return _feedforward.Feedforward(
+        return feedforward_plan.Feedforward(
             time=time, voltage=np.linspace(0, 1500, count), infeasible=np.arange(count) < 7,
             saturated=np.arange(count) < 3, target=inside, outside_training_share=0.25,
             self_check_e_rms_percent=float("nan"), equation_e_rms_percent=0.5,
             warnings=("25 % of the target lies outside\nthe trained region",),
         )  # fmt: skip
 
-    monkeypatch.setattr(_feedforward, "feedforward", fake)
+    monkeypatch.setattr("pitp_jax._commands.invert.feedforward", fake)
     return calls
 
 

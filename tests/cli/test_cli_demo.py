@@ -9,15 +9,17 @@ import pytest
 from cli_cases import COEFFICIENTS, columns_of, refused, tree
 from scipy.signal import lsim
 
-from pitp_jax import _demo, _demo_files, _file, _settings
+from pitp_jax._demo import files, protocol
 from pitp_jax._errors import ComputationFailed
+from pitp_jax._model_file import model_file
+from pitp_jax._train import settings
 
 
 def test_demo_keeps_whole_or_nothing(call, tmp_path, monkeypatch):
     def fail(*_, **__):
         raise ComputationFailed("no order")
 
-    monkeypatch.setattr(_demo, "run", fail)
+    monkeypatch.setattr("pitp_jax._commands.demo.run", fail)
     refused(call("demo", "--out", tmp_path / "d"), code=3)
     (tmp_path / "f").write_text("")
     refused(call("demo", "--out", tmp_path / "f"))
@@ -27,13 +29,13 @@ def test_demo_keeps_whole_or_nothing(call, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["cone100", "cone122", "cone150", "roll"])
 @pytest.mark.parametrize("quick", [False, True])
 def test_demo_trains_on_every_cell_of_the_tables(name, quick):
-    train = [e.name for e in _demo.excitations(name, "train", quick)]
-    test = [e.name for e in _demo.excitations(name, "test", quick)]
-    amplitude = _demo.SCALES[_demo.kind(name)].amplitude
-    for f in (*_demo.PREDICTION_PAPER[name], *_demo.TRACKING_PAPER[name]):
+    train = [e.name for e in protocol.excitations(name, "train", quick)]
+    test = [e.name for e in protocol.excitations(name, "test", quick)]
+    amplitude = protocol.SCALES[protocol.kind(name)].amplitude
+    for f in (*protocol.PREDICTION_PAPER[name], *protocol.TRACKING_PAPER[name]):
         assert f"sine_{f:03.0f}Hz_{amplitude:.0f}V" in train
     assert not set(train) & set(test)
-    assert len(_demo.excitations(name, "sweep", quick)) == 1
+    assert len(protocol.excitations(name, "sweep", quick)) == 1
 
 
 @pytest.mark.slow
@@ -41,14 +43,14 @@ def test_demo_quick(call, tmp_path):
     code, text, _ = call("demo", "--plant", "cone100", "--quick", "--out", tmp_path / "d")
     assert code == 0
     assert "Table I" in text
-    assert tree(tmp_path / "d") == sorted(_demo_files.FILES)
-    assert _file.load(tmp_path / "d" / "model.pitp").order >= 2
+    assert tree(tmp_path / "d") == sorted(files.FILES)
+    assert model_file.load(tmp_path / "d" / "model.pitp").order >= 2
 
 
 def test_end_to_end(call, bench, tmp_path, monkeypatch):
     """The four verbs themselves, on a linear actuator, with little training."""
-    short = replace(_settings.PRESETS["default"], epochs=3, stages=1, refine_steps=3, width=4, memories=2)
-    monkeypatch.setitem(_settings.PRESETS, "default", short)
+    short = replace(settings.PRESETS["default"], epochs=3, stages=1, refine_steps=3, width=4, memories=2)
+    monkeypatch.setitem(settings.PRESETS, "default", short)
     nominal, model, records = tmp_path / "nominal", tmp_path / "model", bench / "records"
     assert call("identify", records / "sweep.csv", "--out", nominal, "--order", "2")[0] == 0
     assert call("fit", records, "--nominal", nominal, "--out", model)[0] == 0
@@ -66,4 +68,4 @@ def test_end_to_end(call, bench, tmp_path, monkeypatch):
     assert values[:, 1].max() <= 2001.0
     x = lsim(([1.0], COEFFICIENTS[::-1]), values[:, 1] ** 2, np.arange(len(values)) * 0.002)[1]
     assert 1e3 * x.max() == pytest.approx(1.5, rel=0.1)
-    assert jnp.isfinite(_file.load(model).coefficients).all()
+    assert jnp.isfinite(model_file.load(model).coefficients).all()

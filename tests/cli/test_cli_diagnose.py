@@ -10,9 +10,9 @@ import pytest
 from cli_cases import COEFFICIENTS, TIME, motion, tree, truth, write_record
 from scipy.signal import lsim
 
-from pitp_jax import _file
 from pitp_jax._commands import diagnose as command
 from pitp_jax._diagnose.diagnosis import Diagnosis
+from pitp_jax._model_file import model_file
 from pitp_jax.cli import main
 
 TAU = 0.02  # s: the electrode's lag that the nominal does not know
@@ -45,7 +45,7 @@ def run(tmp_path_factory):
         x = lsim(([1.0], COEFFICIENTS[::-1]), film**2, fine)[1][::16]
         noise = 2e-5 * np.random.default_rng(len(name)).standard_normal(len(TIME))
         write_record(folder / "real" / f"{name}.csv", voltage, x + noise, units=("kV", "mm"))
-    _file.save(folder / "nominal", truth())
+    model_file.save(folder / "nominal", truth())
     kept, original = [], command.run_diagnosis
 
     def noted(*args, **options):

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from cli_cases import columns_of, motion, refused, tree, truth, write_record
 
-from pitp_jax import _file
 from pitp_jax._commands import diagnose as command
 from pitp_jax._commands.console import StatusLine
 from pitp_jax._diagnose.diagnosis import Diagnosis
-from pitp_jax._diagnose.next import Experiment
+from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._errors import BadInput, ComputationFailed
+from pitp_jax._model_file import model_file
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_bad_input_is_one_line_and_writes_nothing(bench, quick, call, tmp_path):
 
 def test_outputs_do_not_replace_inputs_or_each_other(bench, quick, call, tmp_path):
     (tmp_path / "d").mkdir()
-    _file.save(tmp_path / "d" / "model_augmented", truth())
+    model_file.save(tmp_path / "d" / "model_augmented", truth())
     start = ["diagnose", bench / "records", "--nominal", tmp_path / "d" / "model_augmented"]
     assert "would replace" in refused(call(*start, "--out", tmp_path / "d"))
     assert "already used" in refused(call(*start, "--json", tmp_path / "d" / "model_augmented"))

@@ -8,16 +8,17 @@ import jax.numpy as jnp
 import pytest
 from cli_cases import refused, tree
 
-from pitp_jax import _file, _identify, _train
 from pitp_jax._commands.console import ProgressBar, say
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._model.encoder import CompactEncoder
-from pitp_jax._settings import PARTS, PRESETS
+from pitp_jax._model_file import model_file
+from pitp_jax._train import training
+from pitp_jax._train.settings import PARTS, PRESETS
 
 
 @pytest.fixture
 def trainer(monkeypatch):
-    """`_train.train` that only notes what it was called with; set `.result` or `.error` to change its end."""
+    """`train` that only notes what it was called with; set `.result` or `.error` to change its end."""
 
     @dataclass
     class Trainer:
@@ -28,17 +29,17 @@ def trainer(monkeypatch):
         def __call__(self, nominal, records, **options):
             self.calls.append((nominal, [r.name for r in records], options))
             for step in (1, 2):
-                options["progress"](_train.Progress("stage 1", step, 2, 1.5, 0.25, 0.125, 61.0))
-            options["progress"](_train.Progress("free runs", 1, 1, None, 0.1, 0.1, float("nan")))
+                options["progress"](training.Progress("stage 1", step, 2, 1.5, 0.25, 0.125, 61.0))
+            options["progress"](training.Progress("free runs", 1, 1, None, 0.1, 0.1, float("nan")))
             if self.error:
                 raise self.error
             encoder = CompactEncoder(2, 0, width=4, key=options["key"])
             learned = tuple(PARTS[part](jnp.asarray(0.004)) for part in options["settings"].parts)
             model = replace(nominal, encoder=encoder, effects=learned)
-            return _train.Training(model, ({"stage": 1, "physics": 0.5},), self.interrupted, {"seconds": 1.0})
+            return training.Training(model, ({"stage": 1, "physics": 0.5},), self.interrupted, {"seconds": 1.0})
 
     fake = Trainer([])
-    monkeypatch.setattr(_train, "train", fake)
+    monkeypatch.setattr("pitp_jax._commands.fit.train", fake)
     return fake
 
 
@@ -53,7 +54,7 @@ def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
     assert given["settings"] == PRESETS["paper"]
     assert "stage 1: 2/2  box 1.5  loss 0.25  best 0.125  about 61 s left" in err
     assert "free runs: 1/1  loss 0.1  best 0.1  about ? left" in err
-    assert type(_file.load(out).encoder) is CompactEncoder
+    assert type(model_file.load(out).encoder) is CompactEncoder
     assert "physics 0.5" in text
 
 
@@ -73,7 +74,7 @@ def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     bar = ProgressBar()
     for step in range(1, 101):
-        bar.update(_train.Progress("stage 1", step, 100, 1.5, 0.25, 0.125, 300.0))
+        bar.update(training.Progress("stage 1", step, 100, 1.5, 0.25, 0.125, 300.0))
     say("done")
     drawn = terminal.getvalue().split("\r\x1b[K")
     assert drawn[1].startswith("[....................] stage 1: 1/100  box 1.5")
@@ -93,7 +94,7 @@ def test_fit_is_reproducible_by_seed(call, bench, tmp_path, trainer):
 
 @pytest.mark.parametrize("found", [["sweep"], []])
 def test_fit_identifies_on_sweeps_else_on_all(call, bench, tmp_path, trainer, quick_identify, monkeypatch, found):
-    monkeypatch.setattr(_identify, "is_sweep", lambda record: record.name in found)
+    monkeypatch.setattr("pitp_jax._commands.fit.is_sweep", lambda record: record.name in found)
     code, _, err = call("fit", bench / "records", "--out", tmp_path / "m", "--order", "2")
     assert code == 0
     assert quick_identify[0][0] == (found or ["sine2", "sine4", "sweep"])
@@ -135,4 +136,4 @@ def test_interrupted_fit(call, bench, tmp_path, trainer):
     code, out, err = call(*start)
     assert (code, out) == (130, "")
     assert err.splitlines()[-1] == f"pitp: interrupted; the best complete model is in {tmp_path / 'm'}"
-    assert _file.load(tmp_path / "m").order == 2
+    assert model_file.load(tmp_path / "m").order == 2

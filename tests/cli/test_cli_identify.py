@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cli_cases import COEFFICIENTS, TIME, motion, refused, tree, truth, write_record
 
-from pitp_jax import _file
 from pitp_jax._model.model import Provenance
+from pitp_jax._model_file import model_file
 
 
 def test_identify_writes_and_reports(call, bench, tmp_path, quick_identify):
@@ -19,12 +19,12 @@ def test_identify_writes_and_reports(call, bench, tmp_path, quick_identify):
     assert "2 *" in text
     assert "V^2 s^2/m" in text
     assert "mode at 5 Hz, damping 0.15" in text
-    np.testing.assert_allclose(_file.load(out).physical_coefficients, COEFFICIENTS, rtol=1e-2)
+    np.testing.assert_allclose(model_file.load(out).physical_coefficients, COEFFICIENTS, rtol=1e-2)
     assert json.loads((tmp_path / "j").read_text())["order"] == 2
 
 
 def test_info(call, tmp_path, identified):
-    _file.save(tmp_path / "m", identified.model)
+    model_file.save(tmp_path / "m", identified.model)
     code, text, err = call("info", tmp_path / "m", "--json", tmp_path / "j")
     told = json.loads((tmp_path / "j").read_text())
     assert (code, err) == (0, "")
@@ -40,7 +40,7 @@ def test_info_of_a_trained_model(call, tmp_path):
         "records": ["a", "b"], "samples": 9, "seconds": 1.5, "interrupted": True,
         "history": [{"stage": 1, "box": [0.6, 1.5], "physics": 0.1}, {"stage": "free runs", "step": 1, "error": 2.0}],
     }  # fmt: skip
-    _file.save(tmp_path / "m", truth(notes=json.dumps({"training": training})))
+    model_file.save(tmp_path / "m", truth(notes=json.dumps({"training": training})))
     code, text, _ = call("info", tmp_path / "m")
     assert code == 0
     assert "trained on 2 records (a, b) (9 samples) in 1.5 s, interrupted" in text
@@ -48,7 +48,7 @@ def test_info_of_a_trained_model(call, tmp_path):
 
 
 def test_info_of_an_unbounded_model_has_no_infinity(call, tmp_path):
-    _file.save(tmp_path / "m", truth().__class__(**{**vars(truth()), "provenance": Provenance(1.0)}))
+    model_file.save(tmp_path / "m", truth().__class__(**{**vars(truth()), "provenance": Provenance(1.0)}))
     assert call("info", tmp_path / "m", "--json", tmp_path / "j")[0] == 0
     assert json.loads((tmp_path / "j").read_text(), parse_constant=pytest.fail)["max_slew"] is None
 

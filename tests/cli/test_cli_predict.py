@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cli_cases import DRIVES, SCORE_KEYS, TIME, columns_of, motion, refused, tree, write_record
 
-from pitp_jax import _predict
+from pitp_jax._commands import predict as command
 from pitp_jax._commands.predict import median_e_rms
 
 
@@ -65,8 +65,8 @@ def test_predict_gives_names_that_collide_their_folders(call, bench, tmp_path):
 
 @pytest.fixture
 def diverging(monkeypatch):
-    """`_predict.predict` in which the named records leave every range half way."""
-    real, names = _predict.predict, set()
+    """`predict` in which the named records leave every range half way."""
+    real, names = command.run_predict, set()
 
     def fake(model, records):
         lost = []
@@ -75,7 +75,7 @@ def diverging(monkeypatch):
             lost.append(replace(p, displacement=x, diverged=True) if p.name in names else p)
         return tuple(lost)
 
-    monkeypatch.setattr(_predict, "predict", fake)
+    monkeypatch.setattr(command, "run_predict", fake)
     return names
 
 
@@ -108,12 +108,12 @@ def test_predict_with_diverged_records(call, bench, tmp_path, diverging, lost, m
 
 def test_a_record_without_a_figure_says_why(call, bench, monkeypatch):
     """Dashes alone, and a reader looks for the mistake in the model."""
-    real = _predict.predict
+    real = command.run_predict
 
     def fake(model, records):
         return tuple(replace(p, scored=p.scored & (p.name != "sine2")) for p in real(model, records))
 
-    monkeypatch.setattr(_predict, "predict", fake)
+    monkeypatch.setattr(command, "run_predict", fake)
     code, text, _ = call("predict", bench / "nominal", bench / "records")
     assert code == 0
     (line,) = [line for line in text.splitlines() if "nothing to score" in line]

@@ -1,0 +1,110 @@
+"""What `pitp demo` leaves in its folder: the model files, the tables as CSV, and the paper's figures."""
+
+from pathlib import Path
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+from .._model.model import Model
+from .._model_file.model_file import save
+from .._plot import paper_figures
+from .._record.record import Record
+from .._record.writing import write_csv, write_text_atomic
+from .._simulate import decoder
+from .protocol import Demo, Table, kind, nearest, tables
+
+SWEEP_HZ = {"cone": (0.01, 20.0), "roll": (0.01, 180.0)}
+TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
+FIGURES = ("sweep.png", "prediction.png", "hysteresis.png", "tokens.png", "tracking.png")
+FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", *FIGURES)
+
+
+def write(demo: Demo, folder: Path) -> None:
+    """Write everything into an existing folder.
+
+    Args:
+        demo: what `protocol.run` found.
+        folder: where; files of the same names are replaced.
+
+    Raises:
+        BadInput: a file cannot be written.
+        OSError: a figure cannot.
+    """
+    save(folder / "nominal.pitp", demo.identified.model)
+    save(folder / "model.pitp", demo.training.model)
+    for name, table in zip(TABLE_FILES, tables(demo), strict=True):
+        write_text_atomic(folder / name, _csv(table))
+    last = demo.tracks[-1]
+    columns = {
+        "time_s": last.time,
+        "voltage_V": last.voltage,
+        "displacement_m": last.achieved,
+        "target_m": last.target,
+    }
+    write_csv(folder / "tracking.csv", columns)
+    figures = (_sweep(demo), _prediction(demo), _loops(demo), _tokens(demo), _tracking(demo))
+    for name, figure in zip(FIGURES, figures, strict=True):
+        cast(Figure, figure).savefig(folder / name, dpi=150)
+
+
+def _csv(table: Table) -> str:
+    rows = [",".join(_cell(value) for value in row) for row in table.rows]
+    return "\n".join([",".join(h.replace(",", "") for h in table.header), *rows]) + "\n"
+
+
+def _cell(value) -> str:
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _sweep(demo: Demo):
+    r, p = demo.sweep, demo.linear[demo.sweep.name]
+    axes = paper_figures.sweep_response(r.time, r.displacement, p.displacement, sweep_hz=SWEEP_HZ[kind(demo.name)])
+    return axes.figure
+
+
+def _prediction(demo: Demo):
+    """The last held-out sine."""
+    r = [record for record in demo.test if record.name.startswith("sine")][-1]
+    return paper_figures.prediction(r.time, r.displacement, demo.predicted[r.name].displacement)[0].figure
+
+
+def _loops(demo: Demo):
+    """One settled period at each frequency of Table II."""
+    axes = None
+    for t in demo.tracks:
+        r = nearest(demo.train, demo.name, t.frequency)
+        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)
+        predicted = demo.predicted[r.name].displacement
+        axes = paper_figures.hysteresis_loops(
+            r.voltage[last], r.displacement[last], predicted[last], axes, label=f"{t.frequency:g} Hz"
+        )
+    assert axes is not None
+    return axes.figure
+
+
+def _tokens(demo: Demo):
+    """Tokens along the free run of one training sine, each over its nominal value, and the offset token."""
+    t = demo.tracks[1]
+    r = nearest(demo.train, demo.name, t.frequency)
+    model = demo.training.model
+    values = token_history(model, r)
+    names = [rf"$\sigma_{i} / \sigma_{i}^0$" for i in range(model.order + 1)] + [r"$\sigma_{off}$"]
+    return paper_figures.tokens(r.time, values, names)[0].figure
+
+
+def token_history(model: Model, record: Record) -> np.ndarray:
+    """Tokens over their nominal values, then the offset, along a free run from rest; shape (T, n + 2)."""
+    voltage = jnp.asarray(record.voltage, model.coefficients.dtype)
+    states = decoder.rollout_batch(model, voltage[None], record.dt, decoder.rest_state(model)[None])[0]
+    tokens, offset = jax.vmap(lambda s: model.tokens(s))(states)
+    return np.asarray(jnp.concatenate([tokens / model.coefficients, offset[:, None]], axis=-1), np.float64)
+
+
+def _tracking(demo: Demo):
+    t = demo.tracks[1]
+    return paper_figures.tracking(t.time, t.target, t.achieved, t.voltage)[0].figure

@@ -1,0 +1,197 @@
+"""The figures of a diagnosis, on axes the caller may own: each takes axes and returns them.
+
+Nothing is only in a figure: `Diagnosis.as_json` and the report's tables hold the same numbers. Units are those of the
+user's files; no pyplot, no global style; colours from Okabe and Ito (`_plot.lines`).
+"""
+
+from typing import cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from ..._plot.lines import DRIVE, ERROR, MEASURED, PREDICTED, finish, line, own_axes, volts
+from ..diagnosis import Diagnosis
+from .formatting import figure as digits
+from .formatting import percent
+from .gap_figure import gap, output_unit
+
+TIED, PALE = "#e69f00", "#b9cfe0"
+_HEAT = LinearSegmentedColormap.from_list("gap", ["#f3f6f9", "#e69f00", "#c03a00"])
+_SMALL = 8.0
+_ROWS, _LABEL = 12, 18  # names in the ranking figure; letters of a record under its bar
+_AXES = {
+    "records": "record",
+    "frequency": "frequency of the error (Hz)",
+    "time": "part of a record (%)",
+    "displacement": "displacement ({unit})",
+    "velocity": "velocity ({unit}/s)",
+    "voltage": "voltage (V)",
+}
+
+
+def where_map(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
+    """Share of the missing force by drive frequency and amplitude of the motion; flagged cells outlined.
+
+    Args:
+        diagnosis: what was found.
+        ax: where to draw; None makes a figure.
+
+    Returns:
+        The axes: one square per cell that was visited, its share written in it from 1 % on.
+    """
+    drawn: Axes = own_axes(ax, 1, (5.0, 3.2))[0]
+    cells = diagnosis.where["cells"]
+    scale, unit = output_unit(diagnosis)
+    bands = sorted({tuple(c["band_hz"]) for c in cells})
+    sizes = sorted({tuple(c["amplitude"]) for c in cells})
+    loudest = max([c["share"] for c in cells], default=0.0) or 1.0
+    for cell in cells:
+        i, j = bands.index(tuple(cell["band_hz"])), sizes.index(tuple(cell["amplitude"]))
+        drawn.add_patch(Rectangle((i, j), 1, 1, color=_HEAT(cell["share"] / loudest), lw=0))
+        if cell["flagged"]:
+            drawn.add_patch(Rectangle((i + 0.05, j + 0.06), 0.9, 0.88, fill=False, edgecolor="#1a1a1a", lw=1.4))
+        if cell["share"] >= 0.01:
+            drawn.text(
+                i + 0.5, j + 0.5, percent(cell["share"]), ha="center", va="center", fontsize=7.5, color="#1a1a1a"
+            )
+    drawn.set(xlim=(0, max(len(bands), 1)), ylim=(0, max(len(sizes), 1)))
+    finish(np.array([drawn]), "drive frequency (Hz)", [f"amplitude ({unit})"])
+    drawn.grid(visible=False)
+    _edges(drawn.set_xticks, bands, 1.0)
+    _edges(drawn.set_yticks, sizes, scale)
+    return drawn
+
+
+def _edges(set_ticks, pairs, scale: float) -> None:
+    """Ticks at the edges of cells; where cells between are missing, an edge shows both its sides."""
+    if pairs:
+        inner = [
+            digits(scale * b[0], 2) if a[1] == b[0] else f"{digits(scale * a[1], 2)}|{digits(scale * b[0], 2)}"
+            for a, b in zip(pairs[:-1], pairs[1:], strict=True)
+        ]
+        set_ticks(range(len(pairs) + 1), [digits(scale * pairs[0][0], 2), *inner, digits(scale * pairs[-1][1], 2)])
+
+
+def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
+    """How much of the held-out gap every effect closes, with its 95 % interval.
+
+    Args:
+        diagnosis: what was found.
+        ax: where to draw; None makes a figure.
+
+    Returns:
+        The axes: a bar per name, best first; the effects named blue, tied ones orange, those only screened pale.
+    """
+    rows = _bars(diagnosis)
+    drawn: Axes = own_axes(ax, 1, (5.0, 0.7 + 0.24 * max(len(rows), 2)))[0]
+    for k, (name, share, ci, color) in enumerate(rows):
+        drawn.barh(k, np.clip(share, 0, 1), color=color, height=0.68)
+        if ci is not None:
+            low, high = np.clip(ci, 0, 1)
+            drawn.plot([low, high], [k, k], color="#000000", lw=1.0, marker="|", ms=5)
+        tied = " (tied)" if name in diagnosis.equivalent else ""
+        drawn.text(1.03, k, ("none" if share < 0.005 else percent(share)) + tied, va="center", fontsize=_SMALL)
+    if not rows:
+        drawn.text(0.5, 0.5, "no gap to close", ha="center", va="center", fontsize=_SMALL + 1)
+    finish(np.array([drawn]), "share of the held-out gap closed", [""])
+    drawn.set_yticks(range(len(rows)), [row[0] for row in rows])
+    drawn.set_xticks([0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
+    drawn.set(xlim=(0, 1.02), ylim=(max(len(rows), 1) - 0.4, -0.6))
+    drawn.grid(visible=False, axis="y")
+    return drawn
+
+
+def _bars(diagnosis: Diagnosis) -> list[tuple]:
+    """(label, share, interval, colour), the explanation first where it takes two effects."""
+    rows, g = [], diagnosis.gap
+    if len(diagnosis.effects) > 1 and g.closed_fraction is not None:
+        rows.append((" + ".join(diagnosis.effects), g.closed_fraction, g.ci95, PREDICTED))
+    for r in diagnosis.ranking:
+        if r.closed_fraction is None or not np.isfinite(r.closed_fraction):
+            continue
+        color = PALE if r.screened else TIED if r.effect in diagnosis.equivalent else MEASURED
+        color = PREDICTED if r.effect in diagnosis.effects else color
+        rows.append((r.effect, r.closed_fraction, r.ci95, color))
+    return rows[:_ROWS]
+
+
+def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time")) -> np.ndarray:
+    """Shares of the gap along some of its axes, as bars.
+
+    Args:
+        diagnosis: what was found.
+        axes: as many axes as names; None makes a figure.
+        names: of "records", "frequency", "time" (shares of the error), "displacement", "velocity" and "voltage"
+            (shares of the missing force).
+
+    Returns:
+        The axes, shape (len(names),).
+    """
+    if axes is None:
+        axes = Figure(figsize=(5.0, 0.3 + 1.45 * len(names)), layout="constrained").subplots(
+            len(names), 1, squeeze=False
+        )
+    axes = own_axes(axes, len(names), (5.0, 4.0))
+    scale, unit = output_unit(diagnosis)
+    held = set(diagnosis.heldout)
+    for ax, name in zip(axes, names, strict=True):
+        table = diagnosis.where[name]
+        if name == "records":
+            labels, values = list(table), list(table.values())
+            colors = [ERROR if label in held else TIED for label in labels]
+        else:
+            labels, colors = (
+                _labels(name, table, scale),
+                DRIVE if name in ("displacement", "velocity", "voltage") else ERROR,
+            )
+            values = [row["share"] for row in table]
+        ax.bar(range(len(values)), [100 * v for v in values], color=colors, width=0.75)
+        finish(np.array([ax]), _AXES[name].format(unit=unit), ["share (%)"])
+        crowded = sum(map(len, labels)) > 60
+        tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if crowded and name == "records" else {}
+        short = [label if len(label) <= _LABEL else f"{label[: _LABEL - 1]}…" for label in labels]
+        ax.set_xticks(range(len(labels)), short, fontsize=6.5 if crowded else 7.5, **tilted)
+        ax.grid(visible=False, axis="x")
+    return axes
+
+
+def _labels(name: str, table: list[dict], scale: float) -> list[str]:
+    key, factor = {
+        "frequency": ("band_hz", 1.0), "time": ("part", 100.0), "voltage": ("range", 1.0)
+    }.get(name, ("range", scale))  # fmt: skip
+    return [f"{digits(factor * row[key][0], 2)}–\n{digits(factor * row[key][1], 2)}" for row in table]
+
+
+def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
+    """The voltage of the next experiment over time.
+
+    Args:
+        diagnosis: one that has a next experiment.
+        ax: where to draw; None makes a figure.
+    """
+    if diagnosis.next_experiment is None:
+        raise ValueError("this diagnosis asks for no further experiment")
+    drawn: Axes = own_axes(ax, 1, (5.0, 1.9))[0]
+    voltage, label = volts(diagnosis.next_experiment.voltage)
+    line(drawn, diagnosis.next_experiment.time, voltage, color=DRIVE, lw=0.9)
+    finish(np.array([drawn]), "time (s)", [label])
+    return drawn
+
+
+def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
+    """All figures this diagnosis has something to show in, by the name of their file."""
+    drawn = {"gap": gap(diagnosis)[0]}
+    if diagnosis.verdict != "no_gap":
+        drawn["where"] = where_map(diagnosis)
+        drawn["shares"] = shares(diagnosis)[0]
+        drawn["force"] = shares(diagnosis, names=("displacement", "velocity", "voltage"))[0]
+        drawn["ranking"] = ranking(diagnosis)
+    if diagnosis.next_experiment is not None:
+        drawn["next_experiment"] = excitation(diagnosis)
+    return {name: cast(Figure, ax.figure) for name, ax in drawn.items()}
+
+
+FIGURES = ("gap", "where", "shares", "force", "ranking", "next_experiment")

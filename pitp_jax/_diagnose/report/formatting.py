@@ -1,0 +1,185 @@
+"""What a report says in words and figures: effects in plain language, rounded numbers, where a gap gathers.
+
+value +- stderr     two digits of the standard error where it begins with 1, else one; the value to the same place
+a limit             is fitted as its inverse, so that zero is no limit; people read the limit
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..._effects import CATALOGUE
+from ..._effects.base import AbstractEffect
+from ..._record.units import OUTPUT_UNITS, base_unit
+
+PLAIN = {
+    "stiffening": "the spring gets harder the further it is moved",
+    "softening": "the spring gets softer the further it is moved",
+    "end_stop": "beyond some displacement the motion runs into something stiff",
+    "slack": "the load is only pulled and flies freely where the actuator falls away faster",
+    "creep": "the actuator keeps yielding slowly under a held load",
+    "relaxation": "part of the spring gives way within a few periods, which also damps",
+    "hysteresis": "rubbing inside the material: a loop that is the same at every frequency",
+    "coulomb_friction": "dry friction holds the motion back by the same force at any speed",
+    "drag": "damping grows with speed",
+    "electrode_rc": "the electrodes' resistance delays the charging of the film",
+    "slew_limit": "the amplifier cannot change its voltage faster than a limit",
+    "voltage_clip": "the amplifier does not go above a voltage",
+    "voltage_offset": "a constant voltage is added to the commanded one",
+    "delay": "the voltage arrives late by a fixed time",
+    "charge_leak": "charge creeps into the film and takes away part of a held voltage",
+    "stretch_coupling": "the film's force depends on how far it is stretched",
+    "dielectric_saturation": "at high field more voltage no longer brings its full force",
+    "added_mass": "more (or less) mass moves than the model knows of",
+    "second_mode": "a second moving mass resonates beside the first one",
+    "stiffness_drift": "the actuator's stiffness changes as the session goes on",
+    "sensor_gain": "the sensor's scale factor is off",
+    "sensor_lag": "the sensor answers late",
+    "parameter_change": "nothing is missing: the model's own coefficients have moved",
+}
+_LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of what they are called here
+_COEFFICIENTS = ("stiffness", "damping", "inertia")
+_GATHERED, _OVER = 0.6, 2.0  # a share that counts as gathered, and how far it must exceed the time spent there
+_DIGITS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def plain(name: str) -> str:
+    """What an effect is, in a few plain words."""
+    return PLAIN.get(name) or next((equation(c) for c in CATALOGUE if c.name == name), "")
+
+
+def equation(form: type[AbstractEffect]) -> str:
+    """What a form says of itself: mostly its equation."""
+    return (form.__doc__ or "").strip().splitlines()[0].rstrip(".")
+
+
+def named(names: Sequence[str]) -> str:
+    """Names in a row: a, b and c."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A number with so many digits, powers of ten written out; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value and not 1e-3 <= abs(value) < 1e6:
+        head, power = f"{value:.{digits - 1}e}".split("e")
+        return f"{head}·10{str(int(power)).translate(_DIGITS)}".replace("-", "−")
+    places = digits - 1 - _power(value) if value else 0
+    return f"{round(value, places):.{max(places, 0)}f}".replace("-", "−")
+
+
+def percent(share: float | None) -> str:
+    """A share as a percentage without decimals, but for the last one before all."""
+    if share is None or not math.isfinite(share):
+        return "–"
+    text = f"{100 * share:.1f}" if 0.985 < share < 0.9995 else f"{100 * share:.0f}"
+    return f"{'0' if text == '-0' else text.replace('-', '−')} %"
+
+
+def interval(low: float, high: float) -> str:
+    """A 95 % interval of shares; one more digit where its ends would read alike."""
+    ends = [percent(low), percent(high)]
+    if ends[0] == ends[1] and low < high:
+        ends = [f"{100 * end:.1f} %".replace("-", "−") for end in (low, high)]
+    return " to ".join(ends)
+
+
+def of_range(value: float | None) -> str:
+    """An error in % of range."""
+    return f"{figure(value, 2 if value is not None and value < 10 else 3)} %"
+
+
+def with_error(value: float, stderr: float | None, unit: str) -> str:
+    """`0.4781 ± 0.0002 ms`; without ± where the standard error is not known."""
+    if not stderr or not math.isfinite(stderr):
+        return f"{figure(value)} {unit}".strip()
+    power = _power(value) if value and not 1e-3 <= abs(value) < 1e6 else 0
+    value, stderr = value / 10.0**power, stderr / 10.0**power
+    lead = _power(stderr)
+    places = -lead + (stderr / 10.0**lead < 2)
+    text = " ± ".join(f"{round(v, places):.{max(places, 0)}f}" for v in (value, stderr)).replace("-", "−")
+    if power:
+        text = f"({text})·10{str(power).translate(_DIGITS)}"
+    return f"{text} {unit}".strip()
+
+
+def _power(value: float) -> int:
+    return math.floor(math.log10(abs(value)))
+
+
+def parameter(name: str, told: dict, length_unit: str) -> tuple[str, str]:
+    """Label and text of one parameter, in units people measure with; a limit as itself.
+
+    Args:
+        name: of the parameter.
+        told: its value, unit and stderr.
+        length_unit: the displacement's unit, of the user's files.
+    """
+    value, unit, error = told["value"], told["unit"], told["stderr"]
+    if name in _LIMITS and value and "/" in unit:
+        top, bottom = unit.split("/")
+        unit = bottom if top == "1" else f"{bottom}/{top}"
+        name, error, value = _LIMITS[name], error and error / value**2, 1 / value
+    factor, unit = _handy(value, unit, length_unit)
+    error = None if error is None else error * factor
+    return name, with_error(value * factor, error, "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³"))
+
+
+def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
+    """Factor to a unit in which the number is easy to read."""
+    if unit == "s":
+        factor, unit = next(p for p in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")) if abs(value) * p[0] >= 0.1 or p[0] > 1e3)
+        return factor, unit
+    if unit.split("/")[0] == base_unit(length_unit) and unit != "V":
+        return 1 / OUTPUT_UNITS[length_unit], unit.replace("m", shown_unit(length_unit), 1)
+    return 1.0, unit
+
+
+def shown_unit(unit: str) -> str:
+    """A unit as it is printed."""
+    return unit.replace("um", "µm")
+
+
+def coefficient_name(i: int, order: int) -> str:
+    """`a0 (stiffness)`, as far as an order-2 model gives them names."""
+    return f"a{i} ({_COEFFICIENTS[i]})" if order == 2 else f"a{i}"
+
+
+def gathers(where: dict, spent: dict[str, np.ndarray], unit: str) -> list[str]:
+    """Where most of the gap lies within a part of an axis that the recordings visit little, the clearest first.
+
+    Args:
+        where: as `Diagnosis.where`.
+        spent: share of time in every bin of an axis.
+        unit: the displacement's, of the user's files.
+    """
+    scale, shown = 1 / OUTPUT_UNITS[unit], shown_unit(unit)
+    found = []
+    for axis, text, factor, key in (
+        ("displacement", f"of the missing force acts at displacements of {{}} to {{}} {shown}", scale, "range"),
+        ("voltage", "of the missing force acts at {} to {} V", 1.0, "range"),
+        ("time", "of the error comes between {} and {} % of a recording's length", 100.0, "part"),
+    ):
+        shares = [row["share"] for row in where[axis]]
+        run = _narrowest(shares)
+        if run:
+            share, there = sum(shares[slice(*run)]), float(spent[axis][slice(*run)].sum())
+            low, high = where[axis][run[0]][key][0], where[axis][run[1] - 1][key][1]
+            words = text.format(figure(factor * low, 2), figure(factor * high, 2))
+            rest = "" if axis == "time" else f", where {percent(there)} of the time is spent"
+            if share >= _OVER * there:
+                found.append((there / share, f"{percent(share)} {words}{rest}."))
+    return [text for _, text in sorted(found)]
+
+
+def _narrowest(shares: Sequence[float]) -> tuple[int, int] | None:
+    """The shortest run of neighbours that holds most, the fullest of several."""
+    runs = [
+        (last - first, -sum(shares[first:last]), first, last)
+        for first in range(len(shares))
+        for last in range(first + 1, len(shares) + 1)
+        if sum(shares[first:last]) >= _GATHERED
+    ]
+    return min(runs)[2:] if runs else None

@@ -1,0 +1,113 @@
+"""The gap at a glance: one record, measured beside the model without and with what was found."""
+
+import numpy as np
+
+from ..._plot.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
+from ..._record.units import OUTPUT_UNITS, base_unit
+from ..diagnosis import Diagnosis
+from ..result import Trace
+from ..steady_tone import steady_tone
+from .formatting import shown_unit
+
+_CYCLES = 6  # oscillations in the zoom
+
+
+def output_unit(diagnosis: Diagnosis) -> tuple[float, str]:
+    """Factor from m or V to the unit of the user's files, and that unit as printed."""
+    unit = diagnosis.model.provenance.displacement_unit
+    return 1 / OUTPUT_UNITS[unit], shown_unit(unit)
+
+
+def worst(diagnosis: Diagnosis) -> Trace:
+    """The held-out record with the largest gap, relative to its range; a fitted one where none is held out."""
+    held = [t for t in diagnosis.traces if t.heldout] or list(diagnosis.traces)
+    return max(held, key=lambda t: np.nan_to_num(left(t)[0]))
+
+
+def left(trace: Trace) -> tuple[float, float]:
+    """e_rms in % that nominal and augmented model leave on a record (nan where nothing is measured)."""
+    seen = np.isfinite(trace.measured)
+    if not seen.any() or not np.ptp(trace.measured[seen]):
+        return float("nan"), float("nan")
+    first, second = (
+        100 * float(np.sqrt(np.mean((y - trace.measured)[seen] ** 2)) / np.ptp(trace.measured[seen]))
+        for y in (trace.nominal, trace.augmented)
+    )
+    return first, second
+
+
+def telling(trace: Trace) -> slice:
+    """The stretch of about six oscillations in which the nominal is furthest off."""
+    e = np.where(np.isfinite(trace.measured), trace.nominal - trace.measured, 0.0)
+    x = trace.nominal - np.mean(trace.nominal)
+    total = len(e)
+    turns = np.flatnonzero(np.diff(np.signbit(x)))
+    width = max(total // 8, min(total, 64))
+    peak = _loudest(e, width)
+    near = np.count_nonzero((turns >= peak) & (turns < peak + width)) / 2
+    width = int(np.clip(_CYCLES * width / max(near, 1e-9), min(total, 64), total))
+    first = _loudest(e, width)
+    return slice(first, first + width)
+
+
+def _loudest(e: np.ndarray, width: int) -> int:
+    energy = np.concatenate([[0.0], np.cumsum(e**2)])
+    return int(np.argmax(energy[width:] - energy[:-width]))
+
+
+def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
+    """Measured, nominal and augmented output of the worst held-out record, zoomed, and both errors beneath.
+
+    Args:
+        diagnosis: what was found; without a gap only the nominal is drawn.
+        axes: two axes; None makes a figure.
+
+    Returns:
+        The two axes, shape (2,).
+    """
+    axes = own_axes(axes, 2, (5.0, 3.4), (2.2, 1.0))
+    scale, unit = output_unit(diagnosis)
+    trace = worst(diagnosis)
+    part = telling(trace)
+    time, measured = trace.time[part], scale * trace.measured[part]
+    runs = [("model as given" if not refitted(diagnosis) else "model, refitted", trace.nominal, ERROR)]
+    if diagnosis.verdict == "explained":
+        added = "both effects" if len(diagnosis.effects) > 1 else "".join(diagnosis.effects)
+        runs.append((f"with {added}", trace.augmented, PREDICTED))
+    elif diagnosis.verdict == "unknown":
+        runs.append(("best candidate", trace.augmented, PREDICTED))
+    line(axes[0], time, measured, color=MEASURED, lw=2.6, label="measured")
+    for k, (label, run, color) in enumerate(runs):
+        line(axes[0], time, scale * run[part], color=color, lw=1.1, ls="-" if k else "--", label=label)
+        line(axes[1], time, scale * run[part] - measured, color=color, lw=0.9)
+    kind = "displacement" if base_unit(diagnosis.model.provenance.displacement_unit) == "m" else "output"
+    finish(axes, "time (s)", [f"{kind} ({unit})", f"error ({unit})"], legend_columns=len(runs) + 1)
+    return axes
+
+
+def refitted(diagnosis: Diagnosis) -> bool:
+    """Whether the nominal's coefficients were fitted along: its error differs from that of the model as given."""
+    return diagnosis.gap.before != diagnosis.gap.unrefitted
+
+
+def outside_line(diagnosis: Diagnosis) -> tuple[float, float] | None:
+    """A line that the error has in all recordings, whatever the drive: (Hz, least share of the error), or None."""
+    traces = diagnosis.traces
+    errors = [np.where(np.isfinite(t.measured), t.nominal - t.measured, 0.0) for t in traces]
+    intervals = [(t.time[-1] - t.time[0]) / (len(t.time) - 1) for t in traces]
+    return steady_tone(errors, [t.voltage for t in traces], intervals)
+
+
+def time_spent(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
+    """Share of time in every bin of the axes of `Diagnosis.where` that traces can be sorted by."""
+    model, found = diagnosis.model, {}
+    for axis in ("displacement", "voltage", "time"):
+        rows = diagnosis.where[axis]
+        total = np.zeros(len(rows))
+        for t in diagnosis.traces:
+            values = model.output.to_model(t.measured[np.isfinite(t.measured)]) if axis == "displacement" else t.voltage
+            if axis != "time" and len(values):
+                edges = [row["range"][0] for row in rows] + [rows[-1]["range"][1]]
+                total += np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0] / len(values)
+        found[axis] = total / total.sum() if total.sum() else np.full(len(rows), 1 / max(len(rows), 1))
+    return found

@@ -1,0 +1,94 @@
+"""Which effect: its form and numbers with units, what it cannot be told from, or why no name is given."""
+
+import numpy as np
+
+from ..diagnosis import Diagnosis
+from ..result import Ranked, physical
+from . import html
+from .formatting import coefficient_name, equation, named, of_range, parameter, percent, with_error
+from .gap_figure import refitted
+from .html import tag
+
+_NEAREST = 3  # rejected candidates named
+
+
+def crowd(d: Diagnosis) -> bool:
+    """Unknown because too many names are tied."""
+    return d.verdict == "unknown" and len(d.equivalent) > 3
+
+
+def which(d: Diagnosis) -> str:
+    """The card that names the effect, or says why none is named."""
+    if d.verdict == "explained":
+        lines = [_effect(d, name) for name in d.effects]
+        if refitted(d):
+            lines.append(
+                tag("p", "The model's own coefficients, fitted along, over those given:") + html.bullets(_shift(d))
+            )
+        return html.card("Which", named(d.effects), *lines, tag("p", _rivals(d)))
+    if d.verdict == "no_gap":
+        if not refitted(d):
+            return html.card("Which", "None", tag("p", "No effect takes off more than the noise allows to see."))
+        text = "The model's own coefficients over those given:"
+        return html.card("Which", "Only its own coefficients", tag("p", text), html.bullets(_shift(d)))
+    if crowd(d):
+        return html.card("Which", "Too many to say", tag("p", f"Tied: {named([d.ranking[0].effect, *d.equivalent])}."))
+    nearest = [f"{r.effect}: closes {share_closed(r.closed_fraction)}" for r in d.ranking if not r.screened]
+    return html.card("Which", "None of the catalogue", tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST]))
+
+
+def _rivals(d: Diagnosis) -> str:
+    """What the explanation cannot be told from, or how far behind the next name is."""
+    if d.equivalent:
+        return f"These data cannot tell {d.effects[0]} from {named(d.equivalent)}."
+    others = [r for r in d.ranking if r.effect not in d.effects and not r.screened]
+    if not others:
+        return "No other effect comes near."
+    left, closed = of_range(others[0].heldout), share_closed(others[0].closed_fraction)
+    return f"Next best: {others[0].effect}, which leaves {left} (closes {closed})."
+
+
+def share_closed(value: float | None) -> str:
+    """A closed fraction in words."""
+    return "nothing" if value is None or value < 0.005 else percent(value)
+
+
+def _effect(d: Diagnosis, name: str) -> str:
+    """One named effect: its form and its numbers, as the model that is handed back has them."""
+    if name == "parameter_change":
+        return tag("p", "Coefficients over those given:") + html.bullets(_shift(d))
+    row = next((r for r in d.ranking if r.effect == name), None)
+    mine = next((e for e in reversed(d.model.effects) if e.name == name), None)
+    if mine is None:
+        return html.bullets(parameters(d, row)) if row else ""
+    told = {}
+    for p in mine.PARAMETERS:
+        value, unit = physical(d.model, p, float(getattr(mine, p.name)))
+        fitted = row.parameters.get(p.name) if row is not None and row.form == mine.form else None
+        near = fitted is not None and np.isclose(fitted["value"], value, rtol=1e-2)
+        told[p.name] = {"value": value, "unit": unit, "stderr": fitted["stderr"] if fitted and near else None}
+    lines = [_line(d, key, number) for key, number in told.items()]
+    title = f"{name}, form “{mine.form}”" if len(d.effects) > 1 else f"Form “{mine.form}”"
+    return tag("p", f"{title}: {equation(type(mine))}") + html.bullets(lines)
+
+
+def _line(d: Diagnosis, name: str, told: dict) -> str:
+    label, text = parameter(name, told, d.model.provenance.displacement_unit)
+    return f"{label} = {text}"
+
+
+def parameters(d: Diagnosis, row: Ranked) -> list[str]:
+    """A candidate's numbers, one text each."""
+    return [_line(d, name, told) for name, told in row.parameters.items()]
+
+
+def _shift(d: Diagnosis) -> list[str]:
+    """Every coefficient over the one given, with its standard error where the ranking has it."""
+    row = next((r for r in d.ranking if r.effect == "parameter_change" and not r.screened), None)
+    order, lines = len(d.shift) - 1, []
+    for i, factor in enumerate(d.shift):
+        told = row.parameters.get(f"a_{i} over given") if row else None
+        near = told is not None and np.isclose(told["value"], factor, rtol=1e-2)
+        error = told["stderr"] if told and near else None
+        lines.append(f"{coefficient_name(i, order)}: × {with_error(float(factor), error, '')}")
+    return lines

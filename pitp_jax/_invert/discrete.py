@@ -1,0 +1,124 @@
+"""The discrete inverse: the force sequence behind consecutive states of the decoder (PAPER_READINGS, eq. 13).
+
+With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
+
+    zoh:  one force a step; the row of x^(n-1) gives it at once.
+    foh:  F_j come from u_t and u_{t+1}. The row of x^(n-1) fixes about (F_t + F_{t+1})/2 to eps/(w dt) and is blind to
+          the alternating mode; the row of x^(n-2) sees that mode, to eps/(w dt)^2. All u are solved for at once by
+          Gauss-Newton on both rows, each weighted by its rounding error: a tridiagonal system a step. A recursion
+          u_t -> u_{t+1} through the first row alone would be marginally stable.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._model.input_map import SquareInput
+from .._model.model import Model
+from .._simulate.decoder import frozen_increment
+
+
+def _affine(model: Model, state, dt):
+    """p(s) and the three g_j(s) of one frozen step, for all rows."""
+    units = jnp.eye(3, dtype=state.dtype)
+
+    def stepped(forces):
+        return frozen_increment(model, state, (forces[0], forces[1], forces[2]), dt)
+
+    gains = jax.vmap(lambda unit: jax.jvp(stepped, (0 * unit,), (unit,))[1])(units)
+    return stepped(0 * units[0]), gains
+
+
+@eqx.filter_jit
+def discrete_inverse(
+    model: Model,
+    states: Float[Array, "time state"],
+    dt: float,
+    first: Float[Array, ""] | None = None,
+    sweeps: int = 20,
+) -> Float[Array, " time-1"]:
+    """Voltage of every step from consecutive decoder states (scaled, S then memory), substeps = 1.
+
+    Args:
+        model: as rolled out.
+        states: shape (T, n + K).
+        dt: sampling interval, s.
+        first: u_0 in V where it is known (foh of order 1 without memory needs it: its only row is blind to the
+            alternating mode).
+        sweeps: Gauss-Newton iterations (foh).
+
+    Returns:
+        Film voltage, which is the drive's where the model has no lag (else see `drive.undo`).
+        zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
+
+    Raises:
+        ValueError: the model has effects (use `feedforward`), takes substeps (tokens change inside a sample; invert on
+            the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
+    """
+    if model.effects:
+        raise ValueError("discrete_inverse knows no effects: use feedforward")
+    if model.hold == "bandlimited":
+        raise ValueError("discrete_inverse needs hold foh or zoh")
+    if model.substeps != 1:
+        raise ValueError("discrete_inverse needs substeps = 1: decode on the finer grid and invert there")
+    free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])
+    n = model.order
+    moved = jnp.diff(states, axis=0)  # exact for neighbouring states: no rounding is added to the decoder's own
+    top = moved[:, n - 1] - free[:, n - 1]
+    if model.hold == "zoh":
+        return model.input_map.voltage(top / gains[:, :, n - 1].sum(1) * model.scales.force)
+    second = n - 2 if n > 1 else (n if model.memory.size else None)
+    below = None if second is None else (moved[:, second] - free[:, second], gains[:, :, second])
+    return _solve_foh(model, (top, gains[:, :, n - 1]), below, first, sweeps)[:-1]
+
+
+def _solve_foh(model: Model, upper, lower, first, sweeps):
+    """Gauss-Newton for all voltages at once, in units where the largest force is one."""
+    top, top_gain = upper
+    dtype = top.dtype
+    squares = isinstance(model.input_map, SquareInput)
+    unit = jnp.asarray(model.scales.force ** (0.5 if squares else 1.0), dtype)
+    count = top.shape[0]
+    rows = [(top / top_gain.sum(1), top_gain / top_gain.sum(1)[:, None], jnp.ones((), dtype))]
+    if lower is not None:
+        total = lower[1].sum(1)
+        weight = jnp.median(jnp.abs(total / top_gain.sum(1))) ** 2
+        rows.append((lower[0] / total, lower[1] / total[:, None], weight))
+    known = jnp.zeros((), dtype) if first is None else jnp.asarray(first, dtype) / unit
+    anchor = 0.0 if first is None else 1.0
+
+    def force(v):
+        return v * v if squares else v
+
+    def slope(v):
+        return 2 * v if squares else jnp.ones_like(v)
+
+    def sweep(u, _):
+        now, later = u[:-1], u[1:]
+        middle = (now + later) / 2
+        diagonal, beside, right = (
+            jnp.full(count + 1, 1e-9, dtype),
+            jnp.zeros(count, dtype),
+            jnp.zeros(count + 1, dtype),
+        )
+        for value, gain, weight in rows:
+            left = value - (gain[:, 0] * force(now) + gain[:, 1] * force(middle) + gain[:, 2] * force(later))
+            by_now = gain[:, 0] * slope(now) + gain[:, 1] * slope(middle) / 2
+            by_later = gain[:, 2] * slope(later) + gain[:, 1] * slope(middle) / 2
+            diagonal = diagonal.at[:-1].add(weight * by_now**2).at[1:].add(weight * by_later**2)
+            beside = beside + weight * by_now * by_later
+            right = right.at[:-1].add(weight * by_now * left).at[1:].add(weight * by_later * left)
+        diagonal = diagonal.at[0].add(anchor)
+        right = right.at[0].add(anchor * (known - u[0]))
+        pad = jnp.zeros(1, dtype)
+        move = jax.lax.linalg.tridiagonal_solve(
+            jnp.concatenate([pad, beside]), diagonal, jnp.concatenate([beside, pad]), right[:, None]
+        )[:, 0]
+        u = u + move
+        return (jnp.abs(u) if squares else u), None
+
+    guess = jnp.maximum(rows[0][0], 0.0) if squares else rows[0][0]
+    start = jnp.append(guess, guess[-1:])
+    start = jnp.sqrt(start) + 1e-3 if squares else start
+    return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit

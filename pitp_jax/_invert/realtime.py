@@ -1,0 +1,174 @@
+"""One sample at a time: eq. 13 and one decoder step, compiled ahead of time for a control loop.
+
+    inverse   (m, x, V_{-1}, V_{-2}), [x, ..., x^(n)]  ->  u = V + tau (3 V - 4 V_{-1} + V_{-2}) / (2 dt)
+    decoder   (s, V, u_{-1}), u                        ->  displacement at the sample of u
+
+What passes from sample to sample is one flat float32 vector. The steps are exported (`jax.export`): as bytes they run
+in any later process on the same kind of device without this package. The inverse looks back where `invert_path` looks
+both ways: V' is of 2nd order instead of 4th.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import singledispatch
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+from jaxtyping import Array, Float
+
+from .._errors import BadInput
+from .._model.drive import AbstractDrive, DirectDrive, ElectrodeLag
+from .._model.equation import equation_force
+from .._model.memory import AbstractMemory, FadingMemory
+from .._model.model import Model
+from .._numerics.intersample import between
+from .._numerics.linear_recurrence import lag_after
+from .._simulate.decoder import rest_state, step
+from .._simulate.prediction import at_rate
+
+
+@dataclass(frozen=True)
+class CompiledStep:
+    """A compiled step.
+
+    Attributes:
+        carry: what the step starts from at rest, shape (C,), float32.
+        inputs: how many numbers it takes per sample.
+        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. Where an input is not finite
+            the output is nan, and the carry stays as it was.
+        exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore_step`.
+    """
+
+    carry: Float[np.ndarray, " carry"]
+    inputs: int
+    run: Callable[[Array, Array], tuple[Array, Array]]
+    exported: export.Exported
+
+
+def inverse_step(model: Model, dt: float) -> CompiledStep:
+    """Drive voltage before limits (V) for [x, ..., x^(n)] (from rest, model coordinates, m / s^i) at this sample.
+
+    Args:
+        model: identified or trained, without effects.
+        dt: sampling interval, s.
+
+    Raises:
+        BadInput: the model has effects, or dt is not positive.
+    """
+    _refuse(model, dt)
+    memories, scale = model.memory.size, np.asarray(model.scales.state, np.float32)
+
+    def one(carry: Float[Array, " carry"], wanted: Float[Array, " tokens"]):
+        memory, (before, film_1, film_2) = carry[:memories], carry[memories:]
+        x = wanted / scale
+        memory = memory_after(model.memory, memory, before, x[0], dt)
+        force = equation_force(model, jnp.concatenate([x[:-1], memory]), x)[0]
+        film = model.input_map.voltage(force * model.scales.force)
+        voltage = film + lag(model.drive) * (3 * film - 4 * film_1 + film_2) / (2 * dt)
+        return jnp.concatenate([memory, jnp.stack([x[0], film, film_1])]), voltage
+
+    rest = jnp.zeros((), jnp.float32)
+    memory = model.memory.initial(rest)
+    before = memory - dt * model.memory.rate(memory, rest)  # elapsed time: the first sample is at age 0
+    return _compiled(one, np.concatenate([np.asarray(before), np.zeros(3)]), model.order + 1)
+
+
+def decoder_step(model: Model, dt: float) -> CompiledStep:
+    """Displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
+
+    Raises:
+        BadInput: the model has effects, dt is not positive, or the voltage between samples is read from later ones
+            (hold "bandlimited").
+    """
+    _refuse(model, dt)
+    if model.hold == "bandlimited":
+        raise BadInput("a band-limited voltage is known between samples only later: no step in real time")
+    model = at_rate(model, dt)
+    fractions = np.arange(2 * model.substeps + 1) / (2 * model.substeps)
+
+    def one(carry: Float[Array, " carry"], drive: Float[Array, " one"]):
+        state, (film, before) = carry[:-2], carry[-2:]
+        now = film_after(model.drive, film, before, drive[0], dt)
+        stages = between(jnp.stack([film, now]), model.hold, fractions, jnp)[0]
+        state = step(model, state, stages, dt)
+        return jnp.concatenate([state, jnp.stack([now, drive[0]])]), model.output.to_rig(
+            state[0] * model.scales.state[0]
+        )
+
+    return _compiled(one, np.concatenate([np.asarray(rest_state(model)), np.zeros(2)]), 1)
+
+
+def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """The `run` of a `CompiledStep` from its bytes, compiled for this machine before it returns."""
+    return _compile(export.deserialize(bytearray(exported)))
+
+
+def _compile(exported: export.Exported):
+    """Through `jax.jit`, whose dispatch takes half the time of a `Compiled` object; called once, to have it done."""
+    run = jax.jit(exported.call)
+    jax.block_until_ready(run(*(np.zeros(a.shape, a.dtype) for a in exported.in_avals)))
+    return run
+
+
+@singledispatch
+def memory_after(memory: AbstractMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
+    """The memories one sample on, x linear from `before` to `now` (scaled)."""
+    return memory.trajectory(jnp.stack([before, now]), dt, state)[1]
+
+
+@memory_after.register
+def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
+    return lag_after(state, before, now, jnp.exp(memory.log_tau), dt)
+
+
+@singledispatch
+def lag(drive: AbstractDrive) -> Array:
+    """The time constant tau of u = V + tau V', s."""
+    raise BadInput(f"no real-time inverse of a {type(drive).__name__}")
+
+
+@lag.register
+def _(drive: DirectDrive) -> Array:
+    return jnp.zeros((), jnp.float32)
+
+
+@lag.register
+def _(drive: ElectrodeLag) -> Array:
+    return jnp.exp(drive.log_tau)
+
+
+@singledispatch
+def film_after(drive: AbstractDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
+    """Film voltage one sample on, the drive linear from `before` to `now`."""
+    raise BadInput(f"no real-time step of a {type(drive).__name__}")
+
+
+@film_after.register
+def _(drive: DirectDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
+    return now
+
+
+@film_after.register
+def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) -> Array:
+    return lag_after(film, before, now, jnp.exp(drive.log_tau), dt)
+
+
+def _refuse(model: Model, dt: float) -> None:
+    if model.effects:
+        raise BadInput("real-time steps are for models without effects")
+    if not dt > 0:
+        raise BadInput(f"dt must be positive, got {dt} s")
+
+
+def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
+    def guarded(carry, values):
+        after, output = one(carry, values)
+        sound = jnp.isfinite(values).all()
+        return jnp.where(sound, after, carry), jnp.where(sound, output, jnp.nan)
+
+    carry = carry.astype(np.float32)
+    shapes = jax.ShapeDtypeStruct(carry.shape, jnp.float32), jax.ShapeDtypeStruct((inputs,), jnp.float32)
+    exported = export.export(jax.jit(guarded))(*shapes)
+    return CompiledStep(carry, inputs, _compile(exported), exported)

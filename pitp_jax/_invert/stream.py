@@ -1,0 +1,125 @@
+"""Streaming inversion: any number of samples in blocks, in flat memory.
+
+    rows [x, ..., x^(n)]   from R samples on either side (`spline_derivative`)
+    memory m               carried from window to window
+    u = V + tau V'         two rows of the next window looked ahead at
+
+Voltages are those of the whole path at once, to rounding. Windows are of one size, so two compilations serve any
+length (the last window is shorter); time counts within a window, so nothing grows but the memories' own state.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .._errors import BadInput
+from .._model.model import Model
+from .._numerics.spline_derivative import derivatives, inner, reach
+from .equation import force_and_voltage, scaled_equation
+
+_WINDOW = 1 << 17  # rows of a window
+_SMALLEST = 16
+_AHEAD = 2  # rows that `drive.lead` looks ahead and back
+_ROUNDING = 1e-6  # of the model's unit of force
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of the answer, in order and without gaps.
+
+    Attributes:
+        voltage: drive voltage before any limit, V, shape (samples,).
+        infeasible: True where the model asks for a force no voltage makes.
+    """
+
+    voltage: Float[np.ndarray, " samples"]
+    infeasible: Bool[np.ndarray, " samples"]
+
+
+def invert_stream(
+    model: Model, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
+) -> Iterator[Piece]:
+    """Voltages for a displacement that arrives in blocks of any sizes and starts at rest (eq. 13, without shooting).
+
+    Args:
+        model: identified or trained, without effects.
+        blocks: wanted displacement in rig coordinates, base unit.
+        dt: sampling interval, s.
+        window: samples per pass, 16 at least; memory in use is proportional to it.
+
+    Raises:
+        BadInput: the model has effects, dt is not positive or the window too small; on the way, a sample is missing or
+            all blocks together are too short for its order.
+    """
+    if model.effects:
+        raise BadInput("a stream is inverted by eq. 13 alone, which effects are no part of: use `feedforward`")
+    if not dt > 0 or window < _SMALLEST:
+        raise BadInput(f"dt {dt} s, window {window}: the first must be positive, the second {_SMALLEST} at least")
+    return _pieces(model, blocks, dt, window)
+
+
+def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
+    state = model.memory.initial(jnp.zeros((), model.coefficients.dtype))
+    rows, back = np.zeros((0, model.order + 1)), 0
+    moved = (model.output.to_model(block) for block in _whole(blocks))
+    for more in _derivatives(_sized(moved, window), dt, model.order):
+        rows = np.concatenate([rows, more])
+        while len(rows) > window:
+            found = force_and_voltage(model, scaled_equation(model, rows[:window]), dt, state)
+            yield _piece(model, found, slice(back, window - _AHEAD))
+            state, back = found[2][window - 2 * _AHEAD], _AHEAD
+            rows = rows[window - 2 * _AHEAD :]
+    if len(rows):
+        yield _piece(model, force_and_voltage(model, scaled_equation(model, rows), dt, state), slice(back, None))
+
+
+def _whole(blocks) -> Iterator[np.ndarray]:
+    """The blocks, as long as nothing is missing: one nan would make a whole window's voltage zero."""
+    first = 0
+    for block in blocks:
+        values = np.asarray(block, np.float64)
+        if not np.isfinite(values).all():
+            place = first + int(np.argmin(np.isfinite(values)))
+            raise BadInput(f"sample {place} of the wanted displacement is not a number: fill it, or stop there")
+        first += len(values)
+        yield values
+
+
+def _piece(model: Model, found, kept: slice) -> Piece:
+    force, voltage, _ = found
+    return Piece(np.asarray(voltage)[kept], np.asarray(model.input_map.infeasible(force + _ROUNDING))[kept])
+
+
+def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
+    """The same samples in blocks of `size` or a little more; the last may be shorter."""
+    waiting, count = [], 0
+    for block in blocks:
+        waiting.append(block)
+        count += len(block)
+        if count >= size:
+            yield np.concatenate(waiting)
+            waiting, count = [], 0
+    if count:
+        yield np.concatenate(waiting)
+
+
+def _derivatives(blocks: Iterator[np.ndarray], dt: float, order: int) -> Iterator[np.ndarray]:
+    """Rows [x, ..., x^(n)] in order; the last three reaches of samples are held back for what comes next."""
+    r, held, begun = reach(order), np.zeros(0), False
+    for block in blocks:
+        held = np.concatenate([held, block])
+        if len(held) <= 6 * r:
+            continue
+        if not begun:
+            yield derivatives(held[: 3 * r], dt, order)[:r]
+        yield inner(held[r:] if begun else held, dt, order)
+        held, begun = held[-3 * r :], True
+    if not begun:
+        yield derivatives(held, dt, order)
+        return
+    if len(held) > 3 * r:
+        yield inner(held[r:], dt, order)
+    yield derivatives(held[-3 * r :], dt, order)[-r:]

@@ -1,0 +1,7 @@
+"""Model files: one format for identified, trained and augmented models; nothing in a file is ever run.
+
+Verbs: `save`, `load`. A file is a list of named parts with plain values, and the arrays behind it, under a digest.
+"""
+
+from .model_file import load as load
+from .model_file import save as save

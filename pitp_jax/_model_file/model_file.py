@@ -1,0 +1,157 @@
+"""Model files: one format for identified, trained and augmented models, and nothing in it is ever run.
+
+    line 1    pitp_jax model 1                  magic and version
+    line 2    sha256 <digest of all that follows>
+    then      {                                 readable JSON, one part per line: what every part is, its
+              }                                 sizes, the model's origin, shape and dtype of every leaf
+    then      the leaves, each as .npy bytes    no pickle
+
+A part is rebuilt from a closed list of names, as shapes only, and then filled with the stored leaves. So a
+file can choose among the parts of this package and give them numbers, and nothing else.
+"""
+
+import hashlib
+import io
+import json
+import math
+import os
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import BadInput
+from .._model.model import Model
+from .._record.writing import write_bytes_atomic
+from .parts import build, decode, describe, encode
+
+VERSION = 1
+_MAGIC = b"pitp_jax model "
+_DTYPES = {"float16": np.dtype("<f2"), "float32": np.dtype("<f4"), "float64": np.dtype("<f8")}
+
+
+def save(path: str | os.PathLike, model: Model) -> None:
+    """Write a model file, whole or not at all.
+
+    Args:
+        path: the file; an existing one is replaced.
+        model: any model; leaves keep their dtype (float16, float32 or float64).
+
+    Raises:
+        BadInput: a part this format has no name for (an own encoder, an effect), or an unwritable file.
+    """
+    arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _leaves(model)]
+    for name, array in arrays:
+        if array.dtype.name not in _DTYPES:
+            raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
+    header = describe(model)
+    if [_place(leaf) for leaf in _leaves(_skeleton(header))] != [_place(leaf) for leaf in _leaves(model)]:
+        raise BadInput("cannot save the model: its arrays are not those its parts are built with")
+    header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
+    lines = ",\n".join(f"{json.dumps(k)}: {json.dumps(encode(v), allow_nan=False)}" for k, v in header.items())
+    body = io.BytesIO()
+    body.write(b"{\n" + lines.encode("utf-8") + b"\n}\n")
+    for _, array in arrays:
+        plain = np.asarray(array, _DTYPES[array.dtype.name], order="C")
+        np.lib.format.write_array(body, plain, version=(1, 0), allow_pickle=False)
+    rest = body.getvalue()
+    digest = hashlib.sha256(rest).hexdigest().encode()
+    write_bytes_atomic(path, _MAGIC + b"%d\nsha256 " % VERSION + digest + b"\n" + rest)
+
+
+def load(path: str | os.PathLike) -> Model:
+    """Read a model file; no code from the file is run.
+
+    Args:
+        path: a file that `save` wrote.
+
+    Raises:
+        BadInput: missing, a folder, not a model file, from a newer version, or damaged in any bit.
+    """
+    rest = _checked_bytes(path)
+    try:
+        text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(rest.decode("latin-1"))
+        header = decode(text)
+        return _fill(_skeleton(header), header["leaves"], memoryview(rest)[end + 1 :])
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+    except Exception as error:  # an intact digest over contents no version of `save` writes
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+        raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
+
+
+def _checked_bytes(path) -> bytes:
+    """Everything after the digest, once it matches."""
+    try:
+        with open(path, "rb") as file:
+            magic = file.readline(64)
+            _check_magic(path, magic)
+            digest, rest = file.readline(80), file.read()
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such model file; check the path") from None
+    except IsADirectoryError:
+        raise BadInput(f"{path}: is a folder; give a model file") from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, BadInput):
+            raise
+        raise BadInput(f"{path}: cannot read the model file: {getattr(error, 'strerror', None) or error}") from None
+    if digest != b"sha256 " + hashlib.sha256(rest).hexdigest().encode() + b"\n":
+        raise BadInput(
+            f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
+        )
+    return rest
+
+
+def _check_magic(path, line: bytes) -> None:
+    version = line.removeprefix(_MAGIC).removesuffix(b"\n")
+    if not line.startswith(_MAGIC) or not line.endswith(b"\n") or not version.isdigit():
+        raise BadInput(f"{path}: is not a pitp_jax model file; write one with `pitp identify` or `pitp fit`")
+    if version != b"%d" % VERSION:
+        raise BadInput(
+            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads version {VERSION}; "
+            "update pitp_jax or write the model again"
+        )
+
+
+def _skeleton(header: dict) -> Model:
+    """The model of a header, shapes where its leaves belong; nothing is allocated."""
+    return eqx.filter_eval_shape(lambda: build(header))
+
+
+def _place(leaf) -> tuple:
+    return jax.tree_util.keystr(leaf[0]), tuple(leaf[1].shape)
+
+
+def _leaves(model: Model):
+    arrays = eqx.filter(model, lambda leaf: isinstance(leaf, (jax.Array, np.ndarray, jax.ShapeDtypeStruct)))
+    return jax.tree_util.tree_leaves_with_path(arrays)
+
+
+def _refuse(literal: str):
+    raise ValueError(f"{literal} is not JSON")
+
+
+def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
+    """Put the stored leaves where the skeleton has shapes."""
+    places = _leaves(skeleton)
+    if [jax.tree_util.keystr(k) for k, _ in places] != [name for name, _, _ in leaves]:
+        raise ValueError("its leaves are not those of its parts")
+    stream, arrays = io.BytesIO(data), []
+    for (_, place), (name, dtype, shape) in zip(places, leaves, strict=True):
+        if np.lib.format.read_magic(stream) != (1, 0):
+            raise ValueError(f"{name}: unknown npy version")
+        stored, fortran, kind = np.lib.format.read_array_header_1_0(stream)
+        if fortran or kind != _DTYPES[dtype] or stored != tuple(shape) or stored != place.shape:
+            raise ValueError(f"{name}: {kind} {stored} where {dtype} {place.shape} belongs")
+        plain = np.frombuffer(stream.read(math.prod(stored) * kind.itemsize), kind).reshape(stored)
+        with jax.enable_x64(True):  # else float64 leaves would come back as float32
+            arrays.append(jnp.asarray(plain))
+    if stream.read(1):
+        raise ValueError("more bytes than leaves")
+    treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))
+    return eqx.combine(jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True))
+
+
+def _is_shape(leaf) -> bool:
+    return isinstance(leaf, jax.ShapeDtypeStruct)

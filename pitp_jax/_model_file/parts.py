@@ -1,0 +1,240 @@
+"""The parts a model file may hold, by name, and the model's plain values.
+
+    describe(model)  ->  header of JSON values        encode: a float that is not finite -> {"float": "inf"}
+    build(header)    ->  a model whose leaves are placeholders of the right shapes
+
+A part belongs to a file only by its line in one of five registries: input maps, encoders, memories, drives, effects.
+"""
+
+import base64
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from .._effects import CATALOGUE
+from .._effects import key as form_key
+from .._errors import BadInput
+from .._model.drive import DirectDrive, ElectrodeLag
+from .._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
+from .._model.input_map import LinearInput, SquareInput
+from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
+from .._model.model import Model, Output, Provenance, Scales
+from .._record.long_record import LongRecord
+
+LARGEST = 4096  # no size of a part is near this; a larger one is not worth building to find out
+
+
+@dataclass(frozen=True)
+class Part:
+    """How one kind of part is stored: its class, the plain numbers that rebuild it, and its constructor.
+
+    Attributes:
+        cls: the class; a part is stored under this name only where its type is exactly this.
+        describe: part to keyword arguments of `build`, JSON values only.
+        build: keyword arguments to a part with the same leaves' shapes; called abstractly.
+    """
+
+    cls: type
+    describe: Callable[[Any], dict]
+    build: Callable[..., Any]
+
+
+def _compact_sizes(encoder: CompactEncoder) -> dict:
+    return {
+        "order": encoder.order,
+        "memories": encoder.bounds.shape[1] - encoder.order,
+        "width": encoder.spring.readout.in_features,
+        "offset": int(encoder.offset),
+        "frugal": int(encoder.frugal),
+    }
+
+
+def _paper_sizes(encoder: PaperEncoder) -> dict:
+    tokens, width, fused = encoder.networks.fusion.weight.shape
+    return {
+        "features": fused // width,
+        "tokens": tokens,
+        "width": width,
+        "depth": len(encoder.networks.enhance),
+        "dropout": encoder.networks.dropout.p,
+    }
+
+
+def _nothing(part) -> dict:
+    return {}
+
+
+def _key():
+    return jax.random.key(0)
+
+
+INPUT_MAPS = {
+    "square": Part(SquareInput, _nothing, SquareInput),
+    "linear": Part(LinearInput, _nothing, LinearInput),
+}
+ENCODERS = {
+    "constant": Part(ConstantEncoder, lambda e: {"outputs": e.outputs}, ConstantEncoder),
+    "compact": Part(
+        CompactEncoder,
+        _compact_sizes,
+        lambda offset, frugal=0, **k: CompactEncoder(**k, offset=bool(offset), frugal=bool(frugal), key=_key()),
+    ),
+    "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
+}
+MEMORIES = {
+    "none": Part(NoMemory, _nothing, NoMemory),
+    "elapsed": Part(ElapsedTime, lambda m: {"horizon": m.horizon}, ElapsedTime),
+    "fading": Part(FadingMemory, lambda m: {"size": m.size}, lambda size: FadingMemory(jnp.zeros((size,)))),
+    "ringing": Part(
+        RingingMemory,
+        lambda m: {"lags": m.size - 2},
+        lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,))),
+    ),
+}
+DRIVES = {
+    "direct": Part(DirectDrive, _nothing, DirectDrive),
+    "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
+}
+EFFECTS = {form_key(cls): Part(cls, _nothing, cls.neutral) for cls in CATALOGUE}
+
+
+def describe(model: Model) -> dict:
+    """The model without its leaves, as plain values."""
+    source = model.provenance
+    return {
+        "order": model.order,
+        "hold": model.hold,
+        "substeps": int(model.substeps),
+        "input_map": _named(INPUT_MAPS, model.input_map),
+        "encoder": _named(ENCODERS, model.encoder),
+        "memory": _named(MEMORIES, model.memory),
+        "drive": _named(DRIVES, model.drive),
+        "effects": [_named(EFFECTS, effect) for effect in model.effects],
+        "output": {"offset": float(model.output.offset), "polarity": float(model.output.polarity)},
+        "scales": {
+            "state": [float(s) for s in model.scales.state],
+            "force": float(model.scales.force),
+            "sections": [float(s) for s in model.scales.sections],
+        },
+        "provenance": {
+            "dt": float(source.dt),
+            "displacement_unit": source.displacement_unit,
+            "voltage_unit": source.voltage_unit,
+            "voltage_range": [float(v) for v in source.voltage_range],
+            "slew": float(source.slew),
+            "region": [[float(v) for v in pair] for pair in source.region],
+            "clock": float(source.clock),
+        },
+        "long_record": _packed(source.long_record),
+        "notes": _notes_out(source.notes),
+    }
+
+
+def _packed(long: LongRecord | None) -> dict | None:
+    if long is None:
+        return None
+    voltage, displacement = (base64.b64encode(b).decode("ascii") for b in (long.voltage, long.displacement))
+    return {"dt": long.dt, "step": long.step, "rest": long.rest, "voltage": voltage, "displacement": displacement}
+
+
+def _unpacked(stored: dict | None) -> LongRecord | None:
+    if stored is None:
+        return None
+    series = (base64.b64decode(stored[k], validate=True) for k in ("voltage", "displacement"))
+    return LongRecord(float(stored["dt"]), int(stored["step"]), bool(stored["rest"]), *series)
+
+
+def _named(registry: dict[str, Part], part) -> dict:
+    for name, kind in registry.items():
+        if type(part) is kind.cls:
+            return {"name": name, **kind.describe(part)}
+    known = ", ".join(registry) or "none yet"
+    raise BadInput(f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})")
+
+
+def _part(registry: dict[str, Part], described: dict):
+    settings = dict(described)
+    name = settings.pop("name")
+    if name not in registry:
+        raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
+    for key, value in settings.items():
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, (int, float))
+            or (isinstance(value, int) and not 0 <= value <= LARGEST)
+        ):
+            raise ValueError(f"{name}: {key} = {str(value)[:40]}")
+    return registry[name].build(**settings)
+
+
+def build(header: dict) -> Model:
+    """The model the header describes; its leaves are placeholders."""
+    source, output, scales = header["provenance"], header["output"], header["scales"]
+    notes = header["notes"] if isinstance(header["notes"], str) else json.dumps(header["notes"])
+    low, high = source["voltage_range"]
+    provenance = Provenance(
+        dt=float(source["dt"]),
+        displacement_unit=str(source["displacement_unit"]),
+        voltage_unit=str(source["voltage_unit"]),
+        voltage_range=(float(low), float(high)),
+        slew=float(source["slew"]),
+        region=tuple((float(a), float(b)) for a, b in source["region"]),
+        notes=notes,
+        long_record=_unpacked(header.get("long_record")),
+        clock=float(source.get("clock", 0.0)),
+    )
+    if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
+        raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
+    model = Model(
+        coefficients=jnp.zeros((len(scales["state"]),)),
+        input_map=_part(INPUT_MAPS, header["input_map"]),
+        encoder=_part(ENCODERS, header["encoder"]),
+        memory=_part(MEMORIES, header["memory"]),
+        output=Output(float(output["offset"]), float(output["polarity"])),
+        scales=Scales(
+            tuple(float(s) for s in scales["state"]),
+            float(scales["force"]),
+            tuple(float(s) for s in scales["sections"]),
+        ),
+        hold=header["hold"],
+        substeps=int(header["substeps"]),
+        provenance=provenance,
+        drive=_part(DRIVES, header["drive"]),
+        effects=tuple(_part(EFFECTS, effect) for effect in header["effects"]),
+    )
+    tokens, _ = model.tokens(jnp.zeros((model.order + model.memory.size,)))
+    if tokens.shape != (model.order + 1,) or model.order != header["order"]:
+        raise ValueError(f"{tokens.shape[0]} tokens for order {header['order']}")
+    return model
+
+
+def _notes_out(notes: str):
+    """The notes as readable values where writing them back gives the same text, else the text itself."""
+    try:
+        values = json.loads(notes)
+    except ValueError:
+        return notes
+    return values if isinstance(values, dict) and json.dumps(decode(encode(values))) == notes else notes
+
+
+def encode(value: Any) -> Any:
+    """JSON has no infinity: a float that is not finite becomes {"float": "inf"}, a tuple a list."""
+    if isinstance(value, dict):
+        return {k: encode(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [encode(v) for v in value]
+    return {"float": str(value)} if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def decode(value: Any) -> Any:
+    """The inverse of `encode`, but for tuples."""
+    if isinstance(value, dict):
+        if value.keys() == {"float"} and value["float"] in ("inf", "-inf", "nan"):
+            return float(value["float"])
+        return {k: decode(v) for k, v in value.items()}
+    return [decode(v) for v in value] if isinstance(value, list) else value

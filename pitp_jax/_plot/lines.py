@@ -1,0 +1,145 @@
+"""Lines, axes and units of the figures: what every function of `paper_figures` needs.
+
+A line of more than 4 `BINS` samples is drawn by the smallest and largest sample of each bin, in their order:
+more than a printed figure can resolve, no peak lost, and 200,000 samples draw at once.
+"""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import find_peaks
+
+MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
+CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
+BINS = 1200
+_SMALL = 8.0  # points: ticks and legends; labels are one point larger
+_UNITS = {"m": (1e3, "displacement (mm)"), "V": (1.0, "output (V)")}
+_ERRORS = {"m": ("error (mm)", "error (µm)"), "V": ("error (V)", "error (mV)")}
+
+
+def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where each of `bins` equal stretches of a signal is smallest and largest.
+
+    Args:
+        values: signal, shape (T,); nan where missing, and passed over.
+        bins: number of stretches, fewer where T is smaller.
+
+    Returns:
+        Indices of the smallest and of the largest samples, shape (bins,) each.
+    """
+    edges = _edges(values, bins)
+    return _least_and_most(values, edges[:-1], edges[1:])
+
+
+def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `extremes`, over stretches widened to whole oscillations: nothing of the motion itself is left in it.
+
+    A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
+    neighbours is a ripple within an oscillation.
+    """
+    edges = _edges(values, bins)
+    troughs, found = find_peaks(-values, prominence=0)
+    depth = found["prominences"]
+    troughs = troughs[depth >= 0.5 * maximum_filter1d(depth, 5)] if len(troughs) else troughs
+    troughs = np.concatenate([[0], troughs, [len(values)]])
+    first = troughs[np.searchsorted(troughs, edges[:-1], side="right") - 1]
+    return _least_and_most(values, first, troughs[np.searchsorted(troughs, edges[1:])])
+
+
+def _edges(values: np.ndarray, bins: int) -> np.ndarray:
+    return np.linspace(0, len(values), min(bins, len(values)) + 1).astype(int)
+
+
+def _least_and_most(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    least, most = np.where(np.isnan(values), np.inf, values), np.where(np.isnan(values), -np.inf, values)
+    pairs = list(zip(first, last, strict=True))
+    low = np.array([a + np.argmin(least[a:b]) for a, b in pairs])
+    return low, np.array([a + np.argmax(most[a:b]) for a, b in pairs])
+
+
+def thin(values: np.ndarray, bins: int = BINS) -> np.ndarray:
+    """Indices of the samples that draw a line: all of a short one, else its ends and each bin's extremes."""
+    if len(values) <= 4 * bins:
+        return np.arange(len(values))
+    low, high = extremes(values, bins)
+    return np.unique(np.concatenate([[0, len(values) - 1], low, high]))
+
+
+def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
+    """Draw one signal (T,) over `across` (T,), thinned where it is long."""
+    kept = thin(values)
+    ax.plot(across[kept], values[kept], **style)
+
+
+def over(values: np.ndarray) -> dict:
+    """Style of a line over another: dashed while its dashes can be told apart, see-through where it fills a band."""
+    turns = np.count_nonzero(np.diff(np.diff(values) > 0))
+    return {"ls": "--"} if turns < 25 else {"alpha": 0.6} if turns > 200 else {}
+
+
+def shown(unit: str, *signals) -> list[np.ndarray]:
+    """Signals in the unit they are shown in; refuses an unknown unit and unequal lengths."""
+    if unit not in _UNITS:
+        raise ValueError(f"no output unit {unit!r}; there are {', '.join(_UNITS)}")
+    arrays = [np.asarray(s, dtype=np.float64) * _UNITS[unit][0] for s in signals]
+    same_length(*arrays)
+    return arrays
+
+
+def output_label(unit: str) -> str:
+    """Axis label of the output."""
+    return _UNITS[unit][1]
+
+
+def error_shown(unit: str, error: np.ndarray) -> tuple[np.ndarray, str]:
+    """An error (mm or V) as it is shown, in µm or mV where it stays below 0.05, and its axis label."""
+    small = np.nanmax(np.abs(error), initial=0.0) < 0.05
+    return error * (1e3 if small else 1.0), _ERRORS[unit][int(small)]
+
+
+def same_length(*arrays: np.ndarray) -> None:
+    """Refuse signals that are not all (T,) with one T."""
+    if len({a.shape for a in arrays}) > 1 or arrays[0].ndim != 1:
+        raise ValueError(f"signals must be (T,), all of one length; got {[a.shape for a in arrays]}")
+
+
+def volts(voltage) -> tuple[np.ndarray, str]:
+    """Voltage as it is shown, in kV from 2 kV on, and its axis label."""
+    voltage = np.asarray(voltage, dtype=np.float64)
+    if np.nanmax(np.abs(voltage), initial=0.0) >= 2e3:
+        return voltage / 1e3, "voltage (kV)"
+    return voltage, "voltage (V)"
+
+
+def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.ndarray:
+    """The caller's axes as an array (rows,), or those of a new figure of `size` inches, sharing time."""
+    if axes is None:
+        figure = Figure(figsize=size, layout="constrained")
+        ratios = {"height_ratios": heights} if heights else {}
+        axes = figure.subplots(rows, 1, sharex=True, squeeze=False, gridspec_kw=ratios)[:, 0]
+        figure.align_ylabels(axes)
+    axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+    if len(axes) != rows:
+        raise ValueError(f"this figure needs {rows} axes, got {len(axes)}")
+    return axes
+
+
+def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> None:
+    """Labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
+
+    Axes under each other share `across`: the lowest alone numbers it.
+    """
+    for ax, label in zip(axes, upward, strict=True):
+        ax.set_ylabel(label, fontsize=_SMALL + 1)
+        ax.tick_params(labelsize=_SMALL)
+        ax.grid(visible=True, color="0.9", lw=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.tick_params(labelbottom=ax is axes[-1])
+    axes[-1].set_xlabel(across, fontsize=_SMALL + 1)
+    if axes[0].get_legend_handles_labels()[0]:
+        axes[0].legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=legend_columns, frameon=False, fontsize=_SMALL,
+            borderaxespad=0.1,
+        )  # fmt: skip

@@ -1,0 +1,162 @@
+"""The paper's figures, on axes the caller may own: data in m, V and s, shown in mm, V or kV, and s.
+
+Every function returns the axes it drew on and makes a `Figure` of its own where none were given (save it with
+`ax.figure.savefig`, or `axes[0].figure.savefig`). No pyplot, no global style; colours from Okabe and Ito.
+"""
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .lines import (
+    BINS,
+    CYCLE,
+    DRIVE,
+    ERROR,
+    MEASURED,
+    PREDICTED,
+    envelope,
+    error_shown,
+    finish,
+    line,
+    output_label,
+    over,
+    own_axes,
+    same_length,
+    shown,
+    thin,
+    volts,
+)
+
+_TIME = "time (s)"
+
+
+def sweep_response(time, measured, predicted, ax: Axes | None = None, *, sweep_hz=None, unit: str = "m") -> Axes:
+    """Measured sweep with the envelope of the identified model (the paper's Fig. 6).
+
+    Args:
+        time: sample times in s, shape (T,).
+        measured: output in `unit`, shape (T,); nan where missing.
+        predicted: output of the model, shape (T,).
+        ax: where to draw; None makes a figure.
+        sweep_hz: first and last frequency of a linear sweep in Hz; given them, the axis shows the frequency.
+        unit: `m`, or `V` for an electronic output.
+
+    Returns:
+        The axes: the measured line, then the largest and the smallest prediction in each of 300 stretches.
+    """
+    measured, predicted = shown(unit, measured, predicted)
+    across, name = np.asarray(time, dtype=np.float64), _TIME
+    same_length(across, measured)
+    if sweep_hz is not None:
+        first, last = sweep_hz
+        across = first + (last - first) * (across - across[0]) / (across[-1] - across[0])
+        name = "drive frequency (Hz)"
+    axes = own_axes(ax, 1, (5.0, 2.4))
+    line(axes[0], across, measured, color=MEASURED, lw=0.6, label="measured")
+    low, high = envelope(predicted, BINS // 4)
+    axes[0].plot(across[high], predicted[high], color=PREDICTED, lw=1.1, label="model, envelope")
+    axes[0].plot(across[low], predicted[low], color=PREDICTED, lw=1.1)
+    finish(axes, name, [output_label(unit)])
+    return axes[0]
+
+
+def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.ndarray:
+    """Measured and predicted output, the error beneath (the paper's Fig. 8).
+
+    Args:
+        time: sample times in s, shape (T,).
+        measured: output in `unit`, shape (T,); nan where missing.
+        predicted: output of the model, shape (T,).
+        axes: two axes; None makes a figure.
+        unit: `m`, or `V` for an electronic output.
+
+    Returns:
+        The two axes, shape (2,): the output, and predicted less measured.
+    """
+    measured, predicted = shown(unit, measured, predicted)
+    time = np.asarray(time, dtype=np.float64)
+    same_length(time, measured)
+    axes = own_axes(axes, 2, (5.0, 3.2), (2.4, 1.0))
+    error, error_label = error_shown(unit, predicted - measured)
+    line(axes[0], time, measured, color=MEASURED, lw=2.4, label="measured")
+    line(axes[0], time, predicted, color=PREDICTED, lw=1.0, label="predicted", **over(predicted))
+    line(axes[1], time, error, color=ERROR, lw=0.8)
+    finish(axes, _TIME, [output_label(unit), error_label])
+    return axes
+
+
+def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, label: str = "", unit: str = "m") -> Axes:
+    """Output over voltage (the paper's Fig. 10); called again on the same axes it adds the next frequency.
+
+    Args:
+        voltage: drive voltage in V, shape (T,); best of one settled period.
+        measured: output in `unit`, shape (T,).
+        predicted: output of the model, shape (T,).
+        ax: where to draw; None makes a figure.
+        label: names the pair of loops, for instance "4 Hz".
+        unit: `m`, or `V` for an electronic output.
+
+    Returns:
+        The axes, with one solid (measured) and one dashed line (predicted) more.
+    """
+    measured, predicted = shown(unit, measured, predicted)
+    voltage, symbol = volts(voltage)
+    same_length(voltage, measured)
+    axes = own_axes(ax, 1, (3.6, 3.2))
+    drawn = len(axes[0].lines) // 2
+    color, kept = CYCLE[drawn % len(CYCLE)], thin(measured)
+    axes[0].plot(voltage[kept], measured[kept], color=color, alpha=0.6, lw=1.8, label=label or "measured")
+    kept, once = thin(predicted), "_again" if drawn else "predicted"  # one entry explains all dashed lines
+    axes[0].plot(voltage[kept], predicted[kept], color=color, lw=1.0, ls="--", label=once)
+    finish(axes, symbol, [output_label(unit)], legend_columns=3)
+    return axes[0]
+
+
+def tokens(time, tokens, names, axes=None) -> np.ndarray:
+    """Tokens of a model over time (the paper's Fig. 7), each on its own axes.
+
+    Args:
+        time: sample times in s, shape (T,).
+        tokens: what the encoder gave at each sample, shape (T, k), in any unit.
+        names: what to write beside each, k of them, unit included.
+        axes: k axes; None makes a figure.
+
+    Returns:
+        The axes, shape (k,).
+    """
+    time, tokens = np.asarray(time, dtype=np.float64), np.asarray(tokens, dtype=np.float64)
+    if tokens.shape != (len(time), len(names)):
+        raise ValueError(f"tokens must be (T, k) = {(len(time), len(names))}, got {tokens.shape}")
+    axes = own_axes(axes, len(names), (5.0, 0.6 + 1.1 * len(names)))
+    for ax, values in zip(axes, tokens.T, strict=True):
+        line(ax, time, values, color=PREDICTED, lw=1.0)
+    finish(axes, _TIME, names)
+    return axes
+
+
+def tracking(time, target, achieved, voltage, axes=None, *, unit: str = "m") -> np.ndarray:
+    """Tracking of a trajectory: motion, error, and the feedforward voltage (the paper's Fig. 13).
+
+    Args:
+        time: sample times in s, shape (T,).
+        target: wanted output in `unit`, shape (T,).
+        achieved: what the actuator did, shape (T,); nan where missing.
+        voltage: the voltage that was applied in V, shape (T,).
+        axes: three axes; None makes a figure.
+        unit: `m`, or `V` for an electronic output.
+
+    Returns:
+        The three axes, shape (3,): the output, achieved less target, and the voltage.
+    """
+    target, achieved = shown(unit, target, achieved)
+    time = np.asarray(time, dtype=np.float64)
+    voltage, symbol = volts(voltage)
+    same_length(time, target, voltage)
+    axes = own_axes(axes, 3, (5.0, 4.2), (2.0, 1.0, 1.2))
+    error, error_label = error_shown(unit, achieved - target)
+    line(axes[0], time, target, color=MEASURED, lw=2.4, label="target")
+    line(axes[0], time, achieved, color=PREDICTED, lw=1.0, label="achieved", **over(achieved))
+    line(axes[1], time, error, color=ERROR, lw=0.8)
+    line(axes[2], time, voltage, color=DRIVE, lw=1.0)
+    finish(axes, _TIME, [output_label(unit), error_label, symbol])
+    return axes

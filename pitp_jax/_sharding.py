@@ -1,0 +1,102 @@
+"""Records over devices: every device runs its own records through the same code.
+
+    out_r = f(model, record_r)        nothing crosses between devices
+
+The model is copied to every device. One device is a mesh of one, several processes
+(`jax.distributed`) a mesh over all their devices, to which each brings its own records. Equal to rounding whatever the
+mesh. See benchmarks/CLUSTER.md.
+"""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float
+
+from ._errors import BadInput
+from ._invert.equation import invert_along
+from ._model.model import Model
+from ._numerics.spline_derivative import fast_derivatives
+from ._simulate.batched_rollout import fast_rollout
+
+_AXIS = "records"
+
+
+def records_mesh(devices: Sequence | None = None) -> Mesh:
+    """A line of devices, by default all of all processes."""
+    return Mesh(np.asarray(jax.devices() if devices is None else devices), (_AXIS,))
+
+
+def spread(batch, mesh: Mesh):
+    """This process's records (leading axis of every array) on its devices, padded with copies of the last one.
+
+    Every process brings equally many.
+    """
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(batch)]
+    count, lanes = len(leaves[0]), len(mesh.local_devices)
+    if count == 0 or any(len(leaf) != count for leaf in leaves):
+        raise BadInput(f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot go side by side")
+    placed = NamedSharding(mesh, PartitionSpec(_AXIS))
+
+    def place(leaf):
+        rows = np.concatenate([leaf, np.repeat(leaf[-1:], -count % lanes, axis=0)])
+        return jax.make_array_from_process_local_data(placed, rows)
+
+    return jax.tree.map(place, jax.tree.map(np.asarray, batch))
+
+
+def local_rows(array: Array, count: int) -> np.ndarray:
+    """The first `count` records of this process."""
+    shards = sorted(array.addressable_shards, key=lambda shard: shard.index[0].start or 0)
+    return np.concatenate([np.asarray(shard.data) for shard in shards])[:count]
+
+
+@eqx.filter_jit
+def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
+    """function(model, *batch) of every device's own records, side by side."""
+    arrays, static = eqx.partition(model, eqx.is_array)
+
+    def local(arrays, batch):
+        return function(eqx.combine(arrays, static), *batch)
+
+    mine, all_of_it = PartitionSpec(_AXIS), PartitionSpec()
+    run = jax.shard_map(local, mesh=mesh, in_specs=(all_of_it, mine), out_specs=mine, check_vma=False)
+    return run(arrays, batch)
+
+
+class _Rollout(eqx.Module):
+    dt: float = eqx.field(static=True)
+
+    def __call__(self, model, voltage, start):
+        return fast_rollout(model, voltage, self.dt, start)
+
+
+class _Inverse(eqx.Module):
+    dt: float = eqx.field(static=True)
+
+    def __call__(self, model, equation):
+        return jax.lax.map(lambda e: invert_along(model, e, self.dt)[1], equation)
+
+
+def sharded_rollout(
+    model: Model,
+    voltage: Float[np.ndarray, "records time"],
+    dt: float,
+    start: Float[np.ndarray, "records state"],
+    mesh: Mesh,
+) -> Float[np.ndarray, "records time state"]:
+    """Scaled states of this process's records under their voltages (V), as `decoder.rollout_batch`."""
+    dtype = model.coefficients.dtype
+    batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
+    return local_rows(over_records(_Rollout(float(dt)), mesh, model, batch), len(voltage))
+
+
+def sharded_inverse(
+    model: Model, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
+) -> Float[np.ndarray, "records time"]:
+    """Drive voltage before limits (V) for this process's displacements from rest (model coordinates, m): eq. 13."""
+    rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / np.asarray(model.scales.state)
+    batch = spread((rows.astype(model.coefficients.dtype),), mesh)
+    return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

@@ -1,0 +1,12 @@
+"""Simulation: a model and a voltage in, the displacement out (paper, eq. 7).
+
+    x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4, tokens frozen over half a step ahead
+
+Verbs: `rollout` (one voltage, scaled states), `predict` (whole sets of records, in the rig's units). `batched_rollout`
+and `parallel_in_time` are the same map made faster, over records and over time; `ports` says where effects act.
+"""
+
+from .decoder import rest_state as rest_state
+from .decoder import rollout as rollout
+from .prediction import Prediction as Prediction
+from .prediction import predict as predict

@@ -1,0 +1,166 @@
+"""Predictions: free runs of a model beside whole sets of records.
+
+    starts (at rest, or estimated from the first samples) -> rollout -> displacement in rig coordinates
+
+A rollout that leaves every range is a result, `diverged`, with nan from there on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._model.model import Model
+from .._record.initial_state import INITIAL_SAMPLES, first_known, starts_at_rest
+from .._record.record import Record
+from .._record.sets import alike, check_set, session_clock
+from . import ports
+from .decoder import rest_state, rollout, settled_state
+from .parallel_in_time import rollout_by_size
+
+FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
+
+
+@eqx.filter_jit
+def estimate_start(
+    model: Model,
+    voltage: Float[Array, " time"],
+    displacement: Float[Array, " time"],
+    observed: Bool[Array, " time"],
+    dt: float,
+    age: float | Float[Array, ""] = 0.0,
+) -> Float[Array, " state"]:
+    """Initial state of a record that starts moving, from its first samples (scaled displacement; at most 50).
+
+    Gauss-Newton on the rollout over S(0) and one level m at which every memory is taken to have settled, with a weak
+    prior (1e-3) towards the mean displacement and no motion.
+    """
+    level = jnp.sum(jnp.where(observed, displacement, 0.0)) / jnp.maximum(jnp.sum(observed), 1)
+
+    def assemble(p):
+        return settled_state(model, p[:-1], p[-1], voltage[0], age)
+
+    prior = jnp.zeros(model.order + 1, displacement.dtype).at[jnp.array([0, -1])].set(level)
+
+    def residual(p):
+        x = ports.readings(model, rollout(model, voltage, dt, assemble(p)))
+        return jnp.concatenate([jnp.where(observed, x - displacement, 0.0), 1e-3 * (p - prior)])
+
+    def improve(p, _):
+        jacobian, left = jax.jacfwd(residual)(p), residual(p)
+        move = jnp.linalg.lstsq(jacobian, -left)[0]
+        best = p + move
+        better = jnp.sum(residual(best) ** 2) < jnp.sum(left**2)
+        return jnp.where(better, best, p + 0.2 * move * jnp.isfinite(move).all()), None
+
+    return assemble(jax.lax.scan(improve, prior, None, length=12)[0])
+
+
+def at_rate(model: Model, dt: float) -> Model:
+    """The same model with enough substeps for records sampled more coarsely than those it was trained on."""
+    factor = max(1, round(dt / model.provenance.dt))
+    return replace(model, substeps=model.substeps * factor) if factor > 1 else model
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A free run beside one record.
+
+    Attributes:
+        name: of the record.
+        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,);
+            nan from the sample where the rollout left every range.
+        diverged: whether it did.
+        estimated_start: the record starts moving, so state and memory were estimated from its first samples.
+        scored: samples that count, shape (T,): all but those the initial state was estimated from.
+        outside_training_share: share of samples whose state lies outside the trained region.
+    """
+
+    name: str
+    displacement: np.ndarray
+    diverged: bool
+    estimated_start: bool
+    scored: np.ndarray
+    outside_training_share: float
+
+
+def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
+    """Free run of the model under every record's voltage, batched; records may have any lengths, one sampling rate.
+
+    Raises:
+        BadInput: no records, or of several rates.
+    """
+    check_set(records)
+    model = at_rate(model, records[0].dt)
+    found, aged = {}, session_clock(records)
+    for places in alike(records):
+        found.update(zip(places, _predicted(model, [records[k] for k in places], aged), strict=True))
+    return tuple(found[k] for k in range(len(records)))
+
+
+def _predicted(model: Model, records: Sequence[Record], aged: bool) -> list[Prediction]:
+    """Padded to one length."""
+    size = -(-max(r.samples for r in records) // 1024) * 1024
+    voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
+    start, spent = starts(model, records, aged)
+    states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, start)
+    return [
+        _prediction(model, r, np.asarray(s[: r.samples]), n) for r, s, n in zip(records, states, spent, strict=True)
+    ]
+
+
+def starts(
+    model: Model, records: Sequence[Record], aged: bool | None = None
+) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
+    """Initial states of all records, and from how many samples each was estimated (0: it starts at rest).
+
+    `aged`: whether their times are one session's (default: where no two overlap); else nothing is known of their age.
+    """
+    aged = session_clock(records) if aged is None else aged
+    found, spent = zip(*[_start(model, r, model.provenance.age(r.time[0]) if aged else 0.0) for r in records],
+                       strict=True)  # fmt: skip
+    return jnp.stack(found), spent
+
+
+def _start(model: Model, record: Record, age: float):
+    """Rest, or the state estimated from the first samples; and how many samples that took (0 at rest).
+
+    After a gap at the beginning the first 50 samples are those behind it: the rollout reaches them from the start.
+    """
+    if starts_at_rest(record, model.output.offset):
+        return rest_state(model, age), 0
+    first = slice(0, first_known(record) + INITIAL_SAMPLES)
+    dtype = model.coefficients.dtype
+    x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
+    observed = np.isfinite(x)
+    voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
+    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, age), len(x)
+
+
+def outside_share(model: Model, features: np.ndarray) -> float:
+    """Share of rows (S then memory, scaled; shape (T, features)) outside the box the model was trained in.
+
+    The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
+    in short records). A model without a region (identified only) returns 0.
+    """
+    if not model.provenance.region or len(features) == 0:
+        return 0.0
+    low, high = np.asarray(model.provenance.region).T
+    slack = 0.05 * np.maximum(high - low, high[0] - low[0])
+    return float(((features < low - slack) | (features > high + slack)).any(-1).mean())
+
+
+def _prediction(model: Model, record: Record, states: np.ndarray, spent: int) -> Prediction:
+    lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
+    first = int(np.argmax(lost)) if lost.any() else record.samples
+    x = np.full(record.samples, np.nan)
+    seen = np.asarray(ports.readings(model, jnp.asarray(states[:first])), np.float64)
+    x[:first] = model.output.to_rig(seen * model.scales.state[0])
+    scored = np.ones(record.samples, bool)
+    scored[:spent] = False
+    share = 1.0 if first == 0 else outside_share(model, states[:first, : model.order + model.memory.size])
+    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, share)

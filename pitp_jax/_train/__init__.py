@@ -1,0 +1,15 @@
+"""Training: a nominal model and records in, a model with an encoder out (paper, Algorithm 1 and eq. 12).
+
+    1. min Huber(theta(X) . X - F) + soft box on the tokens, the box widening in stages     (`equation_error`)
+    2. min |free run - record|^2 + prior, by Levenberg-Marquardt                             (`refine`)
+
+Verb: `train`; `train_ensemble` and `predict_band` for its spread over random starts.
+"""
+
+from .ensemble import Band as Band
+from .ensemble import Ensemble as Ensemble
+from .ensemble import predict_band as predict_band
+from .ensemble import train_ensemble as train_ensemble
+from .settings import Settings as Settings
+from .training import Training as Training
+from .training import train as train

@@ -1,0 +1,129 @@
+"""From records and a nominal model to what training reads: scaled states, memories and forces on the device, once.
+
+X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (PAPER_READINGS: eqs. 3, 6, 8, 9)
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import BadInput
+from .._model.input_map import SquareInput
+from .._model.model import Model, Scales
+from .._record.derivative import DIFFERENCES
+from .._record.initial_state import starts_at_rest
+from .._record.preprocess import StateRecord, cutoff, force_band, preprocess
+from .._record.record import Record
+from .equation_error import EquationData
+
+SCALINGS = ("rms", "paper")
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """What training reads.
+
+    Attributes:
+        model: the nominal in the new scales, with the memory (tokens still constant).
+        equation: valid samples of all records, flat.
+        features: per record the scaled state and memory at every sample, shape (T, n + K).
+        valid: per record, samples whose filtered state may be trusted, shape (T,).
+        region: lowest and highest value of every feature over valid samples.
+    """
+
+    model: Model
+    equation: EquationData
+    features: tuple[np.ndarray, ...]
+    valid: tuple[np.ndarray, ...]
+    region: tuple[tuple[float, float], ...]
+
+
+def build_dataset(
+    nominal: Model,
+    records: Sequence[Record],
+    *,
+    scaling: str,
+    difference: str,
+    memory: Callable[[Sequence[StateRecord]], eqx.Module],
+) -> Dataset:
+    """Filter, differentiate, scale and remember; `memory` is made from the filtered motion.
+
+    Raises:
+        BadInput: unknown scaling or difference, or no usable sample left after filtering.
+    """
+    for name, asked, known in (("scaling", scaling, SCALINGS), ("difference", difference, DIFFERENCES)):
+        if asked not in known:
+            raise BadInput(f"unknown {name} {asked!r}: use one of {', '.join(known)}")
+    dt = records[0].dt
+    forces = [_force(nominal, r.voltage) for r in records]
+    f_max = force_band(forces, dt)
+    cut = cutoff(f_max, dt)
+    states = [
+        preprocess(
+            r,
+            nominal.order,
+            cut,
+            f,
+            displacement=nominal.output.to_model(r.displacement),
+            difference=difference,
+        )
+        for r, f in zip(records, forces, strict=True)
+    ]
+    if not any(s.valid.any() for s in states):
+        raise BadInput("no sample of these records survives filtering: gaps are too dense or records too short")
+    model = _rescaled(nominal, states, forces, f_max, scaling)
+    model = eqx.tree_at(lambda m: m.memory, model, memory(states))
+    scale = np.asarray(model.scales.state)
+    features, equation = [], []
+    for r, s in zip(records, states, strict=True):
+        x = s.states / scale
+        rest = starts_at_rest(r, nominal.output.offset)
+        start = model.memory.initial(jnp.asarray(0.0 if rest else x[0, 0], jnp.float32))
+        past = model.memory.trajectory(jnp.asarray(x[:, 0], jnp.float32), dt, start)
+        features.append(np.concatenate([x[:, :-1], np.asarray(past)], -1).astype(np.float32))
+        equation.append((features[-1][s.valid], x[s.valid], s.force[s.valid] / model.scales.force))
+    flat = [jnp.asarray(np.concatenate(part), jnp.float32) for part in zip(*equation, strict=True)]
+    everything = np.concatenate([f[s.valid] for f, s in zip(features, states, strict=True)])
+    region = tuple((float(a), float(b)) for a, b in zip(everything.min(0), everything.max(0), strict=True))
+    weight = jnp.asarray(spread_weights(everything[:, : nominal.order]), jnp.float32)
+    data = EquationData(*flat, weight=weight)
+    return Dataset(model, data, tuple(features), tuple(s.valid for s in states), region)
+
+
+def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np.ndarray:
+    """Weights that even out how densely the state space was visited, mean 1, at most `most` times the smallest.
+
+    A record of steps stands still for 99 % of its samples; what it says about motion is in the rest. Each sample gets
+    1 / sqrt(samples in its cell), on a grid of the first two states (and at most three).
+    """
+    s = state[:, :3]
+    low, high = s.min(0), s.max(0)
+    index = np.minimum(((s - low) / np.maximum(high - low, 1e-12) * cells).astype(int), cells - 1)
+    flat = np.ravel_multi_index(tuple(index.T), (cells,) * s.shape[1])
+    weight = 1.0 / np.sqrt(np.bincount(flat, minlength=1)[flat])
+    weight = np.minimum(weight, most * weight.min())
+    return weight / weight.mean()
+
+
+def _force(model: Model, voltage: np.ndarray) -> np.ndarray:
+    """Force in float64 on the host."""
+    return np.asarray(voltage**2 if isinstance(model.input_map, SquareInput) else voltage, np.float64)
+
+
+def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: float, scaling: str) -> Model:
+    """The same nominal in scales taken from the training data.
+
+    "rms": each derivative over its training rms. "paper": eq. 3, x^(i) over x_rms d^(i - k/2...) with d = 2 pi f_max,
+    centred on k = floor(n/2) with a factor sqrt(d) per derivative.
+    """
+    n = nominal.order
+    rms = np.sqrt(np.mean(np.concatenate([s.states[s.valid] for s in states]) ** 2, axis=0))
+    if scaling == "paper":
+        rms = rms[n // 2] * (2 * np.pi * f_max) ** ((np.arange(n + 1) - n // 2) / 2)
+    force = max(float(np.abs(f).max()) for f in forces)
+    coefficients = jnp.asarray(nominal.physical_coefficients * rms / force, jnp.float32)
+    scales = Scales(tuple(float(v) for v in rms), force, nominal.scales.sections)
+    return replace(nominal, coefficients=coefficients, scales=scales)

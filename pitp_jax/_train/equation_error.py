@@ -1,0 +1,59 @@
+"""The training loss (paper, eq. 12): physics residual of the ODE plus soft constraints on the tokens.
+
+    L1 = Huber_delta( sigma_off + sum_i sigma_i X_i - F )                     forces over their training maximum
+    L2 = 1/m sum_i [ alpha relu(sigma_i - P_i) + beta relu(Q_i - sigma_i) ]   in units of the nominal token
+    P = max(a^j y, b^j y), Q = min(a^j y, b^j y)                              the box of stage j
+
+SmoothL1 with width delta is huber / delta. X is filtered and differentiated data; x^(n) enters here and never the
+encoder.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._model.equation import equation_force
+from .._model.model import Model
+
+
+class EquationData(eqx.Module):
+    """Samples of all records, scaled, flat: features (S, memory), equation vector X, force, and a weight each."""
+
+    features: Float[Array, "samples features"]
+    equation: Float[Array, "samples tokens"]
+    force: Float[Array, " samples"]
+    weight: Float[Array, " samples"]
+
+    def take(self, index) -> "EquationData":
+        """A minibatch."""
+        return jax.tree.map(lambda a: a[index], self)
+
+
+def huber(residual, width: float):
+    """SmoothL1: r^2 / (2 width) inside, |r| - width / 2 outside."""
+    size = jnp.abs(residual)
+    return jnp.where(size < width, 0.5 * size**2 / width, size - 0.5 * width)
+
+
+def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=None):
+    """Mean loss of eq. 12 over a batch.
+
+    Args:
+        box: (lower, upper) factors on the nominal tokens, e.g. (0.8, 1.2).
+        width: Huber width, in units of the largest training force.
+        penalty: (alpha, beta).
+        key: turns dropout on.
+
+    Returns:
+        The total, and (L1, L2) apart.
+    """
+    keys = None if key is None else jax.random.split(key, data.force.shape[0])
+    force, tokens = jax.vmap(
+        lambda f, x, k: equation_force(model, f, x, key=k), in_axes=(0, 0, None if key is None else 0)
+    )(data.features, data.equation, keys)
+    physics = jnp.mean(data.weight * huber(force - data.force, width))
+    factor = tokens / model.coefficients
+    over, under = jax.nn.relu(factor - box[1]), jax.nn.relu(box[0] - factor)
+    constraint = jnp.mean(penalty[0] * over + penalty[1] * under)
+    return physics + constraint, (physics, constraint)

@@ -1,0 +1,103 @@
+"""Free runs against their records as one least-squares problem, on all cores or all devices.
+
+    r = [ sqrt(w) (x - x_measured) at every `every`-th sample of every run,  sqrt(rho) (p - p_0),  slow balance ]
+
+A scan over a batch of runs keeps one core busy: on a CPU the batches are cut into parts, a thread to a core. With a
+mesh every device has its own runs; their slopes stay there and only sums of P and P^2 numbers leave it.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array
+
+from .._model.model import Model
+from .._sharding import over_records, spread
+from .creep_balance import SlowBalance
+from .forward_sensitivity import Runs, run_errors, run_slopes
+from .parameters import with_parameters
+
+_FEWEST, _MOST = 4, 128  # runs at once on a core: with fewer it waits for its kernels to start, with more for memory
+
+
+class _OverRuns(eqx.Module):
+    """A function of (model, runs, dt, every) as `over_records` takes it."""
+
+    function: Callable = eqx.field(static=True)
+    dt: float = eqx.field(static=True)
+    every: int = eqx.field(static=True)
+
+    def __call__(self, model, runs):
+        """The function of a device's own runs."""
+        return self.function(model, runs, self.dt, self.every)
+
+
+class FreeRuns:
+    """Residuals of batches of runs, and their slopes, as blocks (`geodesic_steps`).
+
+    Args:
+        model: whose trained numbers are moved.
+        batches: runs to be met, each batch of one length.
+        dt: sampling interval, s.
+        every: every how many samples the error is taken.
+        prior: rho and p_0 per trained number.
+        slow: what else is to be met.
+        mesh: devices that share every batch; default one device, or all cores of a CPU.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        batches: Sequence[Runs],
+        dt: float,
+        every: int,
+        *,
+        prior: tuple[np.ndarray, np.ndarray],
+        slow: SlowBalance | None = None,
+        mesh: Mesh | None = None,
+    ):
+        self._model, self._how, self._slow, self._mesh = model, (dt, every), slow, mesh
+        self._root, self._centre = np.sqrt(prior[0]), prior[1]
+        if mesh is None:
+            self._parts = [part for runs in batches for part in runs.parts(_parts_of(len(runs.start)))]
+        else:
+            self._parts = [spread(runs.filled(len(mesh.local_devices)), mesh) for runs in batches]
+
+    def errors(self, vector: np.ndarray) -> list[np.ndarray]:
+        """Residuals at these trained numbers."""
+        runs = [np.asarray(e) for e in self._each(run_errors, vector)]
+        slow = [] if self._slow is None else [self._slow.errors(self._model, vector)]
+        return [*runs, self._root * (vector - self._centre), *slow]
+
+    def slopes(self, vector: np.ndarray) -> list[Array | np.ndarray]:
+        """Their derivatives by the trained numbers, the last axis."""
+        runs = self._each(run_slopes, vector)
+        slow = [] if self._slow is None else [self._slow.slopes(self._model, vector)]
+        return [*runs, np.diag(self._root), *slow]
+
+    def _each(self, function: Callable, vector: np.ndarray) -> list[Array]:
+        here = with_parameters(self._model, vector)
+        if self._mesh is not None:
+            shared = _OverRuns(function, *self._how)
+            return [over_records(shared, self._mesh, here, (part,)) for part in self._parts]
+        if len(self._parts) == 1:
+            return [function(here, self._parts[0], *self._how)]
+        with ThreadPoolExecutor(_cores()) as pool:
+            return list(pool.map(lambda part: function(here, part, *self._how), self._parts))
+
+
+def _parts_of(runs: int) -> int:
+    """How many parts so many runs are cut into; a GPU takes them all at once."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return max(min(_cores(), runs // _FEWEST), -(-runs // _MOST), 1)
+
+
+def _cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,115 @@
+"""The trained numbers of a model: as one vector, and apart by what each of them is needed for.
+
+    p: the encoder's weights,   q: the memories' time constants,   r: the drive's,   a: the effects' numbers
+
+In logarithms where they are positive.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Shaped
+
+from .._model.encoder import CompactEncoder
+from .._model.model import Model
+from .._simulate import ports
+from .._simulate.decoder import midpoint, stage_voltages, substep
+
+
+def trainable(model: Model):
+    """True at every number training may move: encoder weights, memory and drive time constants, effects' numbers."""
+    spec = jax.tree.map(lambda _: False, model)
+    spec = eqx.tree_at(_parts, spec, jax.tree.map(eqx.is_inexact_array, _parts(model)))
+    if isinstance(model.encoder, CompactEncoder):
+        spec = eqx.tree_at(lambda m: m.encoder.bounds, spec, False)
+    return spec
+
+
+def _parts(model: Model) -> tuple:
+    return model.encoder, model.memory, model.drive, model.effects
+
+
+def _logarithmic(model: Model) -> np.ndarray:
+    """Which of the effects' numbers are fitted by their logarithm."""
+    return np.array([p.positive for e in model.effects for p in e.PARAMETERS], bool)
+
+
+def _stored(model: Model, numbers, xp):
+    """Effects' numbers from what is fitted of them."""
+    logs = _logarithmic(model)
+    return xp.where(logs, xp.exp(xp.where(logs, numbers, 0.0)), numbers)
+
+
+def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """All trained numbers in one vector (encoder, memory, drive, effects), and how many of each."""
+    params = eqx.filter(model, trainable(model))
+    parts = [np.asarray(ravel_pytree(part)[0], np.float64) for part in _parts(params)]
+    logs = _logarithmic(model)
+    parts[3] = np.where(logs, np.log(np.maximum(np.where(logs, parts[3], 1.0), 1e-30)), parts[3])
+    return np.concatenate(parts), np.array([len(p) for p in parts])
+
+
+def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameters"]) -> Model:
+    """The model with other trained numbers."""
+    params, static = eqx.partition(model, trainable(model))
+    new, first = [], 0
+    for part in _parts(params):
+        flat, unravel = ravel_pytree(part)
+        values = jnp.asarray(vector[first : first + flat.size], flat.dtype)
+        new.append(unravel(_stored(model, values, jnp) if part is params.effects else values))
+        first += flat.size
+    return eqx.combine(eqx.tree_at(_parts, params, tuple(new)), static)
+
+
+class Numbers:
+    """A model taken apart: its trained numbers as flat vectors, and what each of them is needed for."""
+
+    def __init__(self, model: Model):
+        self.model = model
+        params, self.static = eqx.partition(model, trainable(model))
+        flat, (self._encoder, self._memory, self._drive, self._effects) = zip(
+            *map(ravel_pytree, _parts(params)), strict=True
+        )
+        dtype = model.coefficients.dtype  # of no numbers at all JAX would make what is its default
+        self.encoder, self.memory, self.drive, effects = (numbers.astype(dtype) for numbers in flat)
+        logs = _logarithmic(model)
+        self.effects = jnp.where(logs, jnp.log(jnp.where(logs, effects, 1.0)), effects)
+        self.count = self.encoder.size + self.memory.size + self.drive.size + self.effects.size
+
+    def with_effects(self, model: Model, a) -> Model:
+        """A model with other numbers of the effects."""
+        if not self.model.effects:
+            return model
+        built = eqx.combine(self._effects(_stored(self.model, a, jnp)), self.static.effects)
+        return eqx.tree_at(lambda m: m.effects, model, built)
+
+    def stages(self, voltage, rest, dt: float, r, a):
+        """Film voltages at the stages of every sample of every record."""
+        drive, model = eqx.combine(self._drive(r), self.static.drive), self.with_effects(self.model, a)
+
+        def one(u, rest):
+            return stage_voltages(model, drive.film(ports.delayed(model, u, dt, rest > 0), dt, rest > 0))
+
+        return jax.vmap(one)(voltage, rest)
+
+    def logits(self, p, features):
+        """The encoder's, with other weights."""
+        return eqx.combine(self._encoder(p), self.static.encoder)(features)
+
+    def with_memory(self, q) -> Model:
+        """The model with other time constants of the memories."""
+        return eqx.tree_at(lambda m: m.memory, self.model, eqx.combine(self._memory(q), self.static.memory))
+
+    def seen(self, core, q, h: float):
+        """What the encoder sees of a state half a substep on."""
+        return midpoint(self.with_memory(q), core, h)
+
+    def moved(self, state, logits, q, volts, a, h: float):
+        """The state after one substep under these logits along three stage voltages."""
+        return substep(self.with_effects(self.with_memory(q), a), state, volts, h, logits)
+
+    def reading(self, state, a):
+        """What the sensor shows of a state."""
+        return ports.reading(self.with_effects(self.model, a), state)

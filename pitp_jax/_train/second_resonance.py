@@ -1,0 +1,118 @@
+"""Does a second mass hang on the moved one? Looked for along measured motion, before any free run.
+
+    F = sum_j c_j phi_j - kappa (r - x),   r'' = w^2 (x - r) - 2 zeta w r',   kappa > 0        (least squares)
+    phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (what a lag before the square does)
+    left(w, zeta) = share that the pull kappa (x - r) leaves of the residual without it
+
+A strong mode within the driven band is like none of the phi: 0.42 is left on a roll with one at 1.7 times its first
+resonance. Where nothing hangs there the best (w, zeta) leaves 0.94 to 0.97 on twelve healthy actuators, and 0.71 to
+0.97 beside strong effects of other kinds. A weak mode that leaves 0.76 (a cone's, 1 % of range in its second harmonic)
+is not worth two more states: its free runs were no better for them.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, cast
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+from .._record.preprocess import StateRecord
+
+LEFT = 0.65  # at most that share for a second mass
+WORTH = 0.006  # at least that share of the force, rms, for the pull: 0.012 on the roll; 0.003 beside a hard spring
+_ROWS, _SAMPLES = 30_000, 400_000
+_GRID, _DAMPING = 32, (0.003, 0.15)  # with more damping it is a lag
+_FASTEST = 1.0  # w dt; beyond, what the filter and the drive between samples leave looks like a mode (Silverbox: 0.23)
+
+
+def second_mass(
+    states: Sequence[StateRecord], omega: float, lags: Float[np.ndarray, " lags"]
+) -> tuple[float, float, float] | None:
+    """Eigenfrequency (rad/s) and damping ratio of a mass hanging on the moved one, and what its pull leaves; or None.
+
+    Args:
+        states: filtered motion and force of every record.
+        omega: the nominal's natural frequency, rad/s.
+        lags: time constants of slow lags of x, s.
+    """
+    if states[0].states.shape[1] < 3:
+        return None  # at order 1 nothing moved has a mass
+    seen = _rows(states)
+    low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz, _FASTEST / states[0].dt)
+    columns, force = _columns(seen, lags), seen.weight * seen.read(lambda s: s.force)
+    if len(force) < 10 * columns.shape[1] or low >= high:
+        return None
+    vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = vectors[:, sizes > 1e-9 * sizes[0]]
+    residual = force - basis @ (basis.T @ force)
+    energy = float(residual @ residual)
+
+    def left(place) -> float:
+        w, zeta = np.exp(place)
+        if not (low <= w <= high and _DAMPING[0] <= zeta <= _DAMPING[1]):
+            return 1.0
+        pull = seen.weight * (seen.displacement - seen.filtered([w * w], [1, 2 * zeta * w, w * w]))
+        pull = pull - basis @ (basis.T @ pull)
+        gain = float(pull @ residual)
+        return 1 - gain**2 / max(float(pull @ pull) * energy, 1e-300) if gain > 0 else 1.0
+
+    start = min(np.geomspace(low, high, _GRID), key=lambda w: left(np.log([w, 0.08])))
+    found = minimize(left, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4})
+    w, zeta = np.exp(found.x)
+    inside = 1.01 * low < w < 0.99 * high  # at an edge it is the tail of something else
+    worth = (1 - found.fun) * energy >= WORTH**2 * float(force @ force)
+    return (float(w), float(zeta), float(found.fun)) if inside and worth and found.fun <= LEFT else None
+
+
+class _Rows(NamedTuple):
+    """Records, which of their samples are read, and a weight each: every record counts by the range of its force."""
+
+    states: list[StateRecord]
+    places: list[np.ndarray]
+    weight: np.ndarray
+
+    def read(self, column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
+        """One column (or several), all records in a row."""
+        return np.concatenate([column(s)[at] for s, at in zip(self.states, self.places, strict=True)])
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Measured X."""
+        return self.read(lambda s: s.states[:, 0])
+
+    def filtered(self, numerator, denominator) -> np.ndarray:
+        """X behind a continuous filter, exact for X linear between samples, settled at its first value."""
+        b, a, _ = cast(tuple, cont2discrete((numerator, denominator), self.states[0].dt, "foh"))
+        b, a = np.ravel(b), np.ravel(a)
+        settled = lfilter_zi(b, a)
+        return self.read(lambda s: np.asarray(cast(tuple, lfilter(b, a, x := s.states[:, 0], zi=settled * x[0]))[0]))
+
+
+def _rows(states: Sequence[StateRecord]) -> _Rows:
+    """Of records with samples to read (of very many, every so manieth) every so manieth sample."""
+    some = [s for s in states if s.valid.any()]
+    some = some[:: max(sum(len(s.force) for s in some) // _SAMPLES, 1)]
+    every = max(sum(int(s.valid.sum()) for s in some) // _ROWS, 1)
+    places = [np.flatnonzero(s.valid)[k % every :: every] for k, s in enumerate(some)]
+    spans = [max(float(np.ptp(s.force)), 1e-300) for s in some]
+    return _Rows(some, places, np.repeat(1 / np.array(spans), [len(at) for at in places]))
+
+
+def _columns(seen: _Rows, lags) -> Float[np.ndarray, "rows phi"]:
+    """All phi, weighted, each of length one."""
+    dt = seen.states[0].dt
+    motion = seen.read(lambda s: s.states)
+    motion = motion / np.sqrt(np.mean(motion**2, 0))
+    x, highest = motion[:, 0], motion[:, -1]
+    columns = [np.ones_like(x), *motion.T, x**2, x**3, x**4, x * highest, x**2 * highest]
+    for v in motion[:, 1:-1].T:
+        columns += [x * v, x**2 * v, v**2, v**3, x * v**2]
+    for tau in lags:
+        lag = seen.filtered([1], [tau, 1])
+        columns += [lag, lag * x]
+    slope = seen.read(lambda s: np.gradient(s.force, dt))
+    bend = seen.read(lambda s: np.gradient(np.gradient(s.force, dt), dt))
+    matrix = seen.weight[:, None] * np.stack([*columns, slope, bend], 1)
+    return matrix / np.maximum(np.sqrt((matrix**2).sum(0)), 1e-300)

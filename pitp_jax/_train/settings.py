@@ -1,0 +1,203 @@
+"""What training is told: presets, and the parts of a model they stand for.
+
+settings + nominal -> memory (time constants), encoder (at the nominal), drive (its first lag) and other lags
+                      learned with it, firmness of the nets
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._effects.amplifier import Delay
+from .._effects.base import in_scales
+from .._effects.sensor import SensorLag
+from .._errors import BadInput
+from .._model.drive import ElectrodeLag
+from .._model.encoder import CompactEncoder, PaperEncoder
+from .._model.input_map import SquareInput
+from .._model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory, RingingMemory
+from .._model.model import Model
+from .._record.long_record import LongRecord
+from .._record.preprocess import StateRecord
+from .dataset import Dataset
+from .second_resonance import second_mass
+
+_WORDS = {
+    "encoder": ("compact", "paper"),
+    "memory": ("fading", "elapsed", "none"),
+    "drive": ("electrode", "direct"),
+    "scaling": ("rms", "paper"),
+    "difference": ("stencil", "central"),
+}
+
+
+PARTS = {"delay": Delay, "sensor_lag": SensorLag}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a preset fixes; the paper's symbols (Algorithm 1, III-D) in brackets.
+
+    Attributes:
+        encoder: "compact" or "paper".
+        width: hidden size of the compact encoder's nets.
+        offset: whether the compact encoder has an offset token.
+        few: with fewer records than that, behind a square, the compact encoder is a frugal one. A Peano-HASEL's steps
+            and one sine (2 records): 19.1 % at a frequency it never saw with nets that see memories, 11.6 % with
+            the frugal one. cone100, median without and with: 0.46 and 0.41 % of 6 records, 0.46 and 0.54 % of 10,
+            0.37 and 0.41 % of all 30. Behind a linear input (Silverbox' arrow, 1 record) 0.32 and 0.44 mV.
+        memory: "fading", "elapsed" or "none".
+        memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record (to half
+            of it: a 50 s record after training on 10 s drifted by 1.3 % of range, against 0.6 %), or to a quarter of
+            the one the nominal keeps, where that outlasts training (`creep_balance`).
+        ringing: whether a second mass is looked for along the motion and, where it shows, remembered
+        (`second_resonance`). drive: "electrode" (a lag before the square, where there is one, learned from 0.1 /
+        omega_0 on) or "direct". parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on:
+        "delay", "sensor_lag". scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
+        difference: "stencil" (8th order) or "central" (eq. 8).
+        epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
+        stages: most stages.
+        tolerance [epsilon]: a stage must lower the physics residual by this share to earn another.
+        huber: width of SmoothL1 in units of the largest force.
+        batch: minibatch size.
+        refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
+        firmness: how firmly free runs hold the nets of spring and damping at zero, in (1 %)^2 (the polynomials beside
+            them at 1e-4). Default: 1e-4; 0.06 over their number with `few` records behind a square, since the error
+            is a mean over records (Peano-HASEL, 2 records, at a frequency it never saw, seeds 0 to 2: 9.2, 9.4,
+            10.4 %, at 1e-3 10.1, 18.2, 13.4; 6 records of cone100 go from 0.49 to 0.53 % at 1e-2, and 3 without its
+            largest voltage do worse there); 1e-3 behind a linear input, where no rubber creeps. 1e-3 extrapolates
+            in amplitude (Silverbox at 1.3 times the trained one: 0.52 -> 0.27 mV; 0.32 since `geodesic_steps`) and
+            costs a film some accuracy (cone100: median 0.26 -> 0.29 %, worst 0.6 -> 1.3 %).
+
+    Raises:
+        BadInput: an unknown word.
+    """
+
+    encoder: str = "compact"
+    width: int = 8
+    offset: bool = True
+    few: int = 8
+    memory: str = "fading"
+    memories: int = 5
+    ringing: bool = True
+    drive: str = "electrode"
+    parts: tuple[str, ...] = ()
+    scaling: str = "rms"
+    difference: str = "stencil"
+    epochs: int = 8
+    decay_epochs: float = 0.971
+    rate: float = 3e-3
+    decay_rate: float = 0.6
+    widen: float = 1.5
+    narrow: float = 0.6
+    penalty: tuple[float, float] = (0.1, 0.1)
+    stages: int = 4
+    tolerance: float = 0.01
+    huber: float = 0.05
+    batch: int = 2048
+    refine_steps: int = 40
+    firmness: float | None = None
+
+    def __post_init__(self):
+        """A word that stands for nothing would silently be the default."""
+        for name, known in _WORDS.items():
+            if getattr(self, name) not in known:
+                raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")
+        for part in self.parts:
+            if part not in PARTS:
+                raise BadInput(f"settings: part {part!r} is unknown: use {' or '.join(PARTS)}")
+
+
+PRESETS = {
+    "default": Settings(),
+    "paper": Settings(
+        encoder="paper", memory="elapsed", drive="direct", scaling="paper", difference="central", epochs=10, rate=1e-3,
+        decay_rate=0.8, widen=1.2, narrow=0.8, penalty=(2.0, 2.0), huber=1.0, refine_steps=0, stages=8,
+    ),
+}  # fmt: skip
+
+
+def preset_of(name: str) -> Settings:
+    """The preset of that name; an unknown one is refused."""
+    if name not in PRESETS:
+        raise BadInput(f"unknown preset {name!r}: use one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def memory_of(
+    settings: Settings, nominal: Model, long: LongRecord | None, states: Sequence[StateRecord]
+) -> AbstractMemory:
+    """The memory a preset asks for, its time constants from the resonance to the longest record.
+
+    Or to a quarter of the `long` one, in which a lag can settle. With a second mass, where the motion shows one.
+    """
+    longest = max(len(s.time) * s.dt for s in states)
+    longest = longest if long is None else max(longest, long.seconds / 4)
+    if settings.memory == "none":
+        return NoMemory()
+    if settings.memory == "elapsed":
+        return ElapsedTime(horizon=float(longest))
+    tau = np.geomspace(min(2.0 / nominal.natural_frequency, longest / 20), longest, settings.memories)
+    lags = jnp.asarray(np.log(tau), jnp.float32)
+    mass = second_mass(states, nominal.natural_frequency, tau) if settings.ringing else None
+    if mass is None:
+        return FadingMemory(lags)
+    omega, zeta = jnp.log(jnp.asarray(mass[:2], jnp.float32))
+    return RingingMemory(omega, zeta, lags)
+
+
+def firmness_of(settings: Settings, model: Model, records: int) -> float:
+    """What holds the nets of spring and damping: more without a square, most with `few` records behind one."""
+    if settings.firmness is not None:
+        return settings.firmness
+    if _frugal(model):
+        return 0.06 / records
+    return 1e-4 if isinstance(model.input_map, SquareInput) else 1e-3
+
+
+def _frugal(model: Model) -> bool:
+    return isinstance(model.encoder, CompactEncoder) and model.encoder.frugal
+
+
+def with_drive(model: Model, settings: Settings) -> Model:
+    """The lag free runs start from. Not before: the equation error reads the drive as direct, and does not fit it.
+
+    Without a square behind it a lag is one more linear pole, which the order stands for: Silverbox's arrows 1.41 and
+    0.86 mV with it, 0.71 and 0.28 without.
+    """
+    if settings.drive != "electrode" or not isinstance(model.input_map, SquareInput):
+        return model
+    lag = ElectrodeLag(jnp.asarray(np.log(0.1 / model.natural_frequency), jnp.float32))
+    return eqx.tree_at(lambda m: m.drive, model, lag)
+
+
+def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
+    """The model with its drive's first lag, the effects of the nominal, and the parts that are asked for.
+
+    An effect that is there from the start is fitted beside the encoder: what it explains the nets need not learn.
+    """
+    begin = jnp.asarray(0.1 / nominal.natural_frequency, jnp.float32)
+    old, new = nominal.scales, model.scales
+    given = tuple(in_scales(e, (old.state, old.force), (new.state, new.force)) for e in nominal.effects)
+    effects = (*given, *(PARTS[part](begin) for part in settings.parts))
+    return replace(with_drive(model, settings), effects=effects)
+
+
+def with_encoder(data: Dataset, settings: Settings, key) -> Model:
+    """The nominal with a fresh encoder, bounded at twice the trained region."""
+    model = data.model
+    n, memories = model.order, model.memory.size
+    if settings.encoder == "paper":
+        encoder = PaperEncoder(n + memories, n + 1, key=key)
+    else:
+        low, high = np.asarray(data.region).T
+        half = np.maximum(high - low, 0.25 * (high[0] - low[0])) / 2
+        bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half
+        frugal = isinstance(model.input_map, SquareInput) and len(data.features) < settings.few
+        encoder = CompactEncoder(
+            n, memories, width=settings.width, offset=settings.offset, frugal=frugal, bounds=bounds, key=key
+        )
+    return eqx.tree_at(lambda m: m.encoder, model, encoder)
