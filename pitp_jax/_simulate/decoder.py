@@ -135,4 +135,9 @@ def rollout(
     return jax.lax.scan(advance, start, stage_voltages(model, voltage))[1]
 
 
-rollout_batch = jit(eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0)))
+@jit
+def rollout_batch(
+    model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
+) -> Float[Array, "records time state"]:
+    """The same for records side by side, compiled."""
+    return eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0))(model, voltage, dt, start)
