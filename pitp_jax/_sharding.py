@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from ._errors import BadInput
 from ._invert.equation import invert_along
 from ._model.model import Model
+from ._model.programs import jit
 from ._numerics.spline_derivative import fast_derivatives
 from ._simulate.batched_rollout import fast_rollout
 
@@ -53,7 +54,7 @@ def local_rows(array: Array, count: int) -> np.ndarray:
     return np.concatenate([np.asarray(shard.data) for shard in shards])[:count]
 
 
-@eqx.filter_jit
+@jit
 def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
     """function(model, *batch) of every device's own records, side by side."""
     arrays, static = eqx.partition(model, eqx.is_array)
@@ -97,6 +98,6 @@ def sharded_inverse(
     model: Model, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
 ) -> Float[np.ndarray, "records time"]:
     """Drive voltage before limits (V) for this process's displacements from rest (model coordinates, m): eq. 13."""
-    rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / np.asarray(model.scales.state)
+    rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
     batch = spread((rows.astype(model.coefficients.dtype),), mesh)
     return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

@@ -1,6 +1,5 @@
 """What is not known of the nominal: its numbers, and in a refit its zero and its hold."""
 
-import json
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -25,14 +24,7 @@ def nominal(linear):
 
 def test_the_nominals_own_doubt_widens_an_effects_interval(nominal):
     """All coefficients off by one common 1 % are a gain off by 1 %: that much the sensor's gain is not known."""
-    a = nominal.physical_coefficients
-    row = {
-        "order": 2,
-        "coefficients": a.tolist(),
-        "stderr": (0.01 * a).tolist(),
-        "correlation": np.ones((3, 3)).tolist(),
-    }
-    told = nominal.provenance.with_(notes=json.dumps({"identification": {"orders": [row]}}))
+    told = nominal.provenance.with_(covariance=((1e-4,) * 3,) * 3)
     records = play(replace(nominal, effects=(sensor.SensorGain(jnp.asarray(0.3)),)))
     sure, unsure = (
         pitp.diagnose(m, records, exclude=FEW).added[0].parameters["d"]

@@ -12,7 +12,6 @@ another, so nothing is communicated.
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
 from itertools import chain, zip_longest
 
 import equinox as eqx
@@ -25,14 +24,14 @@ from jax.sharding import Mesh, PartitionSpec
 from .._effects import CATALOGUE
 from .._effects.amplifier import Delay
 from .._effects.base import AbstractEffect
-from .._model.model import Output, Provenance
+from .._model.model import Model
+from .._model.programs import jit
 from .._numerics.intersample import between
 from .._simulate import ports
 from .._simulate.decoder import step
 from .case import Case, Series
 
 CHUNK, WIDTH, THREADS = 2000, 32, 2
-_KEPT = 64  # compiled programs; a diagnosis in two splits has up to 40
 Forms = Sequence[type[AbstractEffect]]
 
 
@@ -89,10 +88,6 @@ class _Composite:
         for f in self.forms:
             self._places[f] = slice(first, first + len(f.PARAMETERS))
             first += len(f.PARAMETERS)
-        plain = replace(self._model, output=Output(), provenance=Provenance(1.0))  # what a lane does not read
-        arrays, rest = eqx.partition(plain, eqx.is_array)
-        frozen, structure = jax.tree.flatten(rest)
-        self._advance = partial(_compiled(tuple(frozen), structure, len(neutral), case.dt, case.mesh), arrays)
         self.width = WIDTH * (1 if case.mesh is None else case.mesh.size)
         self._starts = [self._start(s) for s in case.series]
 
@@ -109,9 +104,10 @@ class _Composite:
         coefficients = np.stack([base * lane.factors for lane in filled]).astype(np.float32)
         state = jnp.asarray(np.stack([self._starts[lane.series] for lane in filled]).astype(np.float32))
         stages, pieces = [self._lane_stages(lane) for lane in filled], []
+        how = self._model, self.forms, self._case.mesh, self._case.dt
         for first in range(0, max(s.record.samples for s in series), CHUNK):
             volts = np.stack([_piece(s, first) for s in stages], 1)
-            state, y = self._advance(theta, coefficients, state, volts)
+            state, y = _advance(*how, theta, coefficients, state, volts)
             pieces.append(np.asarray(y))
         y = np.concatenate(pieces)
         return [y[: s.record.samples, k] for k, s in enumerate(series)]
@@ -147,17 +143,15 @@ def _piece(stages: np.ndarray, first: int) -> np.ndarray:
     return part if len(part) == CHUNK else np.concatenate([part, np.repeat(stages[-1:], CHUNK - len(part), 0)])
 
 
-@lru_cache(maxsize=_KEPT)
-def _compiled(frozen: tuple, structure, count: int, dt: float, mesh: Mesh | None):
-    """fn(arrays, theta, coefficients, state, stages) -> states after a chunk, (chunk, lanes) readings.
-
-    `frozen`, `structure`: what of a composite is no array; the last `count` effects have the lanes' numbers.
-    """
+@jit
+def _advance(model: Model, forms: Forms, mesh: Mesh | None, dt: float, theta, coefficients, state, stages):
+    """States after a chunk, and (chunk, lanes) readings; the model's last effects, `forms`, have the lanes' numbers."""
+    arrays, static = eqx.partition(model, eqx.is_array)
 
     def run(arrays, theta, coefficients, state, stages):
-        model = eqx.combine(arrays, jax.tree.unflatten(structure, frozen))
-        own, forms = model.effects[: len(model.effects) - count], model.effects[len(model.effects) - count :]
-        unravel = ravel_pytree(forms)[1]
+        model = eqx.combine(arrays, static)
+        count = len(model.effects) - len(forms)
+        own, unravel = model.effects[:count], ravel_pytree(model.effects[count:])[1]
 
         def lane(theta, coefficients, state, stages):
             here = replace(model, effects=(*own, *unravel(theta)), coefficients=coefficients)
@@ -169,4 +163,4 @@ def _compiled(frozen: tuple, structure, count: int, dt: float, mesh: Mesh | None
         by_lane, by_time = PartitionSpec(mesh.axis_names), PartitionSpec(None, mesh.axis_names)
         ends = (PartitionSpec(), by_lane, by_lane, by_lane, by_time), (by_lane, by_time)
         run = jax.shard_map(run, mesh=mesh, in_specs=ends[0], out_specs=ends[1], check_vma=False)
-    return jax.jit(run)
+    return run(arrays, theta, coefficients, state, stages)

@@ -24,7 +24,7 @@ from .evaluation import augmented, floor, sides
 from .hold import settled
 from .next_experiment import Experiment, separate
 from .noise import STRUCK
-from .parameter_uncertainty import doubted, own_misfit
+from .parameter_uncertainty import doubted
 from .result import GAP, Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
 from .select_records import usable
 from .where import locate
@@ -189,7 +189,7 @@ def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Sa
         found = attribute(case, **options)
         _, judged = sides(case)
         gap = gap_of(case, found, found.best, floor(case, found.noise, judged), judged)
-        return _Said(case, found, gap, _verdict(gap, found, own_misfit(case.model)))
+        return _Said(case, found, gap, _verdict(gap, found, case.model.provenance.misfit))
 
     first, progress = said("first"), options["progress"]
     elsewhere = first.verdict == "no_gap" and _fitted_show_it(first.case, first.found)

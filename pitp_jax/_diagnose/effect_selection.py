@@ -18,7 +18,6 @@ from .effect_pairs import second
 from .evaluation import CLOSE, Judged, floor, parsimonious, sides, tried
 from .fit import Candidate
 from .noise import Noise, estimate
-from .parameter_uncertainty import own_misfit
 from .regress import Screened, singles
 from .screen import screen
 
@@ -84,7 +83,7 @@ def attribute(
     if not refit and "parameter_change" not in exclude:
         rivals.append(changed)
     _, held = sides(case)
-    best = _part_of_a_change(parsimonious(rivals), rivals, floor(case, noise, held), own_misfit(case.model))
+    best = _part_of_a_change(parsimonious(rivals), rivals, floor(case, noise, held), case.model.provenance.misfit)
     noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: (j.names != best.names, j.heldout)))
     pair = second(case, catalogue, screening, best, rivals, base, noise, refit, progress)

@@ -8,7 +8,6 @@ In a refit the coefficients are fitted along, but not the hold: identified on de
 zero-order hold, half a sample of delay, and a delay of 13 ms was then read as 12.502 +- 0.003.
 """
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -23,10 +22,10 @@ from .fit import Candidate, nudged, residuals, stacked
 
 def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
     """The explanation with a covariance that knows the nominal's; as it is where that is not known."""
-    c, spread = judged.candidate, relative_covariance(nominal)
+    c, spread = judged.candidate, np.asarray(nominal.provenance.covariance, np.float64)
     if c.refit and c.covariance.size:
         return replace(judged, candidate=replace(c, covariance=c.covariance + _of_the_hold(c, nominal, case.dt)))
-    if spread is None or not c.covariance.size:
+    if not spread.size or not c.covariance.size:
         return judged
     lanes = Lanes(case, [c.forms])
     fitted, _ = sides(case)
@@ -48,26 +47,3 @@ def _of_the_hold(c: Candidate, nominal: Model, dt: float) -> np.ndarray:
             if form is Delay:
                 extra[sum(len(f.PARAMETERS) for f in c.forms[:k])] = (dt / 2 / values[0]) ** 2
     return np.diag(extra)
-
-
-def own_misfit(model: Model) -> float:
-    """What the nominal left of the records it was identified on, over their noise (at least 1); inf if not known."""
-    row, noise = _identified(model)
-    return max(row["rms"] / noise, 1.0) if "rms" in row and noise else float("inf")
-
-
-def relative_covariance(model: Model) -> np.ndarray | None:
-    """Of the logarithms of a_0 ... a_n; None where it is not known."""
-    row, _ = _identified(model)
-    if "correlation" not in row:
-        return None
-    share = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)
-    return np.asarray(row["correlation"], float) * np.outer(share, share)
-
-
-def _identified(model: Model) -> tuple[dict, float | None]:
-    """The order's row as `identify` left it in the notes, and the noise; nothing where a model was trained since."""
-    notes = json.loads(model.provenance.notes)
-    told = {} if "training" in notes else notes.get("identification", {})
-    rows = [row for row in told.get("orders", []) if row.get("order") == model.order]
-    return (rows[0] if rows else {}), told.get("noise_std")

@@ -9,6 +9,7 @@ known. An effect at its neutral parameters vanishes exactly, so a model may carr
 """
 
 from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -251,10 +252,10 @@ class Wanted(Known):
         return self.last
 
 
-def physical_factor(p: Parameter, state: tuple[float, ...], force: float) -> float:
+def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float:
     """What takes a stored value to physical units, `state` and `force` being a model's scales."""
     s = (*state, 1.0, 1.0)
-    return s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * force**p.force
+    return float(s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * force**p.force)
 
 
 def in_scales(effect: AbstractEffect, old: tuple, new: tuple) -> AbstractEffect:

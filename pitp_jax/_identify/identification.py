@@ -140,7 +140,8 @@ def _least_squares(params: np.ndarray, order: int, hold: Hold, problem: OutputEr
 def _to_model(chosen: OrderFit, records, input_map: str, orders, rest) -> Model:
     """Scaled model: state scales are the rms of the identified model's own derivatives over the records."""
     n = chosen.order
-    a = chosen.coefficients
+    a, told = chosen.coefficients, summary(chosen, orders, records)
+    share = chosen.stderr / a
     forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage)) for r in records]
     force_scale = max(float(np.abs(f).max()) for f in forces)
     longest = int(np.argmax([r.samples for r in records]))
@@ -154,7 +155,9 @@ def _to_model(chosen: OrderFit, records, input_map: str, orders, rest) -> Model:
         voltage_unit=records[0].voltage_unit,
         voltage_range=(np.inf, -np.inf),
         slew=0.0,
-        notes=json.dumps({"identification": summary(chosen, orders, records)}),
+        notes=json.dumps({"identification": told}),
+        covariance=tuple(map(tuple, (chosen.correlation * np.outer(share, share)).tolist())),
+        misfit=max(chosen.rms / told["noise_std"], 1.0) if told["noise_std"] else float("inf"),
         long_record=thinned(records[longest], forces[longest], rest[longest]),
     ).driven_by(records)
     return linear_model(

@@ -9,14 +9,14 @@ With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t)
           u_t -> u_{t+1} through the first row alone would be marginally stable.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._model.input_map import SquareInput
 from .._model.model import Model
-from .._simulate.decoder import frozen_increment
+from .._model.programs import jit
+from .._simulate.decoder import film_voltage, frozen_increment
 
 
 def _affine(model: Model, state, dt):
@@ -30,7 +30,7 @@ def _affine(model: Model, state, dt):
     return stepped(0 * units[0]), gains
 
 
-@eqx.filter_jit
+@jit
 def discrete_inverse(
     model: Model,
     states: Float[Array, "time state"],
@@ -67,7 +67,7 @@ def discrete_inverse(
     moved = jnp.diff(states, axis=0)  # exact for neighbouring states: no rounding is added to the decoder's own
     top = moved[:, n - 1] - free[:, n - 1]
     if model.hold == "zoh":
-        return model.input_map.voltage(top / gains[:, :, n - 1].sum(1) * model.scales.force)
+        return film_voltage(model, top / gains[:, :, n - 1].sum(1))
     second = n - 2 if n > 1 else (n if model.memory.size else None)
     below = None if second is None else (moved[:, second] - free[:, second], gains[:, :, second])
     return _solve_foh(model, (top, gains[:, :, n - 1]), below, first, sweeps)[:-1]

@@ -17,7 +17,7 @@ from .._model.model import Model
 from .._numerics.spline_derivative import fast_derivatives
 from .._record.reading import Target
 from .._simulate import ports
-from .._simulate.decoder import rest_state
+from .._simulate.decoder import film_voltage, rest_state
 from .._simulate.parallel_in_time import rollout_by_size
 from .._simulate.prediction import at_rate, outside_share
 from .equation import invert_along, scaled_equation
@@ -121,7 +121,7 @@ def _infeasible(model: Model, force: np.ndarray, dt: float) -> np.ndarray:
     slack = _ROUNDING * np.abs(force[np.isfinite(force)]).max(initial=0.0)
     never = np.asarray(model.input_map.infeasible(jnp.asarray(force + slack)))
     if model.effects:
-        film = model.input_map.voltage(jnp.asarray(force) * model.scales.force)
+        film = film_voltage(model, jnp.asarray(force))
         never = never | np.asarray(ports.beyond(model, film, dt))
     return never
 
@@ -229,7 +229,7 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int, age:
         if model.effects:
             motion = np.asarray(ports.moves(model, jnp.asarray(reference / scale), dt), np.float64) * scale
         equation = scaled_equation(model, fast_derivatives(motion, dt, model.order))
-        force, voltage, features = invert_along(model, equation, dt, age)
+        force, voltage, features = invert_along(model, equation, dt, jnp.asarray(age, dtype))
         u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
         states = rollout_by_size(model, jnp.asarray(u[None], dtype), dt, rest_state(model, age)[None])[0]
         x = np.asarray(ports.readings(model, states), np.float64) * scale

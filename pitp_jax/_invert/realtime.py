@@ -25,7 +25,7 @@ from .._model.memory import AbstractMemory, FadingMemory
 from .._model.model import Model
 from .._numerics.intersample import between
 from .._numerics.linear_recurrence import lag_after
-from .._simulate.decoder import rest_state, step
+from .._simulate.decoder import film_voltage, rest_state, step
 from .._simulate.prediction import at_rate
 
 
@@ -65,7 +65,7 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
         x = wanted / scale
         memory = memory_after(model.memory, memory, before, x[0], dt)
         force = equation_force(model, jnp.concatenate([x[:-1], memory]), x)[0]
-        film = model.input_map.voltage(force * model.scales.force)
+        film = film_voltage(model, force)
         voltage = film + lag(model.drive) * (3 * film - 4 * film_1 + film_2) / (2 * dt)
         return jnp.concatenate([memory, jnp.stack([x[0], film, film_1])]), voltage
 
@@ -93,9 +93,8 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
         now = film_after(model.drive, film, before, drive[0], dt)
         stages = between(jnp.stack([film, now]), model.hold, fractions, jnp)[0]
         state = step(model, state, stages, dt)
-        return jnp.concatenate([state, jnp.stack([now, drive[0]])]), model.output.to_rig(
-            state[0] * model.scales.state[0]
-        )
+        shown = model.output.to_rig(state[0] * model.scales.state[0])
+        return jnp.concatenate([state, jnp.stack([now, drive[0]])]), shown.astype(jnp.float32)
 
     return _compiled(one, np.concatenate([np.asarray(rest_state(model)), np.zeros(2)]), 1)
 

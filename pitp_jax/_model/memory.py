@@ -13,6 +13,7 @@ from abc import abstractmethod
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.linear_recurrence import first_order_lags, oscillator
@@ -65,7 +66,7 @@ class NoMemory(AbstractMemory):
 class ElapsedTime(AbstractMemory):
     """Seconds since the excitation began over `horizon` (s): the paper's time input (eq. 4)."""
 
-    horizon: float = eqx.field(static=True)
+    horizon: float = eqx.field(converter=np.float64)
 
     @property
     def size(self):
@@ -78,7 +79,7 @@ class ElapsedTime(AbstractMemory):
 
     def rate(self, memory, x):
         """1/T."""
-        return jnp.full((1,), 1.0 / self.horizon, jnp.result_type(x))
+        return jnp.full((1,), 1.0 / jnp.asarray(self.horizon, jnp.result_type(x)))
 
     def trajectory(self, x, dt, start):
         """T/T."""

@@ -9,7 +9,7 @@ nominal coefficient times a positive factor, so a zero encoder is exactly the id
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NoReturn
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ Hold = Literal["foh", "zoh", "bandlimited"]
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a model was made from; hashable, so that it can stay static under jit.
+    """What a model was made from: read on the host alone, and no part of what compiles (`programs`).
 
     Attributes:
         dt: sampling interval of the training records, s.
@@ -40,6 +40,8 @@ class Provenance:
         slew: highest voltage slew seen, V/s.
         region: per feature (S then memory, scaled) lowest and highest value trained on.
         notes: JSON text, the identification and training summary `pitp info` prints.
+        covariance: of ln a_0 ... ln a_n as identified, n + 1 rows; empty where it is not known, or no longer holds.
+        misfit: what the nominal left of the records it was identified on, over their noise (rms); infinite likewise.
         long_record: the longest record the nominal was identified on, which training holds creep to.
         clock: what the records' clock showed when their session began, s; 0 unless it shows absolute time.
     """
@@ -51,6 +53,8 @@ class Provenance:
     slew: float = float("inf")
     region: tuple[tuple[float, float], ...] = ()
     notes: str = "{}"
+    covariance: tuple[tuple[float, ...], ...] = ()
+    misfit: float = float("inf")
     long_record: LongRecord | None = None
     clock: float = 0.0
 
@@ -75,11 +79,34 @@ class Provenance:
         )
 
 
-class Output(eqx.Module):
-    """The sensor's zero and direction: x = polarity (y - offset), y in the rig's coordinates (m or V)."""
+class Removed:
+    """Stands where a model's provenance was: nothing of it can be read."""
 
-    offset: float = eqx.field(static=True, default=0.0)
-    polarity: float = eqx.field(static=True, default=1.0)
+    def __getattr__(self, name: str) -> NoReturn:
+        """Fails, but for names that Python itself asks about."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise RuntimeError(
+            f"provenance.{name} is not there under jit, where models of any origin share one program: "
+            "read it before, or put it back with replace(model, provenance=...)"
+        )
+
+
+REMOVED = Removed()
+
+
+def _numbers(values) -> np.ndarray:
+    return np.asarray(values, np.float64)
+
+
+class Output(eqx.Module):
+    """The sensor's zero and direction: x = polarity (y - offset), y in the rig's coordinates (m or V).
+
+    NumPy's float64, exact on the host; under jit they are arguments of the program.
+    """
+
+    offset: float = eqx.field(converter=np.float64, default=0.0)
+    polarity: float = eqx.field(converter=np.float64, default=1.0)
 
     def to_model(self, y):
         """Measured output to displacement from rest."""
@@ -94,17 +121,17 @@ class Scales(eqx.Module):
     """Units of the scaled coordinates: x^(i) in m/s^i (n + 1 of them) and force in V^2 (or V).
 
     `sections` (order 3 and up): the nominal polynomial's factors (`sections_of`), the units of its variable tokens.
+    NumPy's float64, exact on the host; under jit they are arguments of the program: cast them to its precision.
     """
 
-    state: tuple[float, ...] = eqx.field(static=True)
-    force: float = eqx.field(static=True)
-    sections: tuple[float, ...] = eqx.field(static=True, default=())
+    state: Float[np.ndarray, " tokens"] = eqx.field(converter=_numbers)
+    force: float = eqx.field(converter=np.float64)
+    sections: Float[np.ndarray, " sections"] = eqx.field(converter=_numbers, default=())
 
     @property
-    def rates(self) -> np.ndarray:
-        """dX_i/dt = rates_i X_{i+1}, in 1/s, shape (n,)."""
-        state = np.asarray(self.state)
-        return state[1:] / state[:-1]
+    def rates(self) -> Float[np.ndarray | Array, " order"]:
+        """dX_i/dt = rates_i X_{i+1}, in 1/s."""
+        return self.state[1:] / self.state[:-1]
 
 
 class Model(eqx.Module):
@@ -123,10 +150,10 @@ class Model(eqx.Module):
     encoder: AbstractEncoder
     memory: AbstractMemory
     output: Output
-    scales: Scales = eqx.field(static=True)
+    scales: Scales
     hold: Hold = eqx.field(static=True, default="foh")
     substeps: int = eqx.field(static=True, default=1)
-    provenance: Provenance = eqx.field(static=True, default=Provenance(1.0))
+    provenance: Provenance | Removed = eqx.field(static=True, default=Provenance(1.0))
     drive: AbstractDrive = DirectDrive()
     effects: tuple = ()
 
@@ -138,7 +165,7 @@ class Model(eqx.Module):
     @property
     def physical_coefficients(self) -> np.ndarray:
         """Nominal a_0 ... a_n in V^2 s^i / m (or V s^i / m), shape (n + 1,)."""
-        return np.asarray(self.coefficients, np.float64) * self.scales.force / np.asarray(self.scales.state)
+        return np.asarray(self.coefficients, np.float64) * self.scales.force / self.scales.state
 
     @property
     def natural_frequency(self) -> float:
@@ -169,10 +196,6 @@ class Model(eqx.Module):
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
 
-def _sections(coefficients: np.ndarray) -> tuple[float, ...]:
-    return sections_of(coefficients) if len(coefficients) > 3 else ()
-
-
 def linear_model(
     coefficients: np.ndarray,
     *,
@@ -193,7 +216,7 @@ def linear_model(
         encoder=ConstantEncoder(len(coefficients) + 1),
         memory=NoMemory(),
         output=output,
-        scales=Scales(tuple(float(s) for s in state_scale), float(force_scale), _sections(coefficients)),
+        scales=Scales(state_scale, force_scale, sections_of(coefficients) if len(coefficients) > 3 else ()),
         hold=hold,
         substeps=substeps,
         provenance=provenance,

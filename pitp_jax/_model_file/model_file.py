@@ -7,7 +7,8 @@
     then      the leaves, each as .npy bytes    no pickle
 
 A part is rebuilt from a closed list of names, as shapes only, and then filled with the stored leaves. So a
-file can choose among the parts of this package and give them numbers, and nothing else.
+file can choose among the parts of this package and give them numbers, and nothing else. Equinox's
+`tree_serialise_leaves` would keep neither the names of the leaves nor float64 ones in a session without it.
 """
 
 import hashlib
@@ -41,12 +42,15 @@ def save(path: str | os.PathLike, model: Model) -> None:
     Raises:
         BadInput: a part this format has no name for (an own encoder, an effect), or an unwritable file.
     """
-    arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _leaves(model)]
+    header = describe(model)
+    skeleton = _skeleton(header)
+    numbers = {jax.tree_util.keystr(k) for k, leaf in jax.tree_util.tree_leaves_with_path(skeleton) if _is_number(leaf)}
+    leaves = [(k, leaf) for k, leaf in _arrays(model) if jax.tree_util.keystr(k) not in numbers]
+    arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in leaves]
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:
             raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
-    header = describe(model)
-    if [_place(leaf) for leaf in _leaves(_skeleton(header))] != [_place(leaf) for leaf in _leaves(model)]:
+    if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in leaves]:
         raise BadInput("cannot save the model: its arrays are not those its parts are built with")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
     lines = ",\n".join(f"{json.dumps(k)}: {json.dumps(encode(v), allow_nan=False)}" for k, v in header.items())
@@ -115,17 +119,30 @@ def _check_magic(path, line: bytes) -> None:
 
 
 def _skeleton(header: dict) -> Model:
-    """The model of a header, shapes where its leaves belong; nothing is allocated."""
-    return eqx.filter_eval_shape(lambda: build(header))
+    """The model of a header, shapes where its leaves belong; nothing is allocated.
+
+    What is of NumPy (scales, the sensor's zero) has its number in the header and is no leaf of the file.
+    """
+    numbers = []
+
+    def shapes():
+        number, rest = eqx.partition(build(header), _is_number)
+        numbers.append(number)
+        return rest
+
+    return eqx.combine(eqx.filter_eval_shape(shapes), numbers[0])
 
 
 def _place(leaf) -> tuple:
     return jax.tree_util.keystr(leaf[0]), tuple(leaf[1].shape)
 
 
-def _leaves(model: Model):
-    arrays = eqx.filter(model, lambda leaf: isinstance(leaf, (jax.Array, np.ndarray, jax.ShapeDtypeStruct)))
-    return jax.tree_util.tree_leaves_with_path(arrays)
+def _arrays(model: Model) -> list:
+    return jax.tree_util.tree_leaves_with_path(eqx.filter(model, eqx.is_array))
+
+
+def _shapes(skeleton: Model) -> list:
+    return jax.tree_util.tree_leaves_with_path(eqx.filter(skeleton, _is_shape))
 
 
 def _refuse(literal: str):
@@ -134,7 +151,7 @@ def _refuse(literal: str):
 
 def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
     """Put the stored leaves where the skeleton has shapes."""
-    places = _leaves(skeleton)
+    places = _shapes(skeleton)
     if [jax.tree_util.keystr(k) for k, _ in places] != [name for name, _, _ in leaves]:
         raise ValueError("its leaves are not those of its parts")
     stream, arrays = io.BytesIO(data), []
@@ -151,6 +168,10 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
         raise ValueError("more bytes than leaves")
     treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))
     return eqx.combine(jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True))
+
+
+def _is_number(leaf) -> bool:
+    return isinstance(leaf, np.ndarray | np.generic)
 
 
 def _is_shape(leaf) -> bool:

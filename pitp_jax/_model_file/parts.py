@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .._effects import CATALOGUE
 from .._effects import key as form_key
@@ -88,7 +89,7 @@ ENCODERS = {
 }
 MEMORIES = {
     "none": Part(NoMemory, _nothing, NoMemory),
-    "elapsed": Part(ElapsedTime, lambda m: {"horizon": m.horizon}, ElapsedTime),
+    "elapsed": Part(ElapsedTime, lambda m: {"horizon": float(m.horizon)}, ElapsedTime),
     "fading": Part(FadingMemory, lambda m: {"size": m.size}, lambda size: FadingMemory(jnp.zeros((size,)))),
     "ringing": Part(
         RingingMemory,
@@ -117,9 +118,9 @@ def describe(model: Model) -> dict:
         "effects": [_named(EFFECTS, effect) for effect in model.effects],
         "output": {"offset": float(model.output.offset), "polarity": float(model.output.polarity)},
         "scales": {
-            "state": [float(s) for s in model.scales.state],
+            "state": model.scales.state.tolist(),
             "force": float(model.scales.force),
-            "sections": [float(s) for s in model.scales.sections],
+            "sections": model.scales.sections.tolist(),
         },
         "provenance": {
             "dt": float(source.dt),
@@ -129,6 +130,8 @@ def describe(model: Model) -> dict:
             "slew": float(source.slew),
             "region": [[float(v) for v in pair] for pair in source.region],
             "clock": float(source.clock),
+            "covariance": [[float(v) for v in row] for row in source.covariance],
+            "misfit": float(source.misfit),
         },
         "long_record": _packed(source.long_record),
         "notes": _notes_out(source.notes),
@@ -176,6 +179,7 @@ def build(header: dict) -> Model:
     """The model the header describes; its leaves are placeholders."""
     source, output, scales = header["provenance"], header["output"], header["scales"]
     notes = header["notes"] if isinstance(header["notes"], str) else json.dumps(header["notes"])
+    known = source if "misfit" in source else _from_notes(notes, header["order"])
     low, high = source["voltage_range"]
     provenance = Provenance(
         dt=float(source["dt"]),
@@ -185,6 +189,8 @@ def build(header: dict) -> Model:
         slew=float(source["slew"]),
         region=tuple((float(a), float(b)) for a, b in source["region"]),
         notes=notes,
+        covariance=tuple(tuple(map(float, row)) for row in known["covariance"]),
+        misfit=float(known["misfit"]),
         long_record=_unpacked(header.get("long_record")),
         clock=float(source.get("clock", 0.0)),
     )
@@ -196,11 +202,7 @@ def build(header: dict) -> Model:
         encoder=_part(ENCODERS, header["encoder"]),
         memory=_part(MEMORIES, header["memory"]),
         output=Output(float(output["offset"]), float(output["polarity"])),
-        scales=Scales(
-            tuple(float(s) for s in scales["state"]),
-            float(scales["force"]),
-            tuple(float(s) for s in scales["sections"]),
-        ),
+        scales=Scales(scales["state"], scales["force"], scales["sections"]),
         hold=header["hold"],
         substeps=int(header["substeps"]),
         provenance=provenance,
@@ -211,6 +213,22 @@ def build(header: dict) -> Model:
     if tokens.shape != (model.order + 1,) or model.order != header["order"]:
         raise ValueError(f"{tokens.shape[0]} tokens for order {header['order']}")
     return model
+
+
+def _from_notes(notes: str, order: int) -> dict:
+    """Covariance and misfit of files that were written when they stood in the notes alone."""
+    try:
+        told = json.loads(notes)
+    except ValueError:
+        told = {}
+    found = told.get("identification", {}) if isinstance(told, dict) and "training" not in told else {}
+    row = next((row for row in found.get("orders", []) if row.get("order") == order), {})
+    covariance, noise = np.zeros((0, 0)), found.get("noise_std")
+    if "correlation" in row:
+        share = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)
+        covariance = np.asarray(row["correlation"], float) * np.outer(share, share)
+    misfit = max(row["rms"] / noise, 1.0) if "rms" in row and noise else math.inf
+    return {"covariance": covariance.tolist(), "misfit": misfit}
 
 
 def _notes_out(notes: str):

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from .._effects.base import Instant
 from .._model.model import Model
+from .._model.programs import jit
 from .._numerics.intersample import between
 from . import ports
 
@@ -26,7 +27,12 @@ UNROLLED = 4  # substeps written out one by one; 50 of them took minutes to comp
 
 def scaled_force(model: Model, voltage: Float[Array, "..."]) -> Float[Array, "..."]:
     """Force over force_scale."""
-    return model.input_map.force(voltage) / model.scales.force
+    return model.input_map.force(voltage) / jnp.asarray(model.scales.force, voltage.dtype)
+
+
+def film_voltage(model: Model, force: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The film voltage (V) behind a scaled force."""
+    return model.input_map.voltage(force * jnp.asarray(model.scales.force, force.dtype))
 
 
 def stage_voltages(model: Model, film: Float[Array, " time"]) -> Float[Array, "time stages"]:
@@ -129,4 +135,9 @@ def rollout(
     return jax.lax.scan(advance, start, stage_voltages(model, voltage))[1]
 
 
-rollout_batch = eqx.filter_jit(eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0)))
+@jit
+def rollout_batch(
+    model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
+) -> Float[Array, "records time state"]:
+    """The same for records side by side, compiled."""
+    return eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0))(model, voltage, dt, start)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._model.encoder import ConstantEncoder
 from .._model.model import Model
+from .._model.programs import jit
 from .batched_rollout import fast_rollout
 from .decoder import stage_voltages, step
 
@@ -58,7 +59,7 @@ def affine_scan(
     return jnp.concatenate([start[None], products @ start + sums])
 
 
-@eqx.filter_jit
+@jit
 def parallel_rollout(
     model: Model, voltage: Float[Array, " time"], dt: float, start: Float[Array, " state"]
 ) -> Parallel:

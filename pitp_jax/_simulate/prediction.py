@@ -8,13 +8,13 @@ A rollout that leaves every range is a result, `diverged`, with nan from there o
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._model.model import Model
+from .._model.programs import jit
 from .._record.initial_state import INITIAL_SAMPLES, first_known, starts_at_rest
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
@@ -25,7 +25,7 @@ from .parallel_in_time import rollout_by_size
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
 
-@eqx.filter_jit
+@jit
 def estimate_start(
     model: Model,
     voltage: Float[Array, " time"],
@@ -138,7 +138,8 @@ def _start(model: Model, record: Record, age: float):
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
     voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
-    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, age), len(x)
+    now = jnp.asarray(age, dtype)  # an array: no program for every age
+    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, now), len(x)
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:

@@ -153,10 +153,10 @@ def tokens_rows(model: Model, logits: Rows) -> tuple[list[Array], Array]:
     n, factor = model.order, [positive_factor(row) for row in logits[:-1]]
     if n < 3:
         return [model.coefficients[i] * factor[i] for i in range(n + 1)], logits[-1]
-    state = np.asarray(model.scales.state)
-    values = [row * float(s) for row, s in zip(factor[:n], model.scales.sections, strict=True)]
+    state, sections = (jnp.asarray(a, factor[0].dtype) for a in (model.scales.state, model.scales.sections))
+    values = [row * s for row, s in zip(factor[:n], sections, strict=True)]
     lead = model.coefficients[n] * factor[n]
-    return [lead * float(r) * c for r, c in zip(state / state[n], _product(values), strict=True)], logits[-1]
+    return [lead * r * c for r, c in zip(state / state[n], _product(values), strict=True)], logits[-1]
 
 
 def _product(values: list) -> list:

@@ -27,8 +27,10 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._model.model import Model
+from .._model.programs import jit
 from .._record.long_record import LongRecord
 from .._record.preprocess import cutoff, force_band, preprocess
+from .._simulate.decoder import scaled_force
 from .parameters import trainable, with_parameters
 
 _WEIGHT = 0.1  # lambda, beside a mean over records of squares of e_rms in %
@@ -97,7 +99,7 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
     force = np.asarray(model.input_map.force(jnp.asarray(record.voltage)), np.float64)
     found = preprocess(record, model.order, cutoff(force_band([force], long.dt), long.dt), force,
                        displacement=model.output.to_model(record.displacement))  # fmt: skip
-    states, valid = found.states / np.asarray(model.scales.state), found.valid[:: long.step]
+    states, valid = found.states / model.scales.state, found.valid[:: long.step]
     low, high = np.asarray(region)[: model.order].T
     shape = _WINDOWS, len(valid) // _WINDOWS
     count = shape[0] * shape[1]
@@ -138,7 +140,7 @@ def _past(memory, series: _Series):
 
 def _force(model: Model, drive, series: _Series):
     film = drive.film(series.voltage, series.dt, jnp.asarray(series.rest))
-    return series.kept(model.input_map.force(film) / model.scales.force)
+    return series.kept(scaled_force(model, film))
 
 
 def _balance(model: Model, encoder, past, state):
@@ -147,7 +149,7 @@ def _balance(model: Model, encoder, past, state):
     return tokens @ state + offset
 
 
-@eqx.filter_jit
+@jit
 def _left(model: Model, series: _Series) -> Float[Array, "windows moments"]:
     """Every window's means of what the equation leaves (a scaled force)."""
     along = jax.vmap(jax.vmap(lambda past, state: _balance(model, model.encoder, past, state)))
@@ -155,7 +157,7 @@ def _left(model: Model, series: _Series) -> Float[Array, "windows moments"]:
     return jnp.einsum("wmt,wt->wm", series.weight, left)
 
 
-@eqx.filter_jit
+@jit
 def _slopes(model: Model, series: _Series) -> Float[Array, "windows moments parameters"]:
     """How it answers the numbers of encoder, memory and drive."""
     params, static = eqx.partition(model, trainable(model))

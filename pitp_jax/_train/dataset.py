@@ -76,7 +76,7 @@ def build_dataset(
         raise BadInput("no sample of these records survives filtering: gaps are too dense or records too short")
     model = _rescaled(nominal, states, forces, f_max, scaling)
     model = eqx.tree_at(lambda m: m.memory, model, memory(states))
-    scale = np.asarray(model.scales.state)
+    scale = model.scales.state
     features, equation = [], []
     for r, s in zip(records, states, strict=True):
         x = s.states / scale
@@ -125,5 +125,4 @@ def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: floa
         rms = rms[n // 2] * (2 * np.pi * f_max) ** ((np.arange(n + 1) - n // 2) / 2)
     force = max(float(np.abs(f).max()) for f in forces)
     coefficients = jnp.asarray(nominal.physical_coefficients * rms / force, jnp.float32)
-    scales = Scales(tuple(float(v) for v in rms), force, nominal.scales.sections)
-    return replace(nominal, coefficients=coefficients, scales=scales)
+    return replace(nominal, coefficients=coefficients, scales=Scales(rms, force, nominal.scales.sections))

@@ -8,7 +8,7 @@ range, stands beside it. Student's quantile on both is on the safe side: 98.2 % 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from .._model.model import Model
+from .._model.programs import bare, jit
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._record.sets import check_set
@@ -44,8 +45,8 @@ class Ensemble:
     def __post_init__(self):
         """One member has no spread, and members of two makes cannot be run at once."""
         _enough(len(self.models))
-        shapes = [jax.tree.map(jnp.shape, m) for m in _alike(self.models)]
-        if any(jax.tree.structure(s) != jax.tree.structure(shapes[0]) or s != shapes[0] for s in shapes):
+        first, *others = (_make(m) for m in self.models)
+        if any(other != first for other in others):
             raise ValueError("members differ in their parts, scales or output: train them from one nominal")
 
 
@@ -116,16 +117,17 @@ def _enough(members: int) -> None:
 
 
 def _stacked(models: Sequence[Model]) -> Model:
-    """One model whose leaves have a leading axis of members; what they were made from is the first's."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *_alike(models))
+    """One model whose leaves have a leading axis of members."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(bare, models))
 
 
-def _alike(models: Sequence[Model]) -> list[Model]:
-    """Without what they do not share: what they were made from."""
-    return [replace(m, provenance=models[0].provenance) for m in models]
+def _make(model: Model) -> tuple:
+    """What members have in common: structure, shapes, scales and output."""
+    shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, bare(model)))
+    return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
 
-@eqx.filter_jit
+@jit
 def _run(stack: Model, voltage, dt: float, start):
     return eqx.filter_vmap(lambda m, s: ports.readings(m, rollout(m, voltage, dt, s)))(stack, start)
 

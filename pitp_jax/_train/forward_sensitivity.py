@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._model.model import Model
+from .._model.programs import jit
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
 from .parameters import Numbers
@@ -49,7 +50,7 @@ class Runs(eqx.Module):
         return [jax.tree.map(lambda a, k=k: a[k * size : (k + 1) * size], whole) for k in range(count)]
 
 
-@eqx.filter_jit
+@jit
 def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors"]:
     """Sqrt(every w) e at every `every`-th sample, less an incomplete last block."""
     states = fast_rollout(model, runs.voltage, dt, runs.start)
@@ -118,7 +119,7 @@ class _Local:
         return by_state @ answer + jnp.zeros((n.count,), answer.dtype).at[n.count - n.effects.size :].set(by_effects)
 
 
-@eqx.filter_jit
+@jit
 def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors parameters"]:
     """How `run_errors` answer every trained number."""
     local, (records, size), count = _Local(model, dt), runs.start.shape, runs.voltage.shape[1] // every

@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Shaped
 
 from .._model.encoder import CompactEncoder
+from .._model.memory import ElapsedTime
 from .._model.model import Model
 from .._simulate import ports
 from .._simulate.decoder import midpoint, stage_voltages, substep
@@ -24,6 +25,8 @@ def trainable(model: Model):
     spec = eqx.tree_at(_parts, spec, jax.tree.map(eqx.is_inexact_array, _parts(model)))
     if isinstance(model.encoder, CompactEncoder):
         spec = eqx.tree_at(lambda m: m.encoder.bounds, spec, False)
+    if isinstance(model.memory, ElapsedTime):
+        spec = eqx.tree_at(lambda m: m.memory.horizon, spec, False)
     return spec
 
 

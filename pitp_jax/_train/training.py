@@ -23,6 +23,7 @@ from jax.sharding import Mesh
 from .._errors import BadInput, ComputationFailed
 from .._model.memory import RingingMemory
 from .._model.model import Model
+from .._model.programs import jit
 from .._record.initial_state import in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
@@ -161,7 +162,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     best_model, best, count, began = model, np.inf, 0, time.monotonic()
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
-        params, static = eqx.partition(best_model, _trainable(best_model))
+        params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`
         state = _OPTIMISER.init(params)
         epochs = max(1, int(settings.epochs * settings.decay_epochs**j))
         at_stage = best
@@ -171,13 +172,13 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
             params, state, (physics, constraint) = _epoch(
-                params, static, state, data.equation, *box_rate, settings, sub
+                params, static, state, model, data.equation, *box_rate, settings, sub
             )
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
                 raise ComputationFailed(_nan_advice(f"stage {j + 1}, epoch {epoch + 1}"))
             if physics < best:
-                best, best_model = physics, eqx.combine(params, static)
+                best, best_model = physics, replace(best_model, encoder=eqx.combine(params, static))
             left = (time.monotonic() - began) / count * (total - count)
             progress(Progress(f"stage {j + 1}", epoch + 1, epochs, box[1], physics + constraint, best, left))
         yield (
@@ -195,14 +196,8 @@ def _nan_advice(place: str) -> str:
     )
 
 
-def _trainable(model: Model):
-    """Encoder weights only: the equation error knows no time constant."""
-    frozen = jax.tree.map(lambda _: False, model)
-    return eqx.tree_at(lambda m: m.encoder, frozen, trainable(model).encoder)
-
-
-@eqx.filter_jit
-def _epoch(params, static, state, data, box, rate, settings: Settings, key):
+@jit
+def _epoch(params, static, state, model: Model, data, box, rate, settings: Settings, key):
     """One epoch over shuffled minibatches as one compiled scan; an incomplete batch is left to the next shuffle."""
     count = max(data.force.shape[0] // settings.batch, 1)
     size = min(settings.batch, data.force.shape[0])
@@ -211,7 +206,8 @@ def _epoch(params, static, state, data, box, rate, settings: Settings, key):
     dropout = settings.encoder == "paper"
 
     def objective(p, batch, k):
-        return loss(eqx.combine(p, static), batch, box, width=settings.huber, penalty=settings.penalty, key=k)
+        here = replace(model, encoder=eqx.combine(p, static))
+        return loss(here, batch, box, width=settings.huber, penalty=settings.penalty, key=k)
 
     def update(carry, item):
         p, s = carry
@@ -248,4 +244,4 @@ def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, records, n
     told = json.dumps({**json.loads(model.provenance.notes), "training": notes})
     dt = records[0].dt
     seen = model.provenance.driven_by(records).with_(dt=dt, region=_region(model, data, slow, dt), notes=told)
-    return replace(model, provenance=seen)
+    return replace(model, provenance=seen.with_(covariance=(), misfit=float("inf")))  # an encoder stands beside it now

@@ -1,0 +1,146 @@
+"""Compiled programs shared by all models of one structure, blind to what they were made from; files written before."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pitp_jax as pitp
+from pitp_jax._invert.equation import invert_along, scaled_equation
+from pitp_jax._model.model import Output, Provenance, Scales
+from pitp_jax._model.programs import bare, jit
+from pitp_jax._record.record import Record
+from pitp_jax._simulate import decoder
+from pitp_jax._simulate.batched_rollout import fast_rollout
+from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax._train.parameters import parameters
+
+FILES, DT = Path(__file__).parent / "files", 2e-3
+TIME = DT * np.arange(600)
+# displacement of every 75th sample under the voltage of `held_out`, as predicted by the commit that wrote the files
+WRITTEN = {
+    "identified": (2.9145989659251127e-04, 6.717065693542925e-05, -4.1437968070699905e-04, 3.596010711891149e-04,
+                   2.0527806430475877e-04, -5.157800724716198e-04, 3.676015843896438e-04, 2.4827992156018066e-04),
+    "trained": (3.045109289174299e-04, 7.892450057666832e-05, -3.407087208058376e-04, 3.6144416079217e-04,
+                1.4106052463810394e-04, -4.606502760283845e-04, 3.2935504763271367e-04, 2.1393107892064367e-04),
+    "effects": (3.0163242407143116e-04, 2.3416075408458706e-04, -4.634976978326111e-04, 3.040110172703862e-04,
+                2.4949682429432863e-04, -5.014928102493287e-04, 3.0244110217317934e-04, 2.6889700926840303e-04),
+}  # fmt: skip
+
+
+def held_out(model):
+    u = 400 * (1 - np.cos(2 * np.pi * 2.2 * TIME))
+    return Record("held out", TIME, u, np.full(len(TIME), float(model.output.offset)))
+
+
+def another(model, seed=1):
+    """Same structure; other weights, scales, output and origin."""
+    rng = np.random.default_rng(seed)
+    scales = Scales(model.scales.state * rng.uniform(0.5, 2, model.order + 1), 2.5e6, model.scales.sections * 1.1)
+    region, notes = ((-1.0, 1.0),) * (model.order + model.memory.size), json.dumps({"training": {"seconds": seed}})
+    made = Provenance(DT, "mm", "kV", (0.0, 900.0), 3e4, region, notes)
+    output = Output(1e-3 * seed, -1.0)
+    return replace(model.changed(rng.uniform(0.9, 1.1, model.order + 1)), scales=scales, output=output, provenance=made)
+
+
+@pytest.fixture
+def traces(monkeypatch):
+    """How often the decoder's or the inverse's way to a force was traced."""
+    count = []
+
+    def counted(place, name):
+        original = getattr(place, name)
+
+        def traced(*args):
+            count.append(name)
+            return original(*args)
+
+        monkeypatch.setattr(place, name, traced)
+
+    for name in ("stage_voltages", "film_voltage"):
+        for place in (decoder, pitp._simulate.batched_rollout, pitp._invert.equation):  # type: ignore[attr-defined]
+            if hasattr(place, name):
+                counted(place, name)
+    return count
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_models_of_one_structure_share_their_programs(order, nonlinear, traces):
+    one = another(nonlinear(order, size=0.05, dt=DT), 2)
+    two = another(one)
+    x = np.stack([1e-4 * (2 * np.pi) ** k * np.sin(2 * np.pi * TIME + k * np.pi / 2) for k in range(order + 1)], 1)
+
+    def everything(model):
+        volts, start = jnp.asarray(held_out(model).voltage, jnp.float32)[None], rest_state(model)[None]
+        played = invert_along(model, scaled_equation(model, x), DT)[1]
+        (predicted,) = pitp.predict(model, [held_out(model)])
+        return rollout_batch(model, volts, DT, start), fast_rollout(model, volts, DT, start), played, predicted
+
+    first, before = everything(one), len(traces)
+    second = everything(two)
+    assert before >= 4 and len(traces) == before
+    for found in (first, second):
+        np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-5)
+    assert not np.allclose(first[1], second[1], atol=1e-2)
+    traced = [np.asarray(a) for a in everything(replace(two, substeps=1, provenance=Provenance(DT)))[:3]]
+    for a, b in zip(second[:3], traced, strict=True):
+        np.testing.assert_array_equal(np.asarray(a), b)
+
+
+def test_shared_programs_read_the_models_own_numbers(nonlinear):
+    """A program compiled for one model gives another the same states as no program at all."""
+    one = nonlinear(2, size=0.05, dt=DT)
+    two, volts = another(one), jnp.asarray(held_out(one).voltage[:60], jnp.float32)
+    fast_rollout(one, volts[None], DT, rest_state(one)[None])
+    shared = fast_rollout(two, volts[None], DT, rest_state(two)[None])[0]
+    state, plain = rest_state(two), []
+    for stages in decoder.stage_voltages(two, volts):
+        plain.append(state)
+        state = decoder.step(two, state, stages, DT)
+    np.testing.assert_allclose(shared, np.stack(plain), rtol=0, atol=1e-6)
+
+
+def test_provenance_is_not_there_to_be_read_under_jit(actuator):
+    read = jit(lambda model: model.coefficients * model.provenance.dt)
+    with pytest.raises(RuntimeError, match="provenance.dt is not there under jit"):
+        read(actuator)
+    back = jit(lambda model: model)(actuator)
+    with pytest.raises(RuntimeError, match="put it back with replace"):
+        _ = back.provenance.notes
+    assert bare(actuator).scales == actuator.scales and actuator.provenance.dt == 1e-3
+
+
+def test_scales_and_output_are_exact_numbers_and_not_trained(nonlinear):
+    model = nonlinear(2, offset=1 / 3)
+    scaled = replace(model, scales=Scales((1 / 3, 0.1, 7.0), 0.7))
+    assert scaled.scales.state.dtype == np.float64 and scaled.scales.state[0] == 1 / 3
+    assert scaled.output.offset == 1 / 3 and scaled.scales.force == 0.7
+    assert len(parameters(scaled)[0]) == len(parameters(model)[0])
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_files_written_before_load_and_predict_the_same(name, tmp_path):
+    path = FILES / f"{name}_508a6f1.model"
+    model = pitp.load(path)
+    (found,) = pitp.predict(model, [held_out(model)])
+    np.testing.assert_allclose(found.displacement[::75], WRITTEN[name], rtol=0, atol=2e-9)
+    pitp.save(tmp_path / "again", model)
+    again = pitp.load(tmp_path / "again")
+    assert again.provenance == model.provenance and again.scales == model.scales and again.output == model.output
+
+
+def test_the_covariance_of_files_written_before_is_read_off_their_notes():
+    """A trained model has an encoder beside its nominal: nothing is known of that."""
+    known = pitp.load(FILES / "identified_508a6f1.model").provenance
+    told = json.loads(known.notes)["identification"]
+    (row,) = told["orders"]
+    share = np.asarray(row["stderr"]) / np.asarray(row["coefficients"])
+    np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)), share, rtol=1e-9)
+    assert (
+        1 <= known.misfit < 1e3 and known.misfit >= row["rms"] / json.loads(known.notes)["identification"]["noise_std"]
+    )
+    trained = pitp.load(FILES / "trained_508a6f1.model").provenance
+    assert trained.covariance == () and trained.misfit == np.inf
