@@ -158,7 +158,7 @@ def _report(progress, stage, step, steps, value, best, seconds_left):
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Algorithm 1: yield (best model, history entry) after every stage."""
     total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
-    best_model, best, count, began = model, np.inf, 0, time.monotonic()
+    best_model, best, constraint, count, began = model, np.inf, np.inf, 0, time.monotonic()
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model, _trainable(best_model))
