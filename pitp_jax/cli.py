@@ -7,6 +7,7 @@ commands that compute, so that `pitp --help` and a mistyped option answer at onc
 """
 
 import argparse
+import io
 import math
 import os
 import sys
@@ -37,6 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         exit code: 0 done, 2 bad input or usage, 3 the computation failed, 130 interrupted.
     """
+    _say_anything()
     try:
         arguments = vars(_parser().parse_args(argv))
         module, function = arguments.pop("runs"), arguments.pop("command")
@@ -57,6 +59,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         code, line = _explain(error)
         say(f"error: {line}")
         return code
+
+
+def _say_anything() -> None:
+    """A terminal or pipe without a letter (Windows' code pages have no superscript minus) gets its escape instead."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _explain(error: Exception) -> tuple[int, str]:
@@ -132,9 +141,9 @@ class _ShowVersion(argparse.Action):
     """Prints the version, looked up only then."""
 
     def __call__(self, parser, namespace, values, option_string=None):
-        from importlib.metadata import version
+        from . import __version__
 
-        print(f"pitp {version('pitp_jax')}")
+        print(f"pitp {__version__}")
         parser.exit()
 
 

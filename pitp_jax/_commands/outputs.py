@@ -36,7 +36,7 @@ def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) 
         if path is None:
             continue
         target = Path(path).resolve()
-        if target.is_dir() or not target.name or str(path).endswith(os.sep):
+        if target.is_dir() or not target.name or str(path).endswith(("/", os.sep)):
             raise BadInput(f"{path}: is a folder; give a file name inside a folder")
         if not target.parent.is_dir():
             raise BadInput(f"{path}: there is no folder {target.parent}; create the folder first")

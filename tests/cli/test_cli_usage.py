@@ -7,6 +7,8 @@ import sys
 import pytest
 from cli_cases import refused
 
+from pitp_jax import __version__
+
 
 @pytest.mark.parametrize(
     "argv",
@@ -47,7 +49,7 @@ def test_help(call, command):
 
 
 def test_version(call):
-    assert call("--version")[:2] == (0, "pitp 0.1.0\n")
+    assert call("--version")[:2] == (0, f"pitp {__version__}\n")
 
 
 def test_the_parser_needs_no_jax():
