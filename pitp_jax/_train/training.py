@@ -4,7 +4,7 @@
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
     then:     least squares on free runs (`refine`), with the memories' and the drive's time constants
 
-The equation error is fast and blind to what accumulates; free runs see just that. See docs/readings.md.
+The equation error is fast and blind to what accumulates; free runs see just that (docs/readings.md, Algorithm 1).
 """
 
 import json
