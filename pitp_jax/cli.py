@@ -15,6 +15,7 @@ import traceback
 from collections.abc import Sequence
 from importlib import import_module
 
+from . import __version__
 from ._commands.console import say
 from ._errors import BadInput, ComputationFailed
 
@@ -112,9 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False
     )
-    parser.add_argument(
-        "--version", action=_ShowVersion, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
-    )
+    parser.add_argument("--version", action="version", version=f"pitp {__version__}", help="show the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
 
     def command(name: str, text: str) -> argparse.ArgumentParser:
@@ -135,16 +134,6 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
     return parser
-
-
-class _ShowVersion(argparse.Action):
-    """Prints the version, looked up only then."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        from . import __version__
-
-        print(f"pitp {__version__}")
-        parser.exit()
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:

@@ -35,16 +35,15 @@ def test_every_form_is_described_in_its_effects_row():
     assert [form.name for form in CATALOGUE if f"| {form.family} |" not in rows[form.name]] == []
 
 
-def test_every_command_and_option_is_in_the_contract_and_no_other():
+def test_every_command_and_option_is_in_the_contract():
     page = (ROOT / "docs" / "contract.md").read_text(encoding="utf-8")
     usage = page.split("## Commands")[1].split("```")[1]
     (commands,) = (a.choices for a in _parser()._actions if isinstance(a.choices, dict))
     assert set(re.findall(r"^pitp (\w+)", usage, re.M)) == set(commands)
-    columns = {"--input-column", "--output-column"}
     for block in re.split(r"^pitp ", usage, flags=re.M)[1:]:
         actions = commands[block.split()[0]]._actions
         known = {s for a in actions for s in a.option_strings if s.startswith("--")} - {"--help"}
-        assert set(re.findall(r"--[\w-]+", block)) == known - columns, block
+        assert set(re.findall(r"--[\w-]+", block)) <= known <= set(re.findall(r"--[\w-]+", page)), block
 
 
 def test_the_readme_begins_with_its_two_commands():

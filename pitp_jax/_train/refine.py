@@ -22,7 +22,7 @@ from jax.sharding import Mesh
 from .._errors import ComputationFailed
 from .._model.model import Model
 from .._numerics.geodesic_steps import steps
-from .._record.excitation_kind import spread
+from .._record.excitation_kind import spread_over_kinds
 from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
@@ -157,7 +157,7 @@ def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
         longest = [min(size, max(r.samples for r in some)) for some in sets]
         shares = [len(some) / len(records) for some in sets]
         return tuple(_from_the_start(model, *one) for one in zip(sets, longest, shares, strict=True))
-    long = spread(records, max(_BUDGET // 2 // size, 1))
+    long = spread_over_kinds(records, max(_BUDGET // 2 // size, 1))
     others = [r for k, r in enumerate(records) if k not in set(long)]
     brief = min(size, max(_BUDGET // 2 // len(others), _SHORTEST))
     parts = ([records[k] for k in long], size), (others, brief)
