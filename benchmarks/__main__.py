@@ -1,6 +1,6 @@
 """What every operation takes, beside a peer in the same run, as a table and as JSON.
 
-    python -m benchmarks [--only NAME,...] [--seconds 10] [--json FILE] [--into README.md,...]
+    python -m benchmarks [--only NAME,...] [--seconds 10] [--json FILE] [--into benchmarks/README.md,...]
 
 Rows run one after another, each in a process of its own. With `--json FILE` rows already there are kept. `--into`
 writes the table between the lines `<!-- benchmarks -->` and `<!-- end -->` of a file.

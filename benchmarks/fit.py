@@ -15,7 +15,6 @@ import jax.numpy as jnp
 
 import pitp_jax as pitp
 from pitp_jax._demo import protocol
-from pitp_jax._metrics import e_rms_percent
 from pitp_jax._train import settings, training
 from pitp_jax._train.dataset import build_dataset
 
@@ -88,7 +87,7 @@ def measure_fit(name: str, seconds: float) -> dict:
     model = pitp.train(nominal, train, settings=settings, key=jax.random.key(0)).model
     taken = time.perf_counter() - began
     runs = zip(pitp.predict(model, test), test, strict=True)
-    errors = sorted(e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in runs)
+    errors = sorted(pitp.e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in runs)
     whole = {key: 1e3 * taken for key in ("median_ms", "p10_ms", "p90_ms")}
     return {**whole, "compile_s": found["pitp_jax"]["compile_s"], "runs": 1, "peer": None, "peer_median_ms": None,
             "ratio": None, "data": kind, "records": len(train), "identify_s": identified, "step_ms": steps,

@@ -6,8 +6,7 @@ import sys
 import jax
 import numpy as np
 
-from pitp_jax._sharding import records_mesh, sharded_inverse, sharded_rollout
-from pitp_jax._simulate.decoder import rest_state
+from pitp_jax import records_mesh, rest_state, sharded_inverse, sharded_rollout
 
 from .clock import take_turns
 from .subjects import DT, default, target, voltages

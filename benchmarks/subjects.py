@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pitp_jax import Model
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
-from pitp_jax._model.model import Model, Output, Provenance, linear_model
+from pitp_jax._model.model import Output, Provenance, linear_model
 
 DT = 1e-3
 SAMPLES = 120_000

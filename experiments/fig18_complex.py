@@ -11,8 +11,8 @@ from _paper import Bench
 from _show import arguments, axes_grid, finish, panel, show
 from scipy.ndimage import gaussian_filter1d
 
+from pitp_jax import excitation
 from pitp_jax._plot import paper_figures
-from pitp_jax._record.excitation import complex_trajectory, steps, triangle
 
 BAND = {"roll": (20.0, 1.0), "cone": (1.5, 10.0)}  # slowest frequency (Hz) and length (s)
 
@@ -43,13 +43,13 @@ def targets(bench):
     rate, rise = bench.actuator.rate_hz, bench.scale.rise_s / (5 if bench.options.smoke else 1)
     swing, mean = bench.swing(2 * frequency)
     shape = (seconds, rate, swing, mean)
-    clock, corners = triangle(frequency, *shape, rise=rise)
+    clock, corners = excitation.triangle(frequency, *shape, rise=rise)
     hold = seconds / 5
     levels = mean + swing * np.array([-0.6, 0.3, 0.9, -0.2, 0.5])
     return {
-        "complex": complex_trajectory(frequency, *shape, seed=18, rise=rise),
+        "complex": excitation.complex_trajectory(frequency, *shape, seed=18, rise=rise),
         "triangle": (clock, gaussian_filter1d(corners, 0.03 * rate / frequency)),
-        "steps": steps(levels, hold, rate, rise=min(1.0 / frequency, hold / 2)),
+        "steps": excitation.steps(levels, hold, rate, rise=min(1.0 / frequency, hold / 2)),
     }
 
 

@@ -21,7 +21,7 @@ import optax
 
 import pitp_jax as pitp
 from pitp_jax._demo.protocol import run
-from pitp_jax._simulate.decoder import rest_state, rollout, rollout_batch
+from pitp_jax._simulate.decoder import rollout_batch
 
 
 def random_voltages(rng, count: int, samples: int, low: float, high: float) -> np.ndarray:
@@ -44,10 +44,10 @@ def random_voltages(rng, count: int, samples: int, low: float, high: float) -> n
 
 def ascend(model, voltage: np.ndarray, dt: float, steps: int, low: float, high: float) -> np.ndarray:
     """Voltages moved uphill in mean |x|^4, each row on its own."""
-    start = rest_state(model)
+    start = pitp.rest_state(model)
 
     def loudness(u):
-        return jnp.log(jnp.mean(rollout(model, u, dt, start)[:, 0] ** 4) + 1e-12)
+        return jnp.log(jnp.mean(pitp.rollout(model, u, dt, start)[:, 0] ** 4) + 1e-12)
 
     optimiser = optax.adam(0.05 * (high - low))
 
@@ -66,7 +66,8 @@ def ascend(model, voltage: np.ndarray, dt: float, steps: int, low: float, high: 
 
 def worst(model, voltage: np.ndarray, dt: float, span: float) -> tuple[int, float]:
     """How many runs diverge, and the largest |x| in trained ranges."""
-    states = rollout_batch(model, jnp.asarray(voltage, jnp.float32), dt, jnp.tile(rest_state(model), (len(voltage), 1)))
+    start = jnp.tile(pitp.rest_state(model), (len(voltage), 1))
+    states = rollout_batch(model, jnp.asarray(voltage, jnp.float32), dt, start)
     x = np.abs(np.asarray(states[..., 0])) / span
     bad = ~np.isfinite(np.asarray(states)).all((1, 2)) | (np.nan_to_num(x, nan=np.inf).max(1) > 100)
     return int(bad.sum()), float(np.nan_to_num(x, nan=np.inf).max())

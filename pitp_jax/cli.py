@@ -7,6 +7,7 @@ commands that compute, so that `pitp --help` and a mistyped option answer at onc
 """
 
 import argparse
+import io
 import math
 import os
 import sys
@@ -14,6 +15,7 @@ import traceback
 from collections.abc import Sequence
 from importlib import import_module
 
+from . import __version__
 from ._commands.console import say
 from ._errors import BadInput, ComputationFailed
 
@@ -37,6 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         exit code: 0 done, 2 bad input or usage, 3 the computation failed, 130 interrupted.
     """
+    _say_anything()
     try:
         arguments = vars(_parser().parse_args(argv))
         module, function = arguments.pop("runs"), arguments.pop("command")
@@ -57,6 +60,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         code, line = _explain(error)
         say(f"error: {line}")
         return code
+
+
+def _say_anything() -> None:
+    """A terminal or pipe without a letter (Windows' code pages have no superscript minus) gets its escape instead."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _explain(error: Exception) -> tuple[int, str]:
@@ -103,9 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False
     )
-    parser.add_argument(
-        "--version", action=_ShowVersion, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
-    )
+    parser.add_argument("--version", action="version", version=f"pitp {__version__}", help="show the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
 
     def command(name: str, text: str) -> argparse.ArgumentParser:
@@ -126,16 +134,6 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
     return parser
-
-
-class _ShowVersion(argparse.Action):
-    """Prints the version, looked up only then."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        from importlib.metadata import version
-
-        print(f"pitp {version('pitp_jax')}")
-        parser.exit()
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:

@@ -19,7 +19,7 @@ with install_import_hook("pitp_jax", "typecheck.check"):
     from pitp_jax._model.encoder import CompactEncoder
     from pitp_jax._model.input_map import SquareInput
     from pitp_jax._model.memory import FadingMemory, RingingMemory
-    from pitp_jax._model.model import Output, Provenance, linear_model
+    from pitp_jax._model.model import Hold, Output, Provenance, linear_model
 
     for _module in pkgutil.walk_packages(pitp_jax.__path__, "pitp_jax."):
         if not _module.name.endswith("__main__"):
@@ -68,7 +68,7 @@ def linear(coefficients):
     They are rounded to float32 first: the model in float64 is the same, and so are its sections.
     """
 
-    def make(order=2, hz=5.0, damping=0.1, *, dt=1e-3, hold="foh", substeps=1, input_map=None, **output):
+    def make(order=2, hz=5.0, damping=0.1, *, dt=1e-3, hold: Hold = "foh", substeps=1, input_map=None, **output):
         scale = 1e-3 * (2 * np.pi * hz) ** np.arange(order + 1)
         a = (coefficients(order, hz, damping) * scale / 1e6).astype(np.float32).astype(np.float64) * 1e6 / scale
         return linear_model(
@@ -118,7 +118,8 @@ def nonlinear(linear, shake):
             shaken = eqx.tree_at(lambda e: (e.damping.hidden.weight, e.damping_poly), shaken, _without_drag(shaken))
         model = linear(order, **options)
         lags = jnp.log(jnp.asarray(tau, jnp.float32))
-        memory = RingingMemory(*jnp.log(jnp.asarray(ring, jnp.float32)), lags) if ring else FadingMemory(lags)
+        omega, zeta = jnp.log(jnp.asarray(ring or (1.0, 1.0), jnp.float32))
+        memory = RingingMemory(omega, zeta, lags) if ring else FadingMemory(lags)
         parts = (shaken, memory)
         return eqx.tree_at(lambda m: (m.encoder, m.memory), model, parts)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from typed import untyped
 
 from pitp_jax._effects.stiffness import CubicStiffening
 from pitp_jax._invert.discrete import discrete_inverse
@@ -41,7 +42,7 @@ def _there_and_back(model, voltage):
 
 # one program each for 32 kinds of model, run for milliseconds: LLVM's effort would be most of the test's time
 QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-there_and_back = eqx.filter_jit(_there_and_back, compiler_options=QUICK)
+there_and_back = untyped(eqx.filter_jit)(_there_and_back, compiler_options=QUICK)
 
 
 def random_model(model, seed, w_dt, size):

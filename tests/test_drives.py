@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pitp_jax._record.excitation_kind import kind, loudest, spread
+from pitp_jax._record.excitation_kind import kind, loudest, spread_over_kinds
 from pitp_jax._record.record import Record
 
 DT = 1e-3
@@ -29,14 +29,14 @@ def test_the_loudest_line(hertz):
 
 
 def test_all_are_kept_where_they_fit():
-    assert spread(GRID, 36) == list(range(36))
-    assert spread(GRID[:3], 10) == [0, 1, 2]
+    assert spread_over_kinds(GRID, 36) == list(range(36))
+    assert spread_over_kinds(GRID[:3], 10) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("count", [6, 12, 18])
 def test_the_chosen_cover_the_grid(count):
     """Every amplitude has its share, no gap along the frequency is wide, and neighbours differ."""
-    chosen = spread(GRID, count)
+    chosen = spread_over_kinds(GRID, count)
     assert len(set(chosen)) == count and chosen == sorted(chosen)
     hertz, amplitudes = np.array(chosen) // 3, np.array(chosen) % 3
     assert np.bincount(amplitudes, minlength=3).min() >= count // 6
@@ -47,8 +47,8 @@ def test_the_chosen_cover_the_grid(count):
 def test_a_drive_of_its_own_kind_is_among_the_first():
     still = of("steps", np.repeat([0.0, 300.0, 100.0, 200.0], 1000))
     assert kind(still) == "steps"
-    assert 36 in spread([*GRID, still], 3)
+    assert 36 in spread_over_kinds([*GRID, still], 3)
 
 
 def test_equal_records_are_chosen_once():
-    assert spread([GRID[4]] * 5, 3) == sorted(set(spread([GRID[4]] * 5, 3)))
+    assert spread_over_kinds([GRID[4]] * 5, 3) == sorted(set(spread_over_kinds([GRID[4]] * 5, 3)))

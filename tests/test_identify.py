@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
+from typed import of_kind
 
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._identify.identification import identify
@@ -18,7 +19,7 @@ def simulate(a, voltage, *, square=True, hold="foh", fine=16):
     fine = fine if hold == "foh" else 1
     places = np.arange((len(voltage) - 1) * fine + 1) / fine
     drive = np.interp(places, np.arange(len(voltage)), voltage)
-    top, bottom, _ = cont2discrete(([1.0], a[::-1] / a[0]), DT / fine, method=hold)
+    top, bottom, _ = of_kind(tuple, cont2discrete(([1.0], a[::-1] / a[0]), DT / fine, method=hold))
     return lfilter(top.ravel(), bottom, drive**2 if square else drive)[::fine] / a[0]
 
 

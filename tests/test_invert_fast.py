@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from typed import untyped
 
 from pitp_jax._invert.equation import invert_along, invert_displacement, invert_path
 from pitp_jax._model.drive import ElectrodeLag
@@ -102,7 +103,7 @@ def test_from_displacement(models):
 def test_effects_take_the_plain_way(nonlinear, monkeypatch):
     model = eqx.tree_at(lambda m: m.effects, nonlinear(2), (jnp.ones(()),))
     monkeypatch.setattr("pitp_jax._invert.equation.invert_path", lambda *_: "plain")
-    assert invert_along.__wrapped__(model, jnp.zeros((5, 3)), DT) == "plain"
+    assert untyped(invert_along).__wrapped__(model, jnp.zeros((5, 3)), DT) == "plain"
 
 
 def test_short_paths_are_the_splines():

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from typed import of_kind
 
 from pitp_jax._errors import ComputationFailed
 from pitp_jax._plant.virtual_actuator import plant, record, simulate, stepper
@@ -81,7 +82,7 @@ def test_static_is_the_root_of_the_force_balance(name):
         pull = p.spring / 2 * p.limit / (p.limit - invariant) * (p2 - 1 / (p2**2 * q**2)) * dq
         return p.mass * 9.81 - pull + c / 2 * u[-1] ** 2 * dq
 
-    z = brentq(balance, p.rest_position, p.rest_position + 3e-3, xtol=1e-14)
+    z = of_kind(float, brentq(balance, p.rest_position, p.rest_position + 3e-3, xtol=1e-14))
     assert x[-1] == pytest.approx(z - p.rest_position, rel=1e-8)
     h = 1e-7
     slope = (p.geometry.stretch(z + h)[0] - p.geometry.stretch(z - h)[0]) / (2 * h)

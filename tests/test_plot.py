@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib import rcParams
 from matplotlib.figure import Figure
+from typed import some
 
 from pitp_jax._plot import paper_figures as plot
 from pitp_jax._plot.lines import BINS, envelope, error_shown, extremes, over, thin
@@ -56,7 +57,7 @@ def test_hysteresis_loops_add_a_pair_each_time():
     np.testing.assert_allclose(drawn(ax, 0), (U / 1e3, 1e3 * X))
     np.testing.assert_allclose(drawn(ax, 3), (U / 1e3, 1e3 * X))
     assert ax.lines[0].get_color() == ax.lines[1].get_color() != ax.lines[2].get_color()
-    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["5 Hz", "predicted", "7 Hz"]
+    assert [t.get_text() for t in some(ax.get_legend()).get_texts()] == ["5 Hz", "predicted", "7 Hz"]
 
 
 def test_tokens_have_an_axes_each():

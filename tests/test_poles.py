@@ -49,7 +49,7 @@ def test_any_logarithms_are_stable(logs):
 def test_unstable_roots_are_reflected():
     logs = logs_from_roots(np.array([0.5 + 2j, 0.5 - 2j, 3.0]))
     np.testing.assert_allclose(
-        np.sort_complex(np.roots(coefficients(logs)[::-1])), np.sort_complex([-0.5 + 2j, -0.5 - 2j, -3.0])
+        np.sort_complex(np.roots(coefficients(logs)[::-1])), np.sort_complex(np.array([-0.5 + 2j, -0.5 - 2j, -3.0]))
     )
 
 

@@ -86,7 +86,7 @@ def test_one_sample_is_one_step_of_many():
     x, start = rng.standard_normal(2), rng.standard_normal(3)
     with jax.enable_x64(True):
         truth = first_order_lags(jnp.asarray(x), jnp.asarray(tau), dt, jnp.asarray(start))[1]
-        found = lag_after(jnp.asarray(start), *jnp.asarray(x), jnp.asarray(tau), dt)
+        found = lag_after(jnp.asarray(start), jnp.asarray(x[0]), jnp.asarray(x[1]), jnp.asarray(tau), dt)
     np.testing.assert_allclose(found, truth, rtol=1e-13)
 
 

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typed import untyped
 
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.memory import ElapsedTime
@@ -68,4 +69,4 @@ def test_what_is_not_written_out_takes_the_plain_way(linear, monkeypatch, part):
     model = eqx.tree_at(lambda m: getattr(m, part), linear(2), (jnp.ones(()),))
     plain = jnp.zeros((*volts.shape, start.shape[1]))
     monkeypatch.setattr("pitp_jax._simulate.batched_rollout.rollout_batch", lambda *_: plain)
-    assert fast_rollout.__wrapped__(model, volts, DT, start) is plain
+    assert untyped(fast_rollout).__wrapped__(model, volts, DT, start) is plain

@@ -8,12 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from normal import normal_equations
+from typed import of_kind
 
 from pitp_jax._effects.amplifier import Delay
 from pitp_jax._effects.dissipation import QuadraticDrag
 from pitp_jax._effects.sensor import SensorLag
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
-from pitp_jax._model.memory import NoMemory
+from pitp_jax._model.encoder import CompactEncoder
+from pitp_jax._model.memory import FadingMemory, NoMemory
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
 from pitp_jax._train.forward_sensitivity import Runs
@@ -146,12 +148,13 @@ def test_parameters_go_round(model):
     for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(m), strict=True):
         np.testing.assert_array_equal(a, b)
     moved = with_parameters(m, vector + 1)
-    for part in (moved.coefficients, moved.encoder.bounds), (m.coefficients, m.encoder.bounds):
-        np.testing.assert_array_equal(part[0], m.coefficients)
-        np.testing.assert_array_equal(part[1], m.encoder.bounds)
-    np.testing.assert_allclose(moved.memory.log_tau, m.memory.log_tau + 1, rtol=1e-6)
-    np.testing.assert_allclose(moved.drive.log_tau, m.drive.log_tau + 1, rtol=1e-6)
-    np.testing.assert_allclose(moved.encoder.fading, m.encoder.fading + 1, rtol=1e-6)
+    encoder, its = (of_kind(CompactEncoder, v.encoder) for v in (m, moved))
+    np.testing.assert_array_equal(moved.coefficients, m.coefficients)
+    np.testing.assert_array_equal(its.bounds, encoder.bounds)
+    np.testing.assert_allclose(its.fading, encoder.fading + 1, rtol=1e-6)
+    for kind, part in ((FadingMemory, "memory"), (ElectrodeLag, "drive")):
+        lag, its_lag = (of_kind(kind, getattr(v, part)).log_tau for v in (m, moved))
+        np.testing.assert_allclose(its_lag, lag + 1, rtol=1e-6)
     assert counts.tolist() == [len(vector) - 4, 3, 1, 0]
 
 

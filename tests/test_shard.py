@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typed import some
 
 from pitp_jax._errors import BadInput
 from pitp_jax._sharding import local_rows, records_mesh, sharded_rollout, spread
@@ -43,7 +44,7 @@ def running():
     for process in (one, *pair):  # a worker of the suite may have asked for none of the answers
         process.kill()
         process.wait()
-        process.stdout.close()
+        some(process.stdout).close()
 
 
 def test_equal_on_one_device(running, nonlinear):

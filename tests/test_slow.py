@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
+from typed import some
 
 from pitp_jax._identify.identification import identify
 from pitp_jax._model.memory import FadingMemory
@@ -68,7 +69,7 @@ def records():
 def test_the_longest_record_is_kept_as_it_was(sweep):
     voltage, fine = sweep.voltage, replace(sweep, displacement=sweep.displacement.copy())
     fine.displacement[1000:1100] = np.nan
-    kept = thinned(fine, voltage**2, True)
+    kept = some(thinned(fine, voltage**2, True))
     back = kept.record()
     assert kept.step > 1 and back.samples - fine.samples < kept.step
     assert kept.seconds == pytest.approx(120, abs=kept.step * DT) and hash(kept) == hash(
@@ -90,7 +91,7 @@ def test_its_ends_are_kept_whatever_the_sensor_calls_zero(sweep):
     moved = replace(
         sweep, time=sweep.time[cut], voltage=sweep.voltage[cut], displacement=sweep.displacement[cut] + 0.05
     )
-    kept = thinned(moved, moved.voltage**2, False)
+    kept = some(thinned(moved, moved.voltage**2, False))
     back = kept.record()
     assert kept.step > 1
     for found, meant in ((back.displacement, moved.displacement), (back.voltage, moved.voltage)):
@@ -100,7 +101,7 @@ def test_its_ends_are_kept_whatever_the_sensor_calls_zero(sweep):
 
 def test_of_a_record_too_long_to_follow_its_beginning_is_kept(sweep, monkeypatch):
     monkeypatch.setattr(long_record, "_READ", 2000)
-    kept = thinned(sweep, sweep.voltage**2, True)
+    kept = some(thinned(sweep, sweep.voltage**2, True))
     assert kept.seconds == pytest.approx(2000 * DT, abs=kept.step * DT)
     rests = replace(sweep, voltage=np.where(np.arange(sweep.samples) < 2000, 0.0, sweep.voltage))
     assert thinned(rests, rests.voltage**2, True) is None
@@ -136,7 +137,7 @@ def test_slopes_are_those_of_the_residuals(nominal, records, double):
     data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda states: memory)
     settings = replace(PRESETS["default"], memories=3, width=4)
     model = with_encoder(data, settings, jax.random.key(1))
-    balance = creep_balance.slow_balance(data.model, nominal.provenance.long_record, data.region)
+    balance = some(creep_balance.slow_balance(data.model, some(nominal.provenance.long_record), data.region))
     rng = np.random.default_rng(0)
     start = parameters(model)[0]
     start = start + 0.1 * rng.standard_normal(len(start))
@@ -158,7 +159,7 @@ def test_a_spring_that_is_off_shows_beside_a_mean_that_is_not(nominal, records):
     """1 % too stiff leaves r = 0.01 x: in a window 0.01 mean x, and, below the resonance, 3 times 0.01 std x."""
     data = build_dataset(nominal, records, scaling="rms", difference="stencil",
                          memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
-    balance = creep_balance.slow_balance(data.model, nominal.provenance.long_record, [(-1e3, 1e3)] * 3)
+    balance = some(creep_balance.slow_balance(data.model, some(nominal.provenance.long_record), [(-1e3, 1e3)] * 3))
     stiffer = replace(data.model, coefficients=data.model.coefficients * jnp.asarray([1.01, 1.0, 1.0], jnp.float32))
     more = np.asarray(
         creep_balance._left(stiffer, balance.series) - creep_balance._left(data.model, balance.series), np.float64
@@ -178,9 +179,9 @@ def test_what_training_covers_counts_and_nothing_else(nominal, records):
     """The sweep meets the resonance, which the two slowest records do not."""
     data = build_dataset(nominal, records[:2], scaling="rms", difference="stencil",
                          memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
-    long = nominal.provenance.long_record
-    everything = creep_balance.slow_balance(data.model, long, [(-1e3, 1e3)] * 3)
-    covered = creep_balance.slow_balance(data.model, long, data.region)
+    long = some(nominal.provenance.long_record)
+    everything = some(creep_balance.slow_balance(data.model, long, [(-1e3, 1e3)] * 3))
+    covered = some(creep_balance.slow_balance(data.model, long, data.region))
     assert np.count_nonzero(covered.scale) < 95 <= np.count_nonzero(everything.scale)
     assert creep_balance.slow_balance(data.model, long, [(-1e-6, 1e-6)] * 3) is None
     low, high = np.array(data.region)[:2].T

@@ -12,6 +12,7 @@ from pitp_jax._invert.equation import invert_path
 from pitp_jax._invert.stream import invert_stream
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._model.model import Model
 from pitp_jax._numerics.spline_derivative import derivatives
 
 DT = 1e-3
@@ -30,7 +31,7 @@ def whole(model, x):
 @pytest.fixture(scope="module")
 def models(nonlinear):
     lag = ElectrodeLag(jnp.asarray(np.log(4e-3), jnp.float32))
-    lagging = {n: eqx.tree_at(lambda m: m.drive, nonlinear(n), lag) for n in (2, 3)}
+    lagging: dict[int | str, Model] = {n: eqx.tree_at(lambda m: m.drive, nonlinear(n), lag) for n in (2, 3)}
     lagging["ringing"] = eqx.tree_at(lambda m: m.drive, nonlinear(2, ring=(60.0, 0.1)), lag)
     return lagging | {"elapsed": eqx.tree_at(lambda m: (m.memory, m.encoder), nonlinear(2, tau=(0.1,)),
                                              (ElapsedTime(7.0), nonlinear(2, tau=(0.1,)).encoder))}  # fmt: skip

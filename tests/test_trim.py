@@ -28,8 +28,8 @@ def _double():
 
 
 def run(voltage, target, *, load=0.0, start=0.0, **options):
-    arrays = (jnp.asarray(np.asarray(v, np.float64)) for v in (voltage, target))
-    x, u = pi_trim(first_order(load), jnp.asarray(start), *arrays, DT, **options)
+    u, wanted = (jnp.asarray(np.asarray(v, np.float64)) for v in (voltage, target))
+    x, u = pi_trim(first_order(load), jnp.asarray(start), u, wanted, DT, **options)
     return np.asarray(x), np.asarray(u)
 
 

@@ -3,10 +3,10 @@
 The row itself is the inversion of 10^6 samples beside ten times that of 10^5: linear where the ratio is one.
 """
 
+from pitp_jax import rest_state
 from pitp_jax._invert.equation import invert_along, scaled_equation
 from pitp_jax._numerics.spline_derivative import fast_derivatives
 from pitp_jax._simulate.batched_rollout import fast_rollout
-from pitp_jax._simulate.decoder import rest_state
 
 from ..clock import row, take_turns
 from ..subjects import DT, default, target, voltages

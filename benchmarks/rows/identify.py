@@ -9,7 +9,6 @@ from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
 from pitp_jax._demo import protocol
-from pitp_jax._metrics import e_rms_percent
 
 from ..clock import row, take_turns
 
@@ -46,6 +45,6 @@ def measure(seconds: float) -> dict:
 
     found = take_turns({"pitp_jax": ours, "SciPy least_squares": scipy}, seconds)
     free_run = pitp.predict(fits["pitp_jax"], [record])[0].displacement
-    errors = {"pitp_jax": e_rms_percent(free_run, record.displacement),
-              "SciPy least_squares": e_rms_percent(fits["SciPy least_squares"], record.displacement)}  # fmt: skip
+    errors = {"pitp_jax": pitp.e_rms_percent(free_run, record.displacement),
+              "SciPy least_squares": pitp.e_rms_percent(fits["SciPy least_squares"], record.displacement)}  # fmt: skip
     return row(found, "pitp_jax", "SciPy least_squares", samples=record.samples, e_rms_percent=errors)

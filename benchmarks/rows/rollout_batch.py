@@ -7,8 +7,9 @@ counted tenfold.
 import jax.numpy as jnp
 import numpy as np
 
+from pitp_jax import rest_state
 from pitp_jax._simulate.batched_rollout import fast_rollout
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax._simulate.decoder import rollout_batch
 
 from ..clock import row, take_turns
 from ..ode import EQUAL, diffrax_ways, error, films, reference, rollout_floor

@@ -2,8 +2,9 @@
 
 import jax.numpy as jnp
 
+from pitp_jax import rest_state
 from pitp_jax._simulate.batched_rollout import fast_rollout
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax._simulate.decoder import rollout_batch
 
 from ..clock import row, take_turns
 from ..ode import rollout_floor

@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 
+from pitp_jax import invert_stream
 from pitp_jax._invert.equation import invert_displacement
-from pitp_jax._invert.stream import invert_stream
 
 from ..clock import summary
 from ..subjects import DT, default, target

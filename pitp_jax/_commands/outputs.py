@@ -36,7 +36,7 @@ def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) 
         if path is None:
             continue
         target = Path(path).resolve()
-        if target.is_dir() or not target.name or str(path).endswith(os.sep):
+        if target.is_dir() or not target.name or str(path).endswith(("/", os.sep)):
             raise BadInput(f"{path}: is a folder; give a file name inside a folder")
         if not target.parent.is_dir():
             raise BadInput(f"{path}: there is no folder {target.parent}; create the folder first")
@@ -150,15 +150,15 @@ def write_json(path: str, value: Any) -> None:
     Raises:
         BadInput: the file cannot be written.
     """
-    write_text_atomic(path, json.dumps(plain(value), indent=2, allow_nan=False) + "\n")
+    write_text_atomic(path, json.dumps(without_nan(value), indent=2, allow_nan=False) + "\n")
 
 
-def plain(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Values as JSON has them: NumPy's become Python's, nan and infinity None."""
     if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): without_nan(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(v) for v in value]
+        return [without_nan(v) for v in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

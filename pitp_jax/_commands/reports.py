@@ -116,7 +116,7 @@ def _print_training(told: dict) -> None:
     training = told["training"]
     cut = ", interrupted" if training.get("interrupted") else ""
     long = training.get("creep_held_to_s")
-    held = f", creep held to {number(long, 3)} s of what the nominal was identified on" if long else ""
+    held = f", creep also fitted to {number(long, 3)} s of the nominal's own record" if long else ""
     hertz = training.get("second_mass_hz")
     mass = f", and a second mass at {number(hertz, 3)} Hz" if hertz else ""
     print(

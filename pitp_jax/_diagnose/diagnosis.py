@@ -1,4 +1,4 @@
-"""The diagnosis: where the gap lies, which effect causes it, how far it shrinks (CONTRACT.md).
+"""The diagnosis: where the gap lies, which effect causes it, how far it shrinks (docs/contract.md).
 
 no_gap      before <= 1.1 floor, or <= 1.4 floor where no effect closes 72 % (the floor itself is an estimate: of 50
             draws of AR(0.9) noise one was read 14 % low and called creep, which closed 53 %)
@@ -49,7 +49,7 @@ class Diagnosis:
         effects: added, most important first; empty unless explained.
         equivalent: names these data cannot tell from effects[0].
         added: the same effects with form and parameters, as the augmented model carries them.
-        gap, ranking, where, next_experiment: as CONTRACT.md names them.
+        gap, ranking, where, next_experiment: as docs/contract.md names them.
         fitted, heldout: record names; where nothing was held out, effects are judged on what they were fitted on.
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
         traces: every record beside the nominal and the best explanation.
@@ -78,7 +78,7 @@ class Diagnosis:
         return {"fitted": list(self.fitted), "heldout": list(self.heldout)}
 
     def as_json(self, csv: str | None = None) -> dict:
-        """The dict of CONTRACT.md; `csv` is where the next experiment was written."""
+        """The dict of docs/contract.md; `csv` is where the next experiment was written."""
         experiment = self.next_experiment
         return {
             "verdict": self.verdict,

@@ -22,7 +22,7 @@ _FLAG = 0.15  # a flagged cell's missing force, rms, beside that of the loudest 
 
 
 def locate(case: Case, errors: list[np.ndarray], noise: Noise) -> dict:
-    """The `where` of CONTRACT.md: shares that sum to 1 per axis, and one plain sentence."""
+    """The `where` of docs/contract.md: shares that sum to 1 per axis, and one plain sentence."""
     series = case.series
     out = {
         "records": _records(case, errors, noise),

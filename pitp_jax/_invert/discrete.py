@@ -1,4 +1,4 @@
-"""The discrete inverse: the force sequence behind consecutive states of the decoder (PAPER_READINGS, eq. 13).
+"""The discrete inverse: the force sequence behind consecutive states of the decoder (docs/readings.md, eq. 13).
 
 With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
 

@@ -141,7 +141,7 @@ def _limits(model: Model, max_voltage, max_slew) -> tuple[Limits, tuple[str, ...
     if bool(model.input_map.infeasible(jnp.asarray(-1.0))):  # squared: what was played below zero counts as well
         if high <= 0 > low:
             warnings += (
-                "trained below zero volts alone, and this voltage is above: play its negative, with the same square",
+                "trained on negative voltages alone, this one is positive: play its negative, the square is the same",
             )
         low, high = 0.0, max(high, -low)
     trained_high, trained_slew = high, model.provenance.slew
@@ -172,7 +172,7 @@ def _advice(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tup
             "round the corners or filter it",
         )
     if not path.slew_kept:
-        warnings += ("no way into the target's first state was found within the slew limit: its start is cut",)
+        warnings += ("the target's first state is out of reach within the slew limit, its start is cut: begin at rest",)
     if not path.reached:
         warnings += (
             "no voltage within the limits swings the actuator into the target's first state: "
@@ -186,8 +186,8 @@ def _out_of_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[
     lines = ()
     if infeasible > 0.01:
         lines += (
-            f"{100 * infeasible:.0f} % of the target asks for a force that no voltage makes: "
-            "ask for a slower or smaller motion, or one that leaves more pull to let go of",
+            f"{100 * infeasible:.0f} % of the target needs negative force, or more than the drive passes: "
+            "raise its mean, lower its frequency or ask for less",
         )
     if saturated > 0.01:
         lines += (

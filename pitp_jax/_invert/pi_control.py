@@ -3,7 +3,7 @@
     u_t = u_ff,t + P e_t + I sum_{s <= t} e_s dt,      e = x_target - x
 
 The paper gives P = 0.1, I = 0.3 without units; here they are kV per mm and kV per mm and second, that is V/um and
-V/(um s): 1e5 V/m and 3e5 V/(m s) below (PAPER_READINGS, Fig. 14).
+V/(um s): 1e5 V/m and 3e5 V/(m s) below (docs/readings.md).
 """
 
 from collections.abc import Callable

@@ -55,7 +55,7 @@ def invert_stream(
             all blocks together are too short for its order.
     """
     if model.effects:
-        raise BadInput("a stream is inverted by eq. 13 alone, which effects are no part of: use `feedforward`")
+        raise BadInput("streaming inverts eq. 13 alone, without the model's effects: use `feedforward`")
     if not dt > 0 or window < _SMALLEST:
         raise BadInput(f"dt {dt} s, window {window}: the first must be positive, the second {_SMALLEST} at least")
     return _pieces(model, blocks, dt, window)

@@ -3,7 +3,7 @@
     sigma_i = sigma_i^0 g(l_i),    sigma_off = l_off,    l = encoder(S, m)
 
 An encoder returns the logits l, one per token and one for the offset; l = 0 is exactly the identified linear model.
-It never sees x^(n), which the tokens themselves define (PAPER_READINGS: a rollout would be an algebraic loop).
+It never sees x^(n), which the tokens themselves define (docs/readings.md: a rollout would be an algebraic loop).
 """
 
 from abc import abstractmethod

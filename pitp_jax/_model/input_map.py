@@ -28,7 +28,7 @@ class AbstractInputMap(eqx.Module):
 
 
 class SquareInput(AbstractInputMap):
-    """Maxwell stress: F = u^2 (eq. 6); a negative force is infeasible (PAPER_READINGS: eq. 13)."""
+    """Maxwell stress: F = u^2 (eq. 6); a negative force is infeasible (docs/readings.md: eq. 13)."""
 
     def force(self, voltage):
         """F = u^2 in V^2."""

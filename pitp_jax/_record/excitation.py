@@ -106,7 +106,7 @@ _PROTOCOLS = {
         ),
     ),
 }
-PARTS = ("sweep", "train", "test")
+SETS = ("sweep", "train", "test")
 
 
 def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: float = 0.0) -> tuple[Excitation, ...]:
@@ -126,8 +126,8 @@ def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: f
     Raises:
         ValueError: unknown actuator or part.
     """
-    if actuator not in _PROTOCOLS or part not in PARTS:
-        raise ValueError(f"no protocol {actuator!r} {part!r}; take one of {tuple(_PROTOCOLS)} and one of {PARTS}")
+    if actuator not in _PROTOCOLS or part not in SETS:
+        raise ValueError(f"no protocol {actuator!r} {part!r}; take one of {tuple(_PROTOCOLS)} and one of {SETS}")
     numbers = _PROTOCOLS[actuator]
     edges = {"rise": rise, "rest_s": rest_s}
     if part == "sweep":

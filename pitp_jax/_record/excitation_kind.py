@@ -57,7 +57,7 @@ def spectrum(record: Record) -> np.ndarray:
     return np.abs(np.fft.rfft(u * np.hanning(len(u))))
 
 
-def spread(records: Sequence[Record], count: int) -> list[int]:
+def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:
     """Places of `count` records (or all), in the order given: every kind by its share, its first before any second."""
     if count >= len(records):
         return list(range(len(records)))

@@ -23,7 +23,7 @@ _WINDOWS, _FEWEST = (7, 12, 24, 48), 6  # samples a first state is fitted over; 
 
 
 def noise_std(displacement: np.ndarray) -> float:
-    """Standard deviation of white sensor noise by the 5th difference (EFFECTS.md, step 0), output unit.
+    """Standard deviation of white sensor noise by the 5th difference (docs/decisions/noise_floor.md), output unit.
 
     An upper bound where the signal is not oversampled (then the 5th difference sees the motion too).
     """

@@ -1,4 +1,4 @@
-"""From a record to motion states, eqs. 8 and 9 as PAPER_READINGS.md reads them.
+"""From a record to motion states, eqs. 8 and 9 as docs/readings.md has them.
 
     f_max = frequency below which 99 % of the force's energy about its mean lies (pooled over the records)
     f_c   = min(2 f_max, 0.4 f_s)

@@ -6,15 +6,9 @@
 
 Along measured motion the memories are known, and a window's mean sees the slow part alone, for which the equation is as
 good as a free run: no run is needed, and a resonance that training never saw costs nothing, since a window counts only
-where the motion stays within the trained region. Training on 10 s left a 50 s record 46 um (1.5 % of range) off at its
-end, and the sweep's balance off by the same 36 um after as long: held to it, 7 um and 0.35 % (cone100, seed 1). Ten
-times lambda tracks no better (0.23 % of range off after 50 s, against 0.21).
-
-A mean does not see how the slow memories act at either end of the stroke; the part of r that goes with x does, below
-the resonance. Played for 50 s at 0.5 Hz, a feedforward on a virtual cone ends 0.24 % off by means alone and 0.10 % with
-that part in windows slower than 0.7 of the resonance (0.12 with p's factor 1; 0.18 in windows slower than 0.3; 0.14 in
-all, where free runs diverged on another actuator). Held out, the bench's cone leaves 0.37, 0.32 and 0.29 % and its roll
-0.24, 0.26 and 0.25 % by means alone, with factor 1 and with 3 (seed 0).
+where the motion stays within the trained region. A mean does not see how the slow memories act at either end of the
+stroke; the part of r that goes with x does, below the resonance. A 50 s record after training on 10 s is 0.35 % of
+range off at its end, and 1.5 % without (docs/decisions/creep.md).
 """
 
 from dataclasses import dataclass

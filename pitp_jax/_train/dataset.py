@@ -1,6 +1,6 @@
 """From records and a nominal model to what training reads: scaled states, memories and forces on the device, once.
 
-X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (PAPER_READINGS: eqs. 3, 6, 8, 9)
+X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (docs/readings.md: eqs. 3, 6, 8, 9)
 """
 
 from collections.abc import Callable, Sequence

@@ -2,16 +2,12 @@
 
     minimise  mean over records of  mean_t ( 100 (x(t) - x_measured(t)) / range )^2  +  sum_k rho_k (p_k - p_k0)^2
 
-Levenberg-Marquardt (`geodesic_steps`), first on windows of six periods from their filtered states (on the Peano-HASEL,
-whose free runs left the data by 77 % at first, whole records led nowhere), then on whole records from their own
-starts, as predictions run. Creep that outlasts them is met beside (`creep_balance`). Every trained number is free:
-encoder weights, memory and drive time constants, and those of effects the model was given. The equation error is fast
-and blind to what accumulates. On two actuators this took the held-out median from 0.91 to 0.27 % (cone) and from 0.75
-to 0.41 % (roll), where 600 steps of Adam on short windows had taken longer. Where all records exceed the budget, half
-of it goes to some that stand for all, to their ends, since nothing else sees creep within a record, and half to the
-beginnings of the others, since a resonance is narrow. On a roll (78 records of 3 s) the first second of each left a
-median of 0.42 % and a worst of 1.06 % held out, a third of them whole 0.26 and 1.73, both 0.27 and 0.53, with
-`geodesic_steps`'s steps 0.24 and 0.44.
+Levenberg-Marquardt (`geodesic_steps`), first on windows of six periods from their filtered states, then on whole
+records from their own starts, as predictions run. Creep that outlasts them is met beside (`creep_balance`). Every
+trained number is free: encoder weights, memory and drive time constants, and those of effects the model was given.
+Where all records exceed the budget, half of it goes to some that stand for all, to their ends, since nothing else sees
+creep within a record, and half to the beginnings of the others, since a resonance is narrow. On a cone it takes the
+held-out median from 0.91 to 0.27 %; what else was tried: docs/decisions/free_runs.md.
 """
 
 import time
@@ -26,7 +22,7 @@ from jax.sharding import Mesh
 from .._errors import ComputationFailed
 from .._model.model import Model
 from .._numerics.geodesic_steps import steps
-from .._record.excitation_kind import spread
+from .._record.excitation_kind import spread_over_kinds
 from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
@@ -41,9 +37,7 @@ from .parameters import parameters, trainable, with_parameters
 _BUDGET = 400_000  # samples in all
 _FEWEST, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
 _SHORT_STEPS, _PERIODS = 12, 6.0
-# times the largest thing to meet: a Peano-HASEL's short runs, fitted to 0.5 %, left its free ones 6 ranges off on one
-# seed of three, and no step led down from there
-_NEAR = 5.0
+_NEAR = 5.0  # times the largest displacement to meet; from further off no step led down
 _PRIOR = 1e-4  # rho of every trained number but the weights of the nets of spring and damping
 _PATIENCE, _SLOW = 5, 0.01  # stop when that many steps together lower the error by less than this share
 
@@ -163,7 +157,7 @@ def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
         longest = [min(size, max(r.samples for r in some)) for some in sets]
         shares = [len(some) / len(records) for some in sets]
         return tuple(_from_the_start(model, *one) for one in zip(sets, longest, shares, strict=True))
-    long = spread(records, max(_BUDGET // 2 // size, 1))
+    long = spread_over_kinds(records, max(_BUDGET // 2 // size, 1))
     others = [r for k, r in enumerate(records) if k not in set(long)]
     brief = min(size, max(_BUDGET // 2 // len(others), _SHORTEST))
     parts = ([records[k] for k in long], size), (others, brief)

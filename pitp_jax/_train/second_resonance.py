@@ -1,13 +1,11 @@
-"""Does a second mass hang on the moved one? Looked for along measured motion, before any free run.
+"""Test for a second mass on the moved one, along measured motion, before any free run.
 
     F = sum_j c_j phi_j - kappa (r - x),   r'' = w^2 (x - r) - 2 zeta w r',   kappa > 0        (least squares)
     phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (what a lag before the square does)
     left(w, zeta) = share that the pull kappa (x - r) leaves of the residual without it
 
 A strong mode within the driven band is like none of the phi: 0.42 is left on a roll with one at 1.7 times its first
-resonance. Where nothing hangs there the best (w, zeta) leaves 0.94 to 0.97 on twelve healthy actuators, and 0.71 to
-0.97 beside strong effects of other kinds. A weak mode that leaves 0.76 (a cone's, 1 % of range in its second harmonic)
-is not worth two more states: its free runs were no better for them.
+resonance, at least 0.71 where there is none (docs/decisions/second_resonance.md).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,9 @@
-"""What training is told: presets, and the parts of a model they stand for.
+"""Settings of a training: presets, and the parts of a model they stand for.
 
 settings + nominal -> memory (time constants), encoder (at the nominal), drive (its first lag) and other lags
-                      learned with it, firmness of the nets
+                      learned with it, prior weight of the nets
+
+The figures behind each default stand in docs/decisions/training.md.
 """
 
 from collections.abc import Sequence
@@ -45,18 +47,15 @@ class Settings:
         encoder: "compact" or "paper".
         width: hidden size of the compact encoder's nets.
         offset: whether the compact encoder has an offset token.
-        few: with fewer records than that, behind a square, the compact encoder is a frugal one. A Peano-HASEL's steps
-            and one sine (2 records): 19.1 % at a frequency it never saw with nets that see memories, 11.6 % with
-            the frugal one. cone100, median without and with: 0.46 and 0.41 % of 6 records, 0.46 and 0.54 % of 10,
-            0.37 and 0.41 % of all 30. Behind a linear input (Silverbox' arrow, 1 record) 0.32 and 0.44 mV.
+        few: with fewer records than that, behind a square, the compact encoder is a smaller one (`frugal`): damping
+            blind to memories, one coupling for all tokens; it halves a Peano-HASEL's error beyond its two records.
         memory: "fading", "elapsed" or "none".
-        memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record (to half
-            of it: a 50 s record after training on 10 s drifted by 1.3 % of range, against 0.6 %), or to a quarter of
-            the one the nominal keeps, where that outlasts training (`creep_balance`).
-        ringing: whether a second mass is looked for along the motion and, where it shows, remembered
-        (`second_resonance`). drive: "electrode" (a lag before the square, where there is one, learned from 0.1 /
-        omega_0 on) or "direct". parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on:
-        "delay", "sensor_lag". scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
+        memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record, or to a quarter of the
+            one that the nominal keeps, where that outlasts training (`creep_balance`).
+        ringing: whether a second mass is looked for along the motion (`second_resonance`).
+        drive: "electrode" (a lag before the square, where there is one, learned from 0.1 / omega_0 on) or "direct".
+        parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on: "delay", "sensor_lag".
+        scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
         difference: "stencil" (8th order) or "central" (eq. 8).
         epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
         stages: most stages.
@@ -64,13 +63,9 @@ class Settings:
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
         refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
-        firmness: how firmly free runs hold the nets of spring and damping at zero, in (1 %)^2 (the polynomials beside
-            them at 1e-4). Default: 1e-4; 0.06 over their number with `few` records behind a square, since the error
-            is a mean over records (Peano-HASEL, 2 records, at a frequency it never saw, seeds 0 to 2: 9.2, 9.4,
-            10.4 %, at 1e-3 10.1, 18.2, 13.4; 6 records of cone100 go from 0.49 to 0.53 % at 1e-2, and 3 without its
-            largest voltage do worse there); 1e-3 behind a linear input, where no rubber creeps. 1e-3 extrapolates
-            in amplitude (Silverbox at 1.3 times the trained one: 0.52 -> 0.27 mV; 0.32 since `geodesic_steps`) and
-            costs a film some accuracy (cone100: median 0.26 -> 0.29 %, worst 0.6 -> 1.3 %).
+        firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other number has
+            1e-4. Default: 1e-4; with `few` records behind a square 0.06 over their number, since the error is a mean
+            over records; 1e-3 behind a linear input, where it extrapolates in amplitude.
 
     Raises:
         BadInput: an unknown word.
@@ -150,7 +145,7 @@ def memory_of(
 
 
 def firmness_of(settings: Settings, model: Model, records: int) -> float:
-    """What holds the nets of spring and damping: more without a square, most with `few` records behind one."""
+    """Prior weight of the nets of spring and damping: more without a square, most with `few` records behind one."""
     if settings.firmness is not None:
         return settings.firmness
     if _frugal(model):
@@ -163,10 +158,9 @@ def _frugal(model: Model) -> bool:
 
 
 def with_drive(model: Model, settings: Settings) -> Model:
-    """The lag free runs start from. Not before: the equation error reads the drive as direct, and does not fit it.
+    """The model with the electrode's lag that free runs start from; the equation error reads the drive as direct.
 
-    Without a square behind it a lag is one more linear pole, which the order stands for: Silverbox's arrows 1.41 and
-    0.86 mV with it, 0.71 and 0.28 without.
+    Without a square behind it a lag is one more linear pole, which the order stands for.
     """
     if settings.drive != "electrode" or not isinstance(model.input_map, SquareInput):
         return model

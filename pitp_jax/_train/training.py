@@ -4,7 +4,7 @@
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
     then:     least squares on free runs (`refine`), with the memories' and the drive's time constants
 
-The equation error is fast and blind to what accumulates; free runs see just that. See PAPER_READINGS, Algorithm 1.
+The equation error is fast and blind to what accumulates; free runs see just that (docs/readings.md, Algorithm 1).
 """
 
 import json
@@ -159,7 +159,7 @@ def _report(progress, stage, step, steps, value, best, seconds_left):
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Algorithm 1: yield (best model, history entry) after every stage."""
     total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
-    best_model, best, count, began = model, np.inf, 0, time.monotonic()
+    best_model, best, constraint, count, began = model, np.inf, np.inf, 0, time.monotonic()
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..diagnosis import Diagnosis
 from . import html
-from .formatting import figure, gathers, interval, named, of_range, percent, plain
+from .formatting import figure, gathers, interval, named, of_range, percent, plain_words
 from .gap_figure import output_unit, outside_line, refitted, time_spent, worst
 from .html import tag
 from .which import crowd, share_closed, which
@@ -23,14 +23,14 @@ def headline(d: Diagnosis) -> str:
     return "No gap once the model's coefficients are refitted" if _moved(d) else "No gap: the error is sensor noise"
 
 
-def lead(d: Diagnosis) -> str:
+def verdict_text(d: Diagnosis) -> str:
     """What the verdict means, in one or two sentences."""
     if d.verdict == "no_gap":
         if _moved(d):
-            return f"As given, the model was off by {of_range(d.gap.unrefitted)} of range; refitted, {_left(d)}."
-        return f"On {_judged_on(d)}, {_left(d)}. There is no effect to add."
+            return f"As given, the model was off by {of_range(d.gap.unrefitted)} of range; refitted, {_error_left(d)}."
+        return f"On {_judged_on(d)}, {_error_left(d)}. There is no effect to add."
     if d.verdict == "explained":
-        what = "; ".join(plain(name) for name in d.effects)
+        what = "; ".join(plain_words(name) for name in d.effects)
         return f"{what[:1].upper()}{what[1:]}. {_far(d)}"
     if crowd(d):
         return f"These data cannot tell them apart. {_far(d)} The experiment below separates two of them."
@@ -55,7 +55,7 @@ def _moved(d: Diagnosis) -> bool:
     return refitted(d) and d.gap.unrefitted > 1.1 * (d.gap.noise_floor or d.gap.before)
 
 
-def _left(d: Diagnosis) -> str:
+def _error_left(d: Diagnosis) -> str:
     g = d.gap
     if g.noise_floor is None:
         return f"it is off by {of_range(g.before)} of range"

@@ -44,7 +44,7 @@ _GATHERED, _OVER = 0.6, 2.0  # a share that counts as gathered, and how far it m
 _DIGITS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def plain(name: str) -> str:
+def plain_words(name: str) -> str:
     """What an effect is, in a few plain words."""
     return PLAIN.get(name) or next((equation(c) for c in CATALOGUE if c.name == name), "")
 

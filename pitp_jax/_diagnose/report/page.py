@@ -5,12 +5,12 @@ import numpy as np
 from ..diagnosis import Diagnosis
 from ..result import Gap, Ranked
 from . import html
-from .answers import cards, headline, lead
+from .answers import cards, headline, verdict_text
 from .figures import figures
 from .formatting import figure, interval, percent
 from .gap_figure import left, output_unit, worst
 from .html import tag
-from .which import parameters
+from .which import parameter_lines
 
 NEXT_CSV = "next_experiment.csv"
 
@@ -24,7 +24,7 @@ def report(diagnosis: Diagnosis) -> str:
     parts = [
         tag("p", "Diagnosis: a model beside recordings of the real actuator", "soft"),
         tag("h1", headline(diagnosis), diagnosis.verdict),
-        tag("p", lead(diagnosis), "lead"),
+        tag("p", verdict_text(diagnosis), "lead"),
         f'<div class="cards">{"".join(cards(diagnosis))}</div>',
         *_pictures(diagnosis),
         *_next(diagnosis),
@@ -89,7 +89,7 @@ def _ranking(d: Diagnosis) -> list[str]:
         css = "named" if r.effect in d.effects else "pale" if r.screened else ""
         form = f"{r.form}{', screened' if r.screened else ''}"
         figures_ = (figure(r.train), figure(r.heldout), _closed(r))
-        rows.append((css, (f"{r.effect}{tied}", form, "; ".join(parameters(d, r)), *figures_)))
+        rows.append((css, (f"{r.effect}{tied}", form, "; ".join(parameter_lines(d, r)), *figures_)))
     note = (
         "Each effect by itself, in its best form; errors in % of a recording's range. Those marked screened were left "
         "out of the fit on whole recordings: their figures are first estimates."
@@ -137,7 +137,7 @@ def _reading(d: Diagnosis) -> list[str]:
     )
     verdicts = (
         "“No gap” means that the error is within 1.1 times the noise, so there is nothing to explain; “unknown” means "
-        "that the best effect leaves more than a fifth of the gap and more than 1.5 times the noise, or that too many "
-        "effects explain it alike: then no name is given, and none should be read off the ranking."
+        "that the best effect leaves too much of the gap above the noise, or that too many effects "
+        "explain it alike: then no name is given, and none should be read off the ranking."
     )
     return [tag("h2", "How to read this"), tag("p", method), tag("p", verdicts)]

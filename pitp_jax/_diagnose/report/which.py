@@ -60,7 +60,7 @@ def _effect(d: Diagnosis, name: str) -> str:
     row = next((r for r in d.ranking if r.effect == name), None)
     mine = next((e for e in reversed(d.model.effects) if e.name == name), None)
     if mine is None:
-        return html.bullets(parameters(d, row)) if row else ""
+        return html.bullets(parameter_lines(d, row)) if row else ""
     told = {}
     for p in mine.PARAMETERS:
         value, unit = physical(d.model, p, float(getattr(mine, p.name)))
@@ -77,7 +77,7 @@ def _line(d: Diagnosis, name: str, told: dict) -> str:
     return f"{label} = {text}"
 
 
-def parameters(d: Diagnosis, row: Ranked) -> list[str]:
+def parameter_lines(d: Diagnosis, row: Ranked) -> list[str]:
     """A candidate's numbers, one text each."""
     return [_line(d, name, told) for name, told in row.parameters.items()]
 

@@ -1,0 +1,53 @@
+"""The pages say what is there: links lead somewhere, every form is described, commands and options exist."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pitp_jax._effects import CATALOGUE
+from pitp_jax.cli import _parser
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted(
+    p for folder in (".", "docs", "docs/decisions", "experiments", "benchmarks") for p in (ROOT / folder).glob("*.md")
+)
+SOURCES = [p for folder in ("pitp_jax", "benchmarks", "experiments", "tests") for p in (ROOT / folder).rglob("*.py")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    targets = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
+    assert [t for t in targets if "://" not in t and not (page.parent / t).exists()] == []
+
+
+def test_pages_that_code_cites_exist():
+    cited = {name for path in SOURCES for name in re.findall(r"docs/[\w/]+\.md", path.read_text(encoding="utf-8"))}
+    assert {"docs/contract.md", "docs/readings.md"} <= cited
+    assert [name for name in cited if not (ROOT / name).is_file()] == []
+
+
+def test_every_form_is_described_in_its_effects_row():
+    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
+    assert set(rows) == {form.name for form in CATALOGUE} | {"parameter_change"}
+    assert [f"{form.name}: {form.form}" for form in CATALOGUE if form.form not in rows[form.name]] == []
+    assert [form.name for form in CATALOGUE if f"| {form.family} |" not in rows[form.name]] == []
+
+
+def test_every_command_and_option_is_in_the_contract():
+    page = (ROOT / "docs" / "contract.md").read_text(encoding="utf-8")
+    usage = page.split("## Commands")[1].split("```")[1]
+    (commands,) = (a.choices for a in _parser()._actions if isinstance(a.choices, dict))
+    assert set(re.findall(r"^pitp (\w+)", usage, re.M)) == set(commands)
+    for block in re.split(r"^pitp ", usage, flags=re.M)[1:]:
+        actions = commands[block.split()[0]]._actions
+        known = {s for a in actions for s in a.option_strings if s.startswith("--")} - {"--help"}
+        assert set(re.findall(r"--[\w-]+", block)) <= known <= set(re.findall(r"--[\w-]+", page)), block
+
+
+def test_the_readme_begins_with_its_two_commands():
+    """Demo and tests, each to be pasted into a fresh clone; `.ci/run` takes the second."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S)
+    demo, tests = [line for block in blocks for line in block.splitlines() if line.strip()][:2]
+    assert demo.endswith("pitp demo --quick") and "-m pytest" in tests
