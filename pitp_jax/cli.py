@@ -14,6 +14,8 @@ import traceback
 from collections.abc import Sequence
 from importlib import import_module
 
+from . import __version__
+from ._commands.cache import keep_programs
 from ._commands.console import say
 from ._errors import BadInput, ComputationFailed
 
@@ -40,6 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = vars(_parser().parse_args(argv))
         module, function = arguments.pop("runs"), arguments.pop("command")
+        if not arguments.pop("no_cache"):
+            keep_programs()
         code = getattr(import_module(f"._commands.{module}", __package__), function)(**arguments)
         sys.stdout.flush()
         return code or 0
@@ -103,14 +107,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False
     )
-    parser.add_argument(
-        "--version", action=_ShowVersion, nargs=0, default=argparse.SUPPRESS, help="show the version and exit"
-    )
+    parser.add_argument("--version", action="version", version=f"pitp {__version__}", help="show the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
 
     def command(name: str, text: str) -> argparse.ArgumentParser:
         made = commands.add_parser(name, help=text, description=text.capitalize() + ".", allow_abbrev=False)
         made.set_defaults(runs=name)
+        made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
         return made
 
     demo = command("demo", "the paper's protocol on a virtual actuator: tables, figures, model")
@@ -126,16 +129,6 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
     return parser
-
-
-class _ShowVersion(argparse.Action):
-    """Prints the version, looked up only then."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        from importlib.metadata import version
-
-        print(f"pitp {version('pitp_jax')}")
-        parser.exit()
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:
