@@ -50,7 +50,7 @@ def torch_ways(model: Model, equation, memory, truth) -> tuple[dict, str]:
     except ImportError as error:
         return {}, f"{error.name} is not installed"
     network = Inverse(model).eval()
-    features, rows = tensor(jnp.concatenate([equation[:, :-1], memory], 1)), tensor(equation)
+    features, rows = tensor(jnp.concatenate([equation[:, :-1], memory], 1).T), tensor(equation.T)
     compiled = torch.compile(network, dynamic=False)
     with torch.inference_mode():
         found = network(features, rows).numpy()
@@ -65,7 +65,7 @@ def torch_ways(model: Model, equation, memory, truth) -> tuple[dict, str]:
         return call
 
     def in_blocks():
-        pairs = zip(features.split(4000), rows.split(4000), strict=True)
+        pairs = zip(features.split(4000, 1), rows.split(4000, 1), strict=True)
         return torch.cat([compiled(f, r) for f, r in pairs])
 
     all_of_them = torch.get_num_threads()

@@ -84,7 +84,7 @@ def candidates(dt: float) -> dict:
     """Diffrax as one would set it: constant steps and adaptive ones."""
     constant = {
         f"diffrax Tsit5, step {k} samples": (diffrax.Tsit5(), diffrax.ConstantStepSize(), k * dt)
-        for k in (1, 5, 10, 20)
+        for k in (1, 2, 3, 4, 5, 7, 10, 20)
     }
     adaptive = {
         f"diffrax Tsit5, rtol {r:g}": (diffrax.Tsit5(), diffrax.PIDController(rtol=r, atol=r), None)

@@ -15,18 +15,18 @@ from .torch_model import Step, tensor
 
 def loop(model: Model, film, start, dt: float):
     """Fn() -> displacement (records, steps + 1), scaled: one RK4 step a sample, all records at once."""
-    step, volts, state0 = Step(model, dt).eval(), tensor(film), tensor(start)
+    step, volts, state0 = Step(model, dt).eval(), tensor(film), tensor(start).T.contiguous()
     scale = float(model.scales.force)
 
     def run():
         torch.set_num_threads(1)
         with torch.inference_mode():
-            state, out = state0, [state0[:, 0]]
+            state, out = state0, [state0[0]]
             for k in range(volts.shape[1] - 1):
                 now, later = volts[:, k], volts[:, k + 1]
                 forces = (v * v / scale for v in (now, (now + later) / 2, later))
                 state = step(state, *forces)
-                out.append(state[:, 0])
+                out.append(state[0])
             return torch.stack(out, 1).numpy()
 
     return run
@@ -34,7 +34,7 @@ def loop(model: Model, film, start, dt: float):
 
 def solver(model: Model, film, start, dt: float, **options):
     """Fn() -> displacement (records, time), scaled: torchdiffeq, one step size for all records."""
-    step, volts, state0 = Step(model, dt).eval(), tensor(film), tensor(start)
+    step, volts, state0 = Step(model, dt).eval(), tensor(film), tensor(start).T.contiguous()
     scale, last = float(model.scales.force), volts.shape[1] - 1
     times = torch.arange(last + 1) * dt
 
@@ -47,7 +47,7 @@ def solver(model: Model, film, start, dt: float, **options):
     def run():
         torch.set_num_threads(1)
         with torch.inference_mode():
-            return odeint(slope, state0, times, **options)[..., 0].T.numpy()
+            return odeint(slope, state0, times, **options)[:, 0].T.numpy()
 
     return run
 

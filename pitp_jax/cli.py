@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from . import __version__
+from ._commands.cache import keep_programs
 from ._commands.console import say
 from ._errors import BadInput, ComputationFailed
 
@@ -43,6 +44,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = vars(_parser().parse_args(argv))
         module, function = arguments.pop("runs"), arguments.pop("command")
+        if not arguments.pop("no_cache"):
+            keep_programs()
         code = getattr(import_module(f"._commands.{module}", __package__), function)(**arguments)
         sys.stdout.flush()
         return code or 0
@@ -119,6 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     def command(name: str, text: str) -> argparse.ArgumentParser:
         made = commands.add_parser(name, help=text, description=text.capitalize() + ".", allow_abbrev=False)
         made.set_defaults(runs=name)
+        made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
         return made
 
     demo = command("demo", "the paper's protocol on a virtual actuator: tables, figures, model")

@@ -37,15 +37,15 @@ def assembled(model, x):
     lag = float(np.exp(model.drive.log_tau))
 
     def run():
-        rows = (derivatives(x, DT, 2) / np.asarray(model.scales.state)).astype(np.float32)
+        rows = (derivatives(x, DT, 2) / np.asarray(model.scales.state)).astype(np.float32).T
         past = []
         for t in tau:
             q, settle = np.exp(-DT / t), -np.expm1(-DT / t)
             slope = 1 - settle * t / DT
-            past.append(lfilter([slope, settle - slope], [1.0, -q], rows[:, 0]))
-        seen = np.concatenate([rows[:, :-1], np.stack(past, -1).astype(np.float32)], 1)
+            past.append(lfilter([slope, settle - slope], [1.0, -q], rows[0]))
+        seen = np.concatenate([rows[:-1], np.stack(past).astype(np.float32)])
         with torch.inference_mode():
-            film = network(torch.from_numpy(seen), torch.from_numpy(rows)).numpy()
+            film = network(torch.from_numpy(seen), torch.from_numpy(np.ascontiguousarray(rows))).numpy()
         return film + lag * np.gradient(film, DT)
 
     return run, ""

@@ -1,7 +1,7 @@
 """Latency of one compiled step from NumPy in to a Python float out: inverse and decoder, beside 1 kHz and 5 kHz loops.
 
-The peer is the same inverse in eager PyTorch on one thread. Tails are the operating system's: `late` counts calls
-longer than a period.
+The peer is the same inverse in PyTorch on one thread, eager or compiled, whichever is faster. Tails are the operating
+system's: `late` counts calls longer than a period.
 """
 
 import time
@@ -46,25 +46,31 @@ def stepping(compiled, inputs):
     return call
 
 
-def torch_step(model, inputs):
-    """Fn(k) in PyTorch, or none."""
+def torch_steps(model, inputs) -> dict:
+    """Ways of PyTorch, each a fn(k); none where it is not installed."""
     try:
         import torch
 
         from ..torch_model import Inverse
     except ImportError:
-        return None
+        return {}
     torch.set_num_threads(1)
-    network, memory = Inverse(model).eval(), torch.zeros(1, model.memory.size)
-    scale = torch.tensor(model.scales.state, dtype=torch.float32)
-    rows = torch.from_numpy(inputs)
+    network, memory = Inverse(model).eval(), torch.zeros(model.memory.size, 1)
+    scale = torch.tensor(np.asarray(model.scales.state, np.float32))[:, None]
+    rows = torch.from_numpy(inputs)[:, :, None]
 
-    def call(k):
-        with torch.inference_mode():
-            wanted = rows[k % len(rows)][None] / scale
-            return float(network(torch.cat([wanted[:, :-1], memory], 1), wanted))
+    def step(wanted):
+        scaled = wanted / scale
+        return network(torch.cat([scaled[:-1], memory]), scaled)
 
-    return call
+    def stepping(run):
+        def call(k):
+            with torch.inference_mode():
+                return float(run(rows[k % len(rows)]))
+
+        return call
+
+    return {"PyTorch eager": stepping(step), "PyTorch compiled": stepping(torch.compile(step, dynamic=False))}
 
 
 def measure(seconds: float) -> dict:
@@ -75,10 +81,11 @@ def measure(seconds: float) -> dict:
     taken = latencies(stepping(inverse_step(model, DT), inputs), _CALLS)
     volts = np.full((100, 1), 500.0, np.float32)
     decoder = latencies(stepping(decoder_step(model, DT), volts), _CALLS)
-    peer = torch_step(model, inputs)
-    beside = None if peer is None else latencies(peer, _CALLS // 10)
+    others = {name: latencies(call, _CALLS // 10) for name, call in torch_steps(model, inputs).items()}
+    peer = min(others, key=lambda name: np.median(others[name]), default=None)
+    beside = None if peer is None else others[peer]
     median = None if beside is None else 1e3 * float(np.median(beside))
     found = summary(taken) | {"compile_s": compile_s}
-    return {**found, "peer": "PyTorch eager" if peer else None, "peer_median_ms": median,
+    return {**found, "peer": peer, "peer_median_ms": median,
             "ratio": median and median / found["median_ms"], "inverse": tail(taken), "decoder": tail(decoder),
             "peer_tail": None if beside is None else tail(beside)}  # fmt: skip

@@ -1,4 +1,9 @@
-"""What `pitp demo` leaves in its folder: the model files, the tables as CSV, and the paper's figures."""
+"""What `pitp demo` leaves in its folder: the recordings, the model files, the tables as CSV, and the paper's figures.
+
+records/   the sweep and the training sines: what `pitp identify`, `fit` and `diagnose` take
+held_out/  recordings that trained nothing, for `pitp predict`
+target.csv a wanted motion, for `pitp invert`
+"""
 
 from pathlib import Path
 from typing import cast
@@ -14,12 +19,13 @@ from .._plot import paper_figures
 from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
 from .._simulate import decoder
-from .protocol import Demo, Table, kind, nearest, tables
+from .protocol import Demo, Table, excitations, kind, nearest, tables
 
 SWEEP_HZ = {"cone": (0.01, 20.0), "roll": (0.01, 180.0)}
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
 FIGURES = ("sweep.png", "prediction.png", "hysteresis.png", "tokens.png", "tracking.png")
-FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", *FIGURES)
+RECORDS, HELD_OUT = "records", "held_out"
+FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv", *FIGURES)
 
 
 def write(demo: Demo, folder: Path) -> None:
@@ -33,6 +39,11 @@ def write(demo: Demo, folder: Path) -> None:
         BadInput: a file cannot be written.
         OSError: a figure cannot.
     """
+    for name, records in ((RECORDS, (demo.sweep, *demo.train)), (HELD_OUT, demo.test)):
+        (folder / name).mkdir()
+        for r in records:
+            columns = {"time_s": r.time, "voltage_V": r.voltage, "displacement_m": r.displacement}
+            write_csv(folder / name / f"{r.name}.csv", columns)
     save(folder / "nominal.pitp", demo.identified.model)
     save(folder / "model.pitp", demo.training.model)
     for name, table in zip(TABLE_FILES, tables(demo), strict=True):
@@ -45,9 +56,16 @@ def write(demo: Demo, folder: Path) -> None:
         "target_m": last.target,
     }
     write_csv(folder / "tracking.csv", columns)
+    write_csv(folder / "target.csv", {"time_s": last.time, "displacement_m": last.target})
     figures = (_sweep(demo), _prediction(demo), _loops(demo), _tokens(demo), _tracking(demo))
     for name, figure in zip(FIGURES, figures, strict=True):
         cast(Figure, figure).savefig(folder / name, dpi=150)
+
+
+def recordings(name: str, quick: bool) -> set[str]:
+    """Names of the recordings this demo leaves, with their folders."""
+    parts = {RECORDS: ("sweep", "train"), HELD_OUT: ("test",)}
+    return {f"{home}/{e.name}.csv" for home, kinds in parts.items() for k in kinds for e in excitations(name, k, quick)}
 
 
 def _csv(table: Table) -> str:

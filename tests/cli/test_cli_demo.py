@@ -1,6 +1,7 @@
 """`pitp demo`, and the four verbs end to end."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -21,6 +22,10 @@ def test_demo_keeps_whole_or_nothing(call, tmp_path, monkeypatch):
 
     monkeypatch.setattr("pitp_jax._commands.demo.run", fail)
     refused(call("demo", "--out", tmp_path / "d"), code=3)
+    (tmp_path / "r" / "records").mkdir(parents=True)
+    (tmp_path / "r" / "records" / "sine_010Hz_500V.csv").write_text("")
+    assert "another demo" in refused(call("demo", "--plant", "cone100", "--out", tmp_path / "r"))
+    shutil.rmtree(tmp_path / "r")
     (tmp_path / "f").write_text("")
     refused(call("demo", "--out", tmp_path / "f"))
     assert tree(tmp_path) == ["f"]
@@ -43,7 +48,9 @@ def test_demo_quick(call, tmp_path):
     code, text, _ = call("demo", "--plant", "cone100", "--quick", "--out", tmp_path / "d")
     assert code == 0
     assert "Table I" in text
-    assert tree(tmp_path / "d") == sorted(files.FILES)
+    left = {*files.FILES, *files.recordings("cone100", quick=True), files.RECORDS, files.HELD_OUT}
+    assert tree(tmp_path / "d") == sorted(left)
+    assert call("predict", tmp_path / "d" / "model.pitp", tmp_path / "d" / "held_out")[0] == 0
     assert model_file.load(tmp_path / "d" / "model.pitp").order >= 2
 
 

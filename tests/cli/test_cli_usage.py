@@ -76,3 +76,19 @@ def test_standard_output_on_a_full_disk(bench):
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 2
     assert done.stderr.startswith("pitp: error: ")
+
+
+def test_compiled_programs_are_kept_unless_told_otherwise(bench, tmp_path):
+    """In the user's cache folder, by a process that starts without JAX; a second one adds nothing."""
+    home = dict(os.environ, XDG_CACHE_HOME=str(tmp_path), LOCALAPPDATA=str(tmp_path), HOME=str(tmp_path))
+    home.pop("JAX_COMPILATION_CACHE_DIR", None)
+    command = [sys.executable, "-m", "pitp_jax", "predict", str(bench / "nominal"), str(bench / "records")]
+
+    def kept(*options):
+        subprocess.run([*command, *options], env=home, check=True, capture_output=True)
+        return {p.name for p in tmp_path.rglob("*-cache")}
+
+    assert kept("--no-cache") == set()
+    first = kept()
+    assert first
+    assert kept() == first

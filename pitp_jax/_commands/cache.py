@@ -1,0 +1,30 @@
+"""Compiled programs kept between runs, in the user's cache folder: the second `pitp predict` compiles nothing."""
+
+import os
+import platform
+import sys
+from pathlib import Path
+
+from platformdirs import user_cache_dir
+
+_LARGEST = 2**30  # bytes; beyond it the programs used longest ago go
+
+
+def keep_programs() -> None:
+    """Tell JAX, before it is imported, where to keep compiled programs; what the environment says already stands.
+
+    A folder for each computer: a home folder may be shared by several, and programs are for one processor.
+    """
+    if "jax" in sys.modules or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    folder = Path(user_cache_dir("pitp_jax", appauthor=False)) / "programs" / (platform.node() or "here")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # nowhere to keep them: compile again
+        return
+    if not os.access(folder, os.W_OK):
+        return
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+    os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_LARGEST))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
