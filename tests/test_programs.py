@@ -12,6 +12,7 @@ import pitp_jax as pitp
 from pitp_jax._invert.equation import invert_along, scaled_equation
 from pitp_jax._model.model import Output, Provenance, Scales
 from pitp_jax._model.programs import bare, jit
+from pitp_jax._model.sections import sections_of
 from pitp_jax._record.record import Record
 from pitp_jax._simulate import decoder
 from pitp_jax._simulate.batched_rollout import fast_rollout
@@ -39,11 +40,15 @@ def held_out(model):
 def another(model, seed=1):
     """Same structure; other weights, scales, output and origin."""
     rng = np.random.default_rng(seed)
-    scales = Scales(model.scales.state * rng.uniform(0.5, 2, model.order + 1), 2.5e6, model.scales.sections * 1.1)
+    changed = model.changed(rng.uniform(0.9, 1.1, model.order + 1))
+    scales = Scales(model.scales.state * rng.uniform(0.5, 2, model.order + 1), 2.5e6)
+    if model.order > 2:  # the sections are those of the coefficients
+        physical = replace(changed, scales=scales).physical_coefficients
+        scales = replace(scales, sections=sections_of(physical))
     region, notes = ((-1.0, 1.0),) * (model.order + model.memory.size), json.dumps({"training": {"seconds": seed}})
     made = Provenance(DT, "mm", "kV", (0.0, 900.0), 3e4, region, notes)
     output = Output(1e-3 * seed, -1.0)
-    return replace(model.changed(rng.uniform(0.9, 1.1, model.order + 1)), scales=scales, output=output, provenance=made)
+    return replace(changed, scales=scales, output=output, provenance=made)
 
 
 @pytest.fixture
