@@ -6,13 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import pitp_jax as pitp
 from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._effects import CATALOGUE, dissipation, hysteresis, key, sensor, stiffness, viscoelastic
+from pitp_jax._effects import CATALOGUE, dissipation, hysteresis, key, sensor, viscoelastic
 from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -139,46 +138,7 @@ def test_a_file_keeps_it(case, form, tmp_path):
     np.testing.assert_array_equal(jax.tree.leaves(back), jax.tree.leaves(model.effects[0]))
 
 
-# ---- against other ways to compute the same ----
-
-
-def scaled(model, t, y):
-    """A solution of the physical equation in scaled displacement."""
-    return np.interp(TIME, t, y) / model.scales.state[0]
-
-
-def integrate(model, force, extra):
-    """x'' = (F - extra(t, x, v) - a_0 x - a_1 v) / a_2 by an adaptive method, from rest; physical units."""
-    a = model.physical_coefficients
-
-    def slope(t, s):
-        return [s[1], (force(t) - extra(t, *s) - a[0] * s[0] - a[1] * s[1]) / a[2]]
-
-    return solve_ivp(slope, (0, TIME[-1]), [0.0, 0.0], rtol=1e-9, atol=1e-14, max_step=0.01, dense_output=True).sol(
-        TIME
-    )[0]
-
-
-@pytest.mark.parametrize(
-    ("effect", "extra"),
-    [
-        (stiffness.CubicStiffening(jnp.asarray(0.3)), lambda a, x, v: a[0] * 0.3 * x**3),
-        (stiffness.UpperStop(jnp.asarray(4.0), jnp.asarray(0.4)), lambda a, x, v: 4 * a[0] * max(x - 0.4, 0)),
-        (dissipation.QuadraticDrag(jnp.asarray(0.4)), lambda a, x, v: 0.4 * v * abs(v)),
-    ],
-    ids=["cubic", "stop", "drag"],
-)
-def test_forces_are_those_of_the_equation(linear, effect, extra):
-    model = linear(hz=HZ, dt=DT, substeps=4)
-    scale, unit = model.scales.state, model.scales.force
-    a = np.asarray(model.coefficients, float)
-    u = 500 + 400 * np.sin(2 * np.pi * 2.3 * TIME)
-    truth = integrate(
-        model, lambda t: np.interp(t, TIME, u) ** 2, lambda t, x, v: unit * extra(a, x / scale[0], v / scale[1])
-    )
-    here = replace(model, effects=(effect,))
-    y = np.asarray(rollout(here, jnp.asarray(u, jnp.float32), DT, rest_state(here))[:, 0])
-    assert np.abs(y - truth / scale[0]).max() < 2e-3 * np.ptp(truth / scale[0])
+# ---- against closed forms; every form against its equation: test_effect_equations ----
 
 
 def test_friction_takes_a_fixed_length_off_every_swing(linear):
