@@ -1,6 +1,7 @@
 """Faults put into the numerics, one at a time, each against the tests that reach it: does the suite see them?
 
     python -m benchmarks.mutants [--count 100] [--seed 0] [--only FILE,...] [--jobs 1] [--limit 900] [--out DIR]
+                                 [--again] [--list] [--table FILE]
 
 A drawn fault is one operator on one node of a file's syntax tree: an operator at random, then one of its nodes.
 
@@ -15,8 +16,9 @@ files that name its module, those that name the fewest others first, then on tho
 `caught` (and by which test), `survived`, `unfinished` (after the limit in s) or, where `mutants_equivalent.json` says
 why nothing can see it, `equivalent`; a mutant's id is its file and a digest of the line before and after.
 
-Every outcome is appended to DIR/mutants.jsonl; the same command goes on where it was stopped. `--table FILE` writes the
-table of all outcomes there. Not part of CI: 100 mutants take hours.
+Every outcome is appended to DIR/mutants.jsonl; the same command goes on where it was stopped, `--again` runs what was not
+caught anew (with tests that have been added since), `--list` only says what was drawn, and `--table FILE` writes the
+table of what has an outcome there. Not part of CI: 100 mutants take hours.
 """
 
 import argparse
@@ -35,7 +37,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import Queue
@@ -286,16 +288,16 @@ def outcome(mutant: Mutant, folder: Path, limit: float) -> dict:
             told, result = run.communicate()[0], "unfinished"
     finally:
         place.write_text(before, encoding="utf-8")
-    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", told or "", re.M)
+    failed = re.search(r"^(?:FAILED|ERROR) ([^\s\[]+)", told or "", re.M)
     seconds = round(time.monotonic() - begin, 1)
     row = {k: v for k, v in asdict(mutant).items() if k != "text"}
     return row | {"outcome": result, "by": failed[1] if failed else "", "seconds": seconds, "tests": tests}
 
 
-def run_all(mutants: list[Mutant], into: Path, jobs: int, limit: float) -> None:
-    """Every mutant that has no outcome yet, each worker in a copy of its own."""
+def run_all(mutants: list[Mutant], into: Path, jobs: int, limit: float, again: bool = False) -> None:
+    """Every mutant that has no outcome yet (`again`: that was not caught), each worker in a copy of its own."""
     into.parent.mkdir(parents=True, exist_ok=True)
-    done = {row["id"] for row in outcomes(into)}
+    done = {row["id"] for row in outcomes(into) if row["outcome"] == "caught" or not again}
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(jobs) as pool:
         folders: Queue = Queue()
         for k in range(jobs):
@@ -308,7 +310,8 @@ def run_all(mutants: list[Mutant], into: Path, jobs: int, limit: float) -> None:
             finally:
                 folders.put(folder)
 
-        for row in pool.map(one, [m for m in mutants if m.id not in done]):
+        for run in as_completed([pool.submit(one, m) for m in mutants if m.id not in done]):
+            row = run.result()
             with into.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
             print(f"{row['outcome']:10s} {row['seconds']:6.0f} s  {row['id']}  {row['by']}", flush=True)
@@ -337,7 +340,7 @@ def table(rows: list[dict], heading: str) -> str:
     lines += ["", "| mutant | line | operator | outcome | what changes | by, or why |", "|---" * 6 + "|"]
     for r in sorted(rows, key=lambda r: (r["outcome"] == "caught", r["file"], r["line"])):
         what = r["before"] if r["operator"] == "by hand" else f"`{_flat(r['before'])}` -> `{_flat(r['after'])}`"
-        why = reasons.get(r["id"], "") if r["outcome"] == "equivalent" else r["by"].removeprefix("tests/")
+        why = reasons.get(r["id"], "") if r["outcome"] == "equivalent" else r["by"].split("[")[0].removeprefix("tests/")
         name = r["id"].removeprefix("pitp_jax/")
         lines.append(
             f"| {name} | {r['line']} | {r['operator']} | {r['outcome']} | {what} | {why} |".replace("||", "or")
@@ -359,6 +362,7 @@ def main() -> None:
     ask.add_argument("--limit", type=float, default=900.0, help="seconds a mutant's tests may take")
     ask.add_argument("--out", type=Path, default=Path("mutants"), help="folder of mutants.jsonl")
     ask.add_argument("--table", type=Path, help="write the table of all outcomes so far")
+    ask.add_argument("--again", action="store_true", help="run anew what was not caught")
     ask.add_argument("--list", action="store_true", help="only say what was drawn")
     given = ask.parse_args()
     only = given.only.split(",") if given.only else None
@@ -367,7 +371,7 @@ def main() -> None:
         for m in mutants:
             print(f"{m.id}:{m.line}  {m.operator}\n    {_flat(m.before)}\n    {_flat(m.after)}")
         return
-    run_all(mutants, given.out / "mutants.jsonl", given.jobs, given.limit)
+    run_all(mutants, given.out / "mutants.jsonl", given.jobs, given.limit, given.again)
     if given.table:
         known = {m.id for m in mutants}
         rows = [row for row in outcomes(given.out / "mutants.jsonl") if row["id"] in known]

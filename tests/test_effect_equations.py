@@ -155,8 +155,9 @@ def idle(name, values):
 
 @pytest.fixture(scope="module")
 def models(linear, double):
+    """No two coefficients alike in the model's coordinates."""
     with jax.enable_x64(True):
-        return {n: double(linear(n, hz=HZ, dt=DT)) for n in (1, 2, 3)}
+        return {n: double(linear(n, hz=HZ, dt=DT).changed(np.linspace(1.1, 0.8, n + 1))) for n in (1, 2, 3)}
 
 
 @pytest.fixture(scope="module")

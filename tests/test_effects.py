@@ -138,6 +138,26 @@ def test_a_file_keeps_it(case, form, tmp_path):
     np.testing.assert_array_equal(jax.tree.leaves(back), jax.tree.leaves(model.effects[0]))
 
 
+# numbers that are taken from 1 (or added to it): at their bounds, nothing may vanish or turn round
+SHARES = {
+    "sensor_gain: share": 1, "added_mass: share": 1, "stiffness_drift: settling": -1, "second_mode: come loose": -1,
+    "creep: loss of stiffness": -1, "relaxation: loss of stiffness": -1, "hysteresis: Bouc-Wen": -1,
+    "charge_leak: one trap": -1,
+}  # fmt: skip
+
+
+@FORMS
+def test_starts_are_within_bounds_that_leave_the_actuator_what_it_is(case, form):
+    for start in form.starts(case.surroundings):
+        for p, value, low, high in zip(form.PARAMETERS, start.values, start.low, start.high, strict=True):
+            assert low <= value <= high and (low > 0 or not p.positive), p.name
+        ends = start.low[0], start.high[0]
+        assert key(form) not in SHARES or min(1 + SHARES[key(form)] * end for end in ends) > 0.05
+        if form.name == "stretch_coupling":
+            effect = form(jnp.asarray(start.low[0], jnp.float32))
+            assert 0.0 < effect.factor(case.surroundings.reach) < 1.0
+
+
 # ---- against closed forms; every form against its equation: test_effect_equations ----
 
 
