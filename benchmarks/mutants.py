@@ -16,9 +16,9 @@ files that name its module, those that name the fewest others first, then on tho
 `caught` (and by which test), `survived`, `unfinished` (after the limit in s) or, where `mutants_equivalent.json` says
 why nothing can see it, `equivalent`; a mutant's id is its file and a digest of the line before and after.
 
-Every outcome is appended to DIR/mutants.jsonl; the same command goes on where it was stopped, `--again` runs what was not
-caught anew (with tests that have been added since), `--list` only says what was drawn, and `--table FILE` writes the
-table of what has an outcome there. Not part of CI: 100 mutants take hours.
+Every outcome is appended to DIR/mutants.jsonl; the same command goes on where it was stopped. `--again` runs anew what
+was not caught (tests may have been added since), `--list` only says what was drawn, and `--table FILE` writes the table
+of what has an outcome there. Not part of CI: 100 mutants take hours.
 """
 
 import argparse
@@ -39,6 +39,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from queue import Queue
 
@@ -119,7 +120,7 @@ def _later(node):
 
 def mutated(operator: str, node: ast.AST) -> list[ast.AST]:
     """What a node may become under an operator."""
-    new = copy.deepcopy(node)
+    new = copy.copy(node)  # what hangs on it is shared, and replaced where it changes
     match operator, new:
         case "sign", ast.BinOp(op=ast.Add() | ast.Sub()):
             new.op = ast.Sub() if isinstance(new.op, ast.Add) else ast.Add()
@@ -133,9 +134,9 @@ def mutated(operator: str, node: ast.AST) -> list[ast.AST]:
             for end in ("lower", "upper"):
                 later = _later(getattr(part, end))
                 if later is not None:
-                    here = copy.deepcopy(node)
-                    setattr(here.slice, end, later)
-                    found.append(here)
+                    moved = copy.copy(part)
+                    setattr(moved, end, later)
+                    found.append(ast.Subscript(new.value, moved, new.ctx))
             return found
         case "index", ast.Subscript():
             later = _later(new.slice)
@@ -152,7 +153,7 @@ def mutated(operator: str, node: ast.AST) -> list[ast.AST]:
             new.args = [c, y, x]
             return [new]
         case "branch", ast.Call(func=ast.Attribute(attr=name)) if name in _SWAPPED:
-            new.func.attr = _SWAPPED[name]
+            new.func = ast.Attribute(new.func.value, _SWAPPED[name], new.func.ctx)
             return [new]
         case "constant", ast.Constant(value=value) if _is_number(new):
             return [ast.Constant(value + 1 if isinstance(value, int) else 2 * value or 1.0)]
@@ -237,16 +238,18 @@ def by_hand(files: list[str] | None) -> list[Mutant]:
 # ---- the tests that reach a file ----
 
 
+@lru_cache
+def _tests() -> tuple[tuple[str, str, int], ...]:
+    """Every test file: its path, its text and how many modules it names."""
+    found = [(p, p.read_text(encoding="utf-8")) for p in sorted((ROOT / "tests").glob("test_*.py"))]
+    return tuple((f"tests/{p.name}", text, len(re.findall(r"^from pitp_jax", text, re.M))) for p, text in found)
+
+
 def reach(file: str) -> list[str]:
     """Test files for a package file: those that name it, those of few names first, then its room's."""
     _, room, name = Path(file).with_suffix("").parts
     named = re.compile(rf"pitp_jax\.{room}\.{name}\b|from pitp_jax\.{room} import [^\n]*\b{name}\b")
-    direct = []
-    for path in sorted((ROOT / "tests").glob("test_*.py")):
-        text = path.read_text(encoding="utf-8")
-        if named.search(text):
-            direct.append((len(re.findall(r"^from pitp_jax", text, re.M)), f"tests/{path.name}"))
-    own = [path for _, path in sorted(direct)]
+    own = [path for path, text, _ in sorted(_tests(), key=lambda t: t[2]) if named.search(text)]
     first, last = ([f"tests/test_{t}.py" for t in rooms.get(room, ())] for rooms in (FIRST, ROOMS))
     return list(dict.fromkeys([*first, *own, *last]))
 
