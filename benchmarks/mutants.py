@@ -285,7 +285,9 @@ def outcome(mutant: Mutant, folder: Path, limit: float) -> dict:
         )  # fmt: skip
         try:
             told, _ = run.communicate(timeout=limit)
-            result = {0: "survived", 1: "caught", 2: "caught"}.get(run.returncode, f"error {run.returncode}")
+            if run.returncode in (4, 5):  # of pytest's own: nothing was run
+                raise SystemExit(told)
+            result = "caught" if run.returncode else "survived"
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, signal.SIGKILL)
             told, result = run.communicate()[0], "unfinished"
