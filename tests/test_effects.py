@@ -11,7 +11,7 @@ import pitp_jax as pitp
 from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._effects import CATALOGUE, dissipation, hysteresis, key, sensor, viscoelastic
+from pitp_jax._effects import CATALOGUE, amplifier, dissipation, hysteresis, key, sensor, viscoelastic
 from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -136,6 +136,34 @@ def test_a_file_keeps_it(case, form, tmp_path):
     back = pitp.load(tmp_path / "m.pitp").effects[0]
     assert type(back) is form
     np.testing.assert_array_equal(jax.tree.leaves(back), jax.tree.leaves(model.effects[0]))
+
+
+UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and key(f) != HARD[0] and f is not amplifier.Delay]
+
+
+@pytest.mark.parametrize("form", UNDONE, ids=key)
+def test_what_a_form_makes_of_a_slow_signal_is_undone_without_shooting(case, form):
+    """Small and slow enough for every limit; each moves it by more than it is undone to, but for pure limits."""
+    effect = form(*(jnp.asarray(v, jnp.float32) for v in active(form, case)[0]))
+    signal = jnp.asarray(1 - np.cos(np.pi * TIME[:501]), jnp.float32) * {"IN": 380.0, "SQ": 0.4, "OUT": 1.0}[form.port]
+    if form.port == "SQ":
+        made = effect.couple(signal, 0.7)
+        back, mirrored = effect.uncouple(made, 0.7), effect.uncouple(-made, 0.7)
+        np.testing.assert_allclose(mirrored, -back)
+    else:
+        see = effect.film if form.port == "IN" else effect.reading
+
+        def advance(states, ends):
+            after = effect.advance(states, ends[0], ends[1], DT)
+            return after, see(after, ends[1])
+
+        made = jax.lax.scan(advance, effect.initial(jnp.zeros(())), (signal[:-1], signal[1:]))[1]
+        back, signal, inside = effect.undo(made, DT), signal[1:], slice(10, -10)
+        if form.port == "IN":
+            assert effect.passes(made, DT)[inside].all()
+        back, signal, made = back[inside], signal[inside], made[inside]
+    assert np.abs(back - signal).max() < 2e-5 * np.ptp(signal)
+    assert np.abs(made - signal).max() > 1e-3 * np.ptp(signal) or form in (amplifier.VoltageClip, amplifier.SlewLimit)
 
 
 # numbers that are taken from 1 (or added to it): at their bounds, nothing may vanish or turn round
