@@ -42,6 +42,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from queue import Queue
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 BY_HAND = Path(__file__).with_name("mutants_by_hand.json")
@@ -104,11 +105,11 @@ _OPPOSITE = {ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt,
 _SWAPPED = {"maximum": "minimum", "minimum": "maximum", "max": "min", "min": "max"}
 
 
-def _is_number(node) -> bool:
+def _is_number(node: Any) -> bool:
     return isinstance(node, ast.Constant) and type(node.value) in (int, float)
 
 
-def _later(node):
+def _later(node: Any) -> Any:
     """An index or the end of a slice, one further."""
     if _is_number(node):
         return ast.Constant(node.value + 1)
@@ -118,9 +119,9 @@ def _later(node):
     return None
 
 
-def mutated(operator: str, node: ast.AST) -> list[ast.AST]:
+def mutated(operator: str, node: Any) -> list[Any]:
     """What a node may become under an operator."""
-    new = copy.copy(node)  # what hangs on it is shared, and replaced where it changes
+    new: Any = copy.copy(node)  # what hangs on it is shared, and replaced where it changes
     match operator, new:
         case "sign", ast.BinOp(op=ast.Add() | ast.Sub()):
             new.op = ast.Sub() if isinstance(new.op, ast.Add) else ast.Add()
@@ -129,7 +130,8 @@ def mutated(operator: str, node: ast.AST) -> list[ast.AST]:
             return [new.operand]
         case "factor", ast.BinOp(op=ast.Mult() | ast.Div()):
             return [ast.BinOp(ast.Constant(1.5), ast.Mult(), new)]
-        case "index", ast.Subscript(slice=ast.Slice() as part):
+        case "index", ast.Subscript(slice=ast.Slice()):
+            part: Any = new.slice
             found = []
             for end in ("lower", "upper"):
                 later = _later(getattr(part, end))
@@ -156,11 +158,11 @@ def mutated(operator: str, node: ast.AST) -> list[ast.AST]:
             new.func = ast.Attribute(new.func.value, _SWAPPED[name], new.func.ctx)
             return [new]
         case "constant", ast.Constant(value=value) if _is_number(new):
-            return [ast.Constant(value + 1 if isinstance(value, int) else 2 * value or 1.0)]
+            return [ast.Constant(value + 1 if type(value) is int else 2 * float(new.value) or 1.0)]
     return []
 
 
-def _nodes(tree: ast.AST) -> Iterator[ast.AST]:
+def _nodes(tree: Any) -> Iterator[Any]:
     """Nodes of code that runs: no annotations, messages, decorators, f-strings, nor numbers within an index."""
     for field, value in ast.iter_fields(tree):
         if field in ("annotation", "returns", "decorator_list", "keywords" if isinstance(tree, ast.ClassDef) else ""):
@@ -174,7 +176,7 @@ def _nodes(tree: ast.AST) -> Iterator[ast.AST]:
             yield from _nodes(node)
 
 
-def _replaced(text: str, node: ast.AST, new: ast.AST) -> str:
+def _replaced(text: str, node: Any, new: Any) -> str:
     """The text with a node's own characters replaced; positions count bytes."""
     lines = text.encode().splitlines(keepends=True)
     first = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
@@ -302,7 +304,7 @@ def outcome(mutant: Mutant, folder: Path, limit: float) -> dict:
 def run_all(mutants: list[Mutant], into: Path, jobs: int, limit: float, again: bool = False) -> None:
     """Every mutant that has no outcome yet (`again`: that was not caught), each worker in a copy of its own."""
     into.parent.mkdir(parents=True, exist_ok=True)
-    done = {row["id"] for row in outcomes(into) if row["outcome"] == "caught" or not again}
+    done = {row["id"] for row in outcomes(into) if row["outcome"] == "caught" or not again or row["id"] in reasons()}
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(jobs) as pool:
         folders: Queue = Queue()
         for k in range(jobs):
@@ -331,11 +333,16 @@ def outcomes(file: Path) -> list[dict]:
 # ---- the table ----
 
 
+def reasons() -> dict[str, str]:
+    """By id, why nothing can see a mutant."""
+    return json.loads(EQUIVALENT.read_text(encoding="utf-8"))
+
+
 def table(rows: list[dict], heading: str) -> str:
     """Counts by operator, then every mutant."""
-    reasons = json.loads(EQUIVALENT.read_text(encoding="utf-8")) if EQUIVALENT.exists() else {}
+    why_not = reasons()
     for row in rows:
-        if row["outcome"] != "caught" and row["id"] in reasons:
+        if row["outcome"] != "caught" and row["id"] in why_not:
             row["outcome"] = "equivalent"
     kinds = ("caught", "survived", "equivalent", "unfinished")
     lines = [f"# {heading}", "", f"| operator | {' | '.join(kinds)} |", "|---" * 5 + "|"]
@@ -345,7 +352,7 @@ def table(rows: list[dict], heading: str) -> str:
     lines += ["", "| mutant | line | operator | outcome | what changes | by, or why |", "|---" * 6 + "|"]
     for r in sorted(rows, key=lambda r: (r["outcome"] == "caught", r["file"], r["line"])):
         what = r["before"] if r["operator"] == "by hand" else f"`{_flat(r['before'])}` -> `{_flat(r['after'])}`"
-        why = reasons.get(r["id"], "") if r["outcome"] == "equivalent" else r["by"].split("[")[0].removeprefix("tests/")
+        why = why_not.get(r["id"], "") if r["outcome"] == "equivalent" else r["by"].split("[")[0].removeprefix("tests/")
         name = r["id"].removeprefix("pitp_jax/")
         lines.append(
             f"| {name} | {r['line']} | {r['operator']} | {r['outcome']} | {what} | {why} |".replace("||", "or")
@@ -366,6 +373,7 @@ def main() -> None:
     ask.add_argument("--jobs", type=int, default=1, help="mutants at a time")
     ask.add_argument("--limit", type=float, default=900.0, help="seconds a mutant's tests may take")
     ask.add_argument("--out", type=Path, default=Path("mutants"), help="folder of mutants.jsonl")
+    ask.add_argument("--heading", default="", help="what the table says beside its counts")
     ask.add_argument("--table", type=Path, help="write the table of all outcomes so far")
     ask.add_argument("--again", action="store_true", help="run anew what was not caught")
     ask.add_argument("--list", action="store_true", help="only say what was drawn")
@@ -382,7 +390,7 @@ def main() -> None:
         rows = [row for row in outcomes(given.out / "mutants.jsonl") if row["id"] in known]
         drawn = sum(row["operator"] != "by hand" for row in rows)
         heading = f"Mutants: {drawn} drawn with seed {given.seed}, {len(rows) - drawn} by hand"
-        given.table.write_text(table(rows, heading), encoding="utf-8")
+        given.table.write_text(table(rows, heading + given.heading), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ Nothing here is taken from the package: the equations are those of the catalogue
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Equation:
     inertia: Callable = _first
     limit: Callable = _first
     begin: Callable = lambda x, u, p: ()
-    friction: Callable | None = None
+    friction: Any = None
     earlier: Callable = lambda p: 0.0
     stiff: bool = False
 
@@ -67,7 +68,7 @@ def _quadratic(x, v, s, p, a, t):
     return -a[0] * p.c * x**2 if x < turn else -a[0] * (p.c * turn**2 + 0.9 * (x - turn))
 
 
-def _branches(shares, fresh=False):
+def _branches(shares, fresh=False) -> dict[str, Any]:
     """Maxwell branches: k kappa mean(x - z), or -k kappa mean(z) beside a nominal that is the fresh film."""
     return {
         "begin": lambda x, u, p: (x,) * len(shares),
@@ -76,7 +77,7 @@ def _branches(shares, fresh=False):
     }
 
 
-def _lags(shares, of):
+def _lags(shares, of) -> dict[str, Any]:
     """First-order lags behind each other; `of`: what the first follows, 'u' or 'x'."""
 
     def rates(x, v, u, s, p):
@@ -87,7 +88,7 @@ def _lags(shares, of):
     return {"begin": lambda x, u, p: (u if of == "u" else x,) * len(shares), "rates": rates, **read}
 
 
-def _mode():
+def _mode() -> dict[str, Any]:
     """z'' = w^2 (x - z) - 2 zeta w z', at rest beside x at first."""
     return {
         "begin": lambda x, u, p: (x, 0.0),
@@ -114,7 +115,7 @@ def _dahl(width):
     return lambda x, v, u, s, p: (v - abs(v) * s[0] / getattr(p, width),)
 
 
-def _slew(tau):
+def _slew(tau) -> dict[str, Any]:
     """V' = (u - V) / tau, no faster than 1 / inverse; a lag of a microsecond stands for none."""
 
     def rates(x, v, u, s, p):
@@ -134,7 +135,7 @@ def _softened(acceleration, p):
     return -g + p.softness * g * np.logaddexp(0.0, (acceleration + g) / (p.softness * g))
 
 
-_STILL = {"begin": lambda x, u, p: (0.0,)}
+_STILL: dict[str, Any] = {"begin": lambda x, u, p: (0.0,)}
 
 EQUATIONS = {
     "stiffening: cubic": Equation(((0.3,),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.c * x**3),

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +41,8 @@ def test_every_form_has_its_equation_and_signed_numbers_both_signs():
 
 
 def voltage(drive):
-    return np.interp(np.arange(SAMPLES), *zip(*RAMPS[drive], strict=True))
+    places, volts = zip(*RAMPS[drive], strict=True)
+    return np.interp(np.arange(SAMPLES), places, volts)
 
 
 def physical(model, name, values):
@@ -97,11 +99,11 @@ def _slide_and_stick(slope, state, kinks, most):
     def pull(t, state):
         return slope(t, [state[0], 0.0])[1]
 
-    def lets_go(t, state):
+    def too_much(t, state):
         return abs(pull(t, state)) - most(0.0) * (1 + 1e-8)  # a little more than makes it stick, or it would do both
 
-    def stops(t, state):
-        return state[1]
+    lets_go: Any = too_much
+    stops: Any = lambda t, state: state[1]  # noqa: E731
 
     lets_go.terminal, lets_go.direction, stops.terminal = True, 1, True
     while first < kinks[-1] - 1e-12:

@@ -32,7 +32,7 @@ def case(linear):
 def coloured(rng, size):
     """Two records of AR(0.9) with this rms: a few samples of it say the same."""
     white = rng.standard_normal((2, SAMPLES + 100))
-    return size * np.sqrt(1 - 0.9**2) * lfilter([1.0], [1.0, -0.9], white)[:, 100:]
+    return size * np.sqrt(1 - 0.9**2) * np.asarray(lfilter([1.0], [1.0, -0.9], white))[:, 100:]
 
 
 def judged(errors):
@@ -48,6 +48,7 @@ def test_a_95_percent_interval_holds_the_truth_in_95_of_100_draws(case):
         low = NOISE * (1 + 0.03 * rng.standard_normal())
         given, after = (judged(coloured(rng, size) + noise) for size in (GIVEN, LEFT))
         ends = _interval(case, given, after, low, (0, 1))
+        assert truth is not None and ends is not None
         held += ends[0] <= truth <= ends[1]
     assert 0.89 <= held / DRAWS <= 0.97  # 0.92 with 20 blocks a record
 

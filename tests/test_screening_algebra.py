@@ -35,8 +35,8 @@ def screened():
     rng = np.random.default_rng(4)
     fitted, held = data(rng), data(rng)
     points = tuple((f, v, WIDE[len(v)]) for f, v in zip(FORMS, VALUES, strict=True))
-    grams = (rows.T @ rows / SAMPLES for rows in (fitted, held))
-    return fitted, held, Screening(points, *grams, NUISANCE, np.array([1.0, 1.1, 0.9]))
+    near, far = (rows.T @ rows / SAMPLES for rows in (fitted, held))
+    return fitted, held, Screening(points, near, far, NUISANCE, np.array([1.0, 1.1, 0.9]))
 
 
 def agrees(row, which, fitted, held):
