@@ -114,7 +114,7 @@ def _later(node: Any) -> Any:
     if _is_number(node):
         return ast.Constant(node.value + 1)
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub) and _is_number(node.operand):
-        value = node.operand.value
+        value = node.operand.value  # pyright: ignore
         return ast.UnaryOp(ast.USub(), ast.Constant(value - 1)) if value > 1 else ast.Constant(0)
     return None
 
@@ -155,10 +155,10 @@ def mutated(operator: str, node: Any) -> list[Any]:
             new.args = [c, y, x]
             return [new]
         case "branch", ast.Call(func=ast.Attribute(attr=name)) if name in _SWAPPED:
-            new.func = ast.Attribute(new.func.value, _SWAPPED[name], new.func.ctx)
+            new.func = ast.Attribute(new.func.value, _SWAPPED[name], new.func.ctx)  # pyright: ignore
             return [new]
         case "constant", ast.Constant(value=value) if _is_number(new):
-            return [ast.Constant(value + 1 if type(value) is int else 2 * float(new.value) or 1.0)]
+            return [ast.Constant(value + 1 if type(value) is int else 2 * float(new.value) or 1.0)]  # pyright: ignore
     return []
 
 
