@@ -34,7 +34,7 @@ class Parameter:
 
     name: str
     unit: str = "1"
-    length: int = 0
+    length: float = 0
     speed: int = 0
     acceleration: int = 0
     force: int = 0

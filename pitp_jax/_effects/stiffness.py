@@ -211,7 +211,7 @@ class DampedStop(_Memoryless):
 
     name, form, family, port = "end_stop", "above, damped", "stiffness", "K"
     PARAMETERS = (
-        Parameter("kappa", "1/x^(1/2)", neutral=0.0),
+        Parameter("kappa", "1/x^(1/2)", length=-0.5, neutral=0.0),
         Parameter("place", "x", length=1),
         Parameter("loss", "s/x", speed=-1),
     )

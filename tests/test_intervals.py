@@ -1,0 +1,78 @@
+"""What a diagnosis promises of its figures: intervals that cover, blocks that are many, and what may be explained."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from played import SAMPLES, nominal_of, play
+from scipy.signal import lfilter
+
+from pitp_jax._diagnose.case import build_case
+from pitp_jax._diagnose.diagnosis import _verdict
+from pitp_jax._diagnose.effect_selection import Attribution, bootstrap
+from pitp_jax._diagnose.evaluation import Judged
+from pitp_jax._diagnose.fit import Candidate
+from pitp_jax._diagnose.noise import Noise
+from pitp_jax._diagnose.result import Gap, _interval, closed
+from pitp_jax._effects import stiffness
+
+# rms, % of range: of the sensor's noise, of the nominal's gap, of what an effect leaves of it
+NOISE, GIVEN, LEFT = 0.3, 3.0, 0.5
+DRAWS = 1000
+
+
+@pytest.fixture(scope="module")
+def case(linear):
+    """Two held-out records where everything counts."""
+    nominal = nominal_of(linear)
+    built = build_case(nominal, play(nominal, noise=0.0)[:2])
+    return replace(built, series=tuple(replace(s, weight=np.ones(SAMPLES), fitted=False) for s in built.series))
+
+
+def coloured(rng, size):
+    """Two records of AR(0.9) with this rms: a few samples of it say the same."""
+    white = rng.standard_normal((2, SAMPLES + 100))
+    return size * np.sqrt(1 - 0.9**2) * np.asarray(lfilter([1.0], [1.0, -0.9], white))[:, 100:]
+
+
+def judged(errors):
+    rms = float(np.sqrt(np.mean(errors**2)))
+    return Judged(Candidate((), (), (), np.ones(3), False), tuple(errors), rms, rms)
+
+
+def test_a_95_percent_interval_holds_the_truth_in_95_of_100_draws(case):
+    rng, truth = np.random.default_rng(2), closed(np.hypot(GIVEN, NOISE), np.hypot(LEFT, NOISE), NOISE)
+    held = 0
+    for _ in range(DRAWS):
+        noise = coloured(rng, NOISE)
+        low = NOISE * (1 + 0.03 * rng.standard_normal())
+        given, after = (judged(coloured(rng, size) + noise) for size in (GIVEN, LEFT))
+        ends = _interval(case, given, after, low, (0, 1))
+        assert truth is not None and ends is not None
+        held += ends[0] <= truth <= ends[1]
+    assert 0.89 <= held / DRAWS <= 0.97  # 0.92 with 20 blocks a record
+
+
+def test_blocks_are_drawn_as_the_mean_of_a_record_scatters(case):
+    """The bootstrap's standard deviation of a mean of squares is that over fresh draws of the records."""
+    rng, told, means = np.random.default_rng(3), [], []
+    for _ in range(200):
+        errors = coloured(rng, 1.0)
+        means.append(np.mean(errors**2))
+        told.append(bootstrap(case, (0, 1), lambda k, e=errors: e[k] ** 2).std())
+    assert np.mean(told) == pytest.approx(np.std(means), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("floors", "share", "verdict"),
+    [
+        (1.4, 0.6, "explained"), (1.4, 0.45, "unknown"), (2.0, 0.7, "unknown"), (2.0, 0.75, "explained"),
+        (3.5, 0.75, "unknown"), (3.5, 0.85, "explained"),
+    ],
+)  # fmt: skip
+def test_what_leaves_more_than_the_floor_must_close_its_share(floors, share, verdict):
+    candidate = Candidate((stiffness.CubicStiffening,), ((0.3,),), (), np.ones(3), False)
+    best = Judged(candidate, (), floors, floors)
+    noise = Noise(1e-3, 1e-3, np.zeros((1, 2)), "")
+    gap = Gap(10.0, floors, 10.0, 1.0, "", share, None)
+    assert _verdict(gap, Attribution(best, best, (best,), (), best, (), (), noise), 1.0) == verdict
