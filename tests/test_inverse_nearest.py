@@ -41,10 +41,9 @@ def test_the_programme_is_the_one_scipy_solves():
     q, b, G = rng.standard_normal((stages, n)), 0.1 * rng.standard_normal(stages), rng.standard_normal((stages, 1, n))
     wide = np.full((stages, 1), 0.4)
     h = 0.1 * rng.standard_normal(stages)
-    problem = StageQP(A, np.einsum("ki,kj->kij", C, C), q, b, np.asarray(0.5), G, -wide, wide, np.ones(stages), h,
-                      np.asarray(0.9))  # fmt: skip
+    parts = A, np.einsum("ki,kj->kij", C, C), q, b, 0.5, G, -wide, wide, np.ones(stages), h, 0.9
     with jax.enable_x64(True):
-        z = np.asarray(solve_stage_qp(jax.tree.map(jnp.asarray, problem), 0.02)[0])
+        z = np.asarray(solve_stage_qp(StageQP(*(jnp.asarray(part) for part in parts)), 0.02)[0])
 
     def states(w):
         out = [np.zeros(n)]
@@ -115,7 +114,12 @@ def keeps_the_bars(model, target, **limits):
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-@settings(max_examples=5, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(
+    max_examples=5,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    derandomize=True,
+)
 @given(
     key=st.integers(0, 30), hz=st.floats(0.5, 9.0), mid=st.floats(2e-4, 1.2e-3), swings=st.floats(0.3, 1.0),
     high=st.floats(500.0, 2000.0), slew=st.floats(5e3, 1e5),

@@ -10,7 +10,6 @@ brings is judged by the rollout. A delay moves all samples of the voltage agains
 
 from typing import TYPE_CHECKING
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -48,7 +47,7 @@ def best_change(model: Model, wish: "Wish", now: "Played", size: float, rho: flo
     cut = _Cut(_padded(-(-count // length)), length)
     seen = _readings(model, wish, now, cut, late)
     programme = _programme(wish, now, cut, late, size, rho, *seen)
-    z = np.asarray(solve_stage_qp(jax.tree.map(jnp.asarray, programme), _SLACK)[0])[1:]
+    z = np.asarray(solve_stage_qp(programme, _SLACK)[0])[1:]
     change = (z[:, -2, None] + np.arange(length) * z[:, -1, None]).reshape(-1)[:count]
     return change * wish.unit
 
@@ -100,17 +99,17 @@ def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward,
         return np.concatenate([np.zeros((1, *values.shape[1:])), values])
 
     return StageQP(
-        A=after_none(onward),
-        Q=after_none(np.einsum("kjn,kjm->knm", C, C)),
-        q=after_none(np.einsum("kjn,kj->kn", C, missed)),
-        b=np.append(bends, 0.0),
-        rho=np.asarray(rho),
-        G=after_none(G),
-        low=np.concatenate([-free, low]),
-        high=np.concatenate([free, high]),
-        g=after_none(cut.length * inside),
-        h=after_none(cut(rise, 0.0).sum(1)),
-        budget=np.asarray(wish.budget / wish.unit - abs(v[0]) - abs(v[-1])),
+        A=jnp.asarray(after_none(onward)),
+        Q=jnp.asarray(after_none(np.einsum("kjn,kjm->knm", C, C))),
+        q=jnp.asarray(after_none(np.einsum("kjn,kj->kn", C, missed))),
+        b=jnp.asarray(np.append(bends, 0.0)),
+        rho=jnp.asarray(rho),
+        G=jnp.asarray(after_none(G)),
+        low=jnp.asarray(np.concatenate([-free, low])),
+        high=jnp.asarray(np.concatenate([free, high])),
+        g=jnp.asarray(after_none(cut.length * inside)),
+        h=jnp.asarray(after_none(cut(rise, 0.0).sum(1))),
+        budget=jnp.asarray(wish.budget / wish.unit - abs(v[0]) - abs(v[-1])),
     )
 
 

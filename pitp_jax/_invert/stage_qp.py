@@ -81,7 +81,7 @@ def _distances(problem: StageQP, z: Array, a: Array) -> tuple[Array, Array, Arra
 
 
 def _gap(slack, multiplier) -> Array:
-    return sum((s * m).sum() for s, m in zip(slack, multiplier, strict=True))
+    return jnp.stack([(s * m).sum() for s, m in zip(slack, multiplier, strict=True)]).sum()
 
 
 def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
