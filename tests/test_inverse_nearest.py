@@ -180,7 +180,7 @@ def test_the_membrane_is_not_driven_farther_than_allowed(actuator):
 
 def test_an_acceleration_at_the_first_sample_is_led_in_above_order_two(linear, bounded):
     """From rest an actuator of order 3 cannot take it up at once."""
-    target = Target(TIME, 5e-4 * (1 - np.cos(4 * np.pi * TIME)))
+    target = Target(TIME, 5e-4 * (1 - np.cos(np.pi * TIME)))
     found = feedforward(bounded(linear(3), 0.0, 4000.0, 1e6), target)
     assert found.time[0] < TIME[0] - 0.1
     assert not found.saturated[found.target][:50].any()
