@@ -186,6 +186,16 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="VOLTAGE.csv", help="voltage to write")
     parser.add_argument("--max-voltage", type=_positive, metavar="V", help="default: the highest trained on")
     parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest trained on")
+    parser.add_argument(
+        "--max-displacement", type=_positive, metavar="MM", help="from 0 V either way, for the membrane"
+    )
+    parser.add_argument(
+        "--rate", type=_positive, metavar="HZ", help="what the voltage is played at; default: the target's"
+    )
+    parser.add_argument("--unit", choices=("V", "kV"), default="V", help="of the voltage written (default V)")
+    parser.add_argument(
+        "--input-scale", type=_positive, default=1.0, metavar="S", help="amplifier's gain: volts / S are written"
+    )
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the counts for machines")
     _columns(parser, target=True)
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -123,3 +124,20 @@ def test_a_lost_sample_is_lost_alone(lagging, make):
     found = play(compiled, gap)
     assert np.isnan(found[2])
     np.testing.assert_array_equal(np.delete(found, 2), play(compiled, rows))
+
+
+@pytest.mark.parametrize("make", [inverse_step, decoder_step])
+@pytest.mark.parametrize("made_wide", [False, True])
+def test_a_step_runs_with_and_without_64_bit_numbers(lagging, double, make, made_wide):
+    """Wherever it was made, with a model of either precision, and whatever its caller has enabled."""
+    with jax.enable_x64(made_wide):
+        compiled = make(double(lagging) if made_wide else lagging, DT)
+    row = np.full(compiled.inputs, 1e-4)
+    truth = compiled.run(compiled.carry, row.astype(np.float32))
+    for wide in (False, True):
+        with jax.enable_x64(wide):
+            carry, value = compiled.run(*compiled.run(compiled.carry, row)[:1], row)
+            again = compiled.run(compiled.carry, row)
+        assert carry.dtype == value.dtype == np.float32
+        for one, other in zip(again, truth, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-6)

@@ -1,6 +1,10 @@
-"""`pitp invert`: a wanted trajectory to the voltage that makes it."""
+"""`pitp invert`: a wanted trajectory to the voltage that makes it, as the rig's DAQ plays it."""
 
-from .._invert.feedforward_plan import feedforward
+import numpy as np
+
+from .._errors import BadInput
+from .._invert.feedforward_plan import Feedforward, feedforward
+from .._invert.playback import at_faster_rate, at_slower_rate
 from .._model_file.model_file import load
 from .._record.reading import read_target
 from .._record.writing import write_csv
@@ -8,16 +12,24 @@ from .compatibility import check_kind
 from .console import number, say
 from .outputs import check_files, staged_files, write_json
 
+_UNITS = {"V": 1.0, "kV": 1e-3}
 
-def invert(model, target, out, max_voltage, max_slew, json_file, output_column) -> None:
+
+def invert(
+    model, target, out, max_voltage, max_slew, max_displacement, rate, unit, input_scale, json_file, output_column
+) -> None:
     """Invert, write the voltage, and print how much of the target is out of reach.
 
     Args:
         model: model file.
         target: file with the wanted trajectory.
-        out: CSV to write.
+        out: CSV to write; its clock starts at 0.
         max_voltage: limit in V, or None for what the model was trained on.
         max_slew: limit in V/s, or None for what the model was trained on.
+        max_displacement: limit in mm from the displacement at 0 V, or None.
+        rate: at which the voltage is played, Hz, or None for the target's.
+        unit: of the voltage written, V or kV.
+        input_scale: what the amplifier makes of one unit played; the voltage is divided by it.
         json_file: where to write the counts for machines, or None.
         output_column: name of the target's column, or None.
 
@@ -28,7 +40,12 @@ def invert(model, target, out, max_voltage, max_slew, json_file, output_column) 
     loaded = load(model)
     wanted = read_target(target, output_column)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
-    found = feedforward(loaded, wanted, max_voltage=max_voltage, max_slew=max_slew)
+    limits = {"max_voltage": max_voltage, "max_slew": max_slew}
+    if max_displacement is not None:
+        if wanted.displacement_unit in ("V", "mV"):
+            raise BadInput(f"{target}: --max-displacement is in mm, and this output is in {wanted.displacement_unit}")
+        limits["max_displacement"] = 1e-3 * max_displacement
+    found = at_faster_rate(feedforward(loaded, at_slower_rate(wanted, rate), **limits), rate)
     for warning in found.warnings:
         say(f"warning: {' '.join(warning.split())}")
     result = {
@@ -39,8 +56,8 @@ def invert(model, target, out, max_voltage, max_slew, json_file, output_column) 
         "self_check_e_rms_percent": float(found.self_check_e_rms_percent),
     }
     columns = {
-        "time_s": found.time,
-        "voltage_V": found.voltage,
+        "time_s": found.time - found.time[0],
+        f"voltage_{unit}": found.voltage * (_UNITS[unit] / input_scale),
         "infeasible": found.infeasible,
         "saturated": found.saturated,
     }
@@ -48,12 +65,19 @@ def invert(model, target, out, max_voltage, max_slew, json_file, output_column) 
         write_csv(out_stage, columns)
         if json_file:
             write_json(json_stage, result)
+    _summarise(found, out, input_scale)
+
+
+def _summarise(found: Feedforward, out: str, input_scale: float) -> None:
     low, high = float(found.voltage.min()), float(found.voltage.max())
-    print(f"{result['samples']} samples of voltage, {number(low)} to {number(high)} V, in {out}")
-    print(f"infeasible {result['infeasible']}, saturated {result['saturated']} samples")
-    print(f"outside the trained region: {number(100 * result['outside_training_share'], 3)} % of the target")
+    scaled = "" if input_scale == 1 else f" (divided by {number(input_scale)} in the file)"
+    print(f"{len(found.time)} samples of voltage, {number(low)} to {number(high)} V{scaled}, in {out}")
+    own = float(found.time[np.argmax(found.target)])
+    print(f"its clock starts at 0; the target begins at {own - found.time[0]:.6g} s there, at {own:.6g} s of its own")
+    print(f"infeasible {int(found.infeasible.sum())}, saturated {int(found.saturated.sum())} samples")
+    print(f"outside the trained region: {number(100 * float(found.outside_training_share), 3)} % of the target")
     print(
         f"self-check (the model's own rollout, not a prediction of tracking): e_rms "
-        f"{number(result['self_check_e_rms_percent'], 3)} %, by eq. 13 alone "
+        f"{number(float(found.self_check_e_rms_percent), 3)} %, by eq. 13 cut at the limits "
         f"{number(float(found.equation_e_rms_percent), 3)} %"
     )

@@ -105,9 +105,14 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 
 
 def _compile(exported: export.Exported):
-    """Through `jax.jit`, whose dispatch takes half the time of a `Compiled` object; called once, to have it done."""
-    run = jax.jit(exported.call)
-    jax.block_until_ready(run(*(np.zeros(a.shape, a.dtype) for a in exported.in_avals)))
+    """Through `jax.jit`, whose dispatch takes half the time of a `Compiled` object; called once, to have it done.
+
+    Numbers of 64 bits are rounded on the way in: the caller may have enabled them or not.
+    """
+    run = jax.jit(lambda *given: exported.call(*(jnp.asarray(g, jnp.float32) for g in given)))
+    carry, values = (np.zeros(a.shape, np.float32) for a in exported.in_avals)
+    for given in (values, values.astype(np.float64)):  # one program unless 64 bits are enabled
+        jax.block_until_ready(run(carry, given))
     return run
 
 
@@ -165,6 +170,7 @@ def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
     def guarded(carry, values):
         after, output = one(carry, values)
         sound = jnp.isfinite(values).all()
+        after, output = jnp.asarray(after, jnp.float32), jnp.asarray(output, jnp.float32)
         return jnp.where(sound, after, carry), jnp.where(sound, output, jnp.nan)
 
     carry = carry.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Trajectories for the inverse: derivatives of a target, ramps from and back to zero, and the limits of an amplifier.
+"""Trajectories for the inverse: a target, its lead-in from rest and the ramp back to zero.
 
 x^(i): quintic (order + 3) spline through the samples, differentiated
 lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state
@@ -16,9 +16,10 @@ from scipy.optimize import lsq_linear
 from .._effects.amplifier import Delay
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives
+from .limits import Limits
 
 _NEAR = 0.02
-_JUMP = 0.3  # a change of x^(n-1) in one sample by this share of its range is a corner, not motion
+_SUDDEN = 0.05  # of the largest x^(i), i = 2 ... n - 1: more at the first sample is no start from rest
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,19 @@ class Path:
     reached: bool
     period: float
 
-    def ramp_down(self, voltage: float, limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """Raised cosine from the last voltage to zero within the slew limit, and no saturation flags."""
+    def ramp_down(self, voltage: float, limits: Limits, dt: float) -> np.ndarray:
+        """Raised cosine from the last voltage to zero within the slew limit."""
         duration = max(np.pi * abs(voltage) / (2 * limits.slew), 2 * self.period)
         count = max(int(np.ceil(duration / dt)), 2)
         tail = voltage * 0.5 * (1 + np.cos(np.pi * np.arange(1, count + 1) / count))
         tail[-1] = 0.0
-        return tail, np.zeros(count, bool)
+        return tail
 
 
-def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
+def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits) -> Path:
     """Put a lead-in from rest in front of a target that does not start there, or whose voltage is late.
+
+    Rest is S = 0: at order 3 and up the acceleration counts, which one of order 2 can take up at once.
 
     The lead-in lasts 5 periods of the nominal resonance (3 time constants at order 1, which has none to rock at),
     doubled, twice at most, while its voltage breaks the slew limit or it does not arrive.
@@ -58,8 +61,8 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits) -> Path:
     states = derivatives(wanted, dt, order)
     period = 2 * np.pi / model.natural_frequency
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
-    moves = abs(states[0, 0]) > 1e-3 * span or abs(states[0, 1]) > 1e-2 * max(np.abs(states[:, 1]).max(), 1e-30)
-    if not moves:
+    share = np.abs(states[0, 1:]) / np.maximum(np.abs(states[:, 1:]).max(0), 1e-30)
+    if not (abs(states[0, 0]) > 1e-3 * span or share[0] > 1e-2 or (share[1 : order - 1] > _SUDDEN).any()):
         early = int(np.ceil(sum(float(e.time) for e in model.effects if isinstance(e, Delay)) / dt))
         lead = np.zeros(early + 2 * order if early else 0)  # at rest: what is late has to be played before
         return Path(np.append(lead, wanted), slice(len(lead), len(lead) + len(wanted)), True, True, period)
@@ -118,27 +121,3 @@ def _respond(a: np.ndarray, forces: np.ndarray, dt: float) -> np.ndarray:
         driven = np.outer(exact[:n, n], forces[t]) + np.outer(exact[:n, n + 1], forces[t + 1] - forces[t])
         states[t + 1] = exact[:n, :n] @ states[t] + driven
     return states
-
-
-def limit_slew(voltage: np.ndarray, limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Clip to the voltage range, then to the slew rate, from the zero volts of an actuator at rest.
-
-    Returns:
-        The voltage kept, and True where it differs from the voltage asked for.
-    """
-    kept = np.clip(voltage, limits.low, limits.high)
-    most = limits.slew * dt
-    if np.isfinite(most) and (np.abs(np.diff(kept, prepend=0.0)) > most).any():
-        last = 0.0
-        for i, asked in enumerate(kept):
-            kept[i] = last = min(max(asked, last - most), last + most)
-    return kept, np.abs(kept - voltage) > 1e-6 * max(abs(limits.high), 1e-30)
-
-
-def rough_share(wanted: np.ndarray, dt: float, model: Model) -> float:
-    """Share of samples where x^(n-1) jumps by more than 30 % of its range in one sample: corners and noise."""
-    x = wanted
-    for _ in range(model.order - 1):
-        x = np.diff(x) / dt
-    jumps = np.abs(np.diff(x))
-    return float((jumps > _JUMP * max(np.ptp(x), 1e-300)).mean())

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from cli_cases import columns_of, refused, tree
 
@@ -44,3 +45,25 @@ def test_invert_takes_another_column(call, bench, tmp_path, quick_inverse):
     argv = ["invert", bench / "nominal", path, "--out", tmp_path / "v.csv", "--output-column", "wanted_um"]
     assert call(*argv)[0] == 0
     assert quick_inverse[0][0].displacement.max() == pytest.approx(1.5e-6, rel=1e-2)
+
+
+def test_invert_writes_what_a_daq_plays(call, bench, tmp_path, quick_inverse):
+    """Its clock starts at 0; kilovolts over the amplifier's gain, at its rate."""
+    plain, played = tmp_path / "v.csv", tmp_path / "daq.csv"
+    start = ["invert", bench / "nominal", bench / "target.csv", "--out"]
+    assert call(*start, plain)[0] == 0
+    code, text, _ = call(*start, played, "--unit", "kV", "--input-scale", "0.5", "--rate", "1000")
+    assert code == 0
+    assert "the target begins at 0.2 s there, at 0 s of its own" in text
+    (_, volts), (header, values) = columns_of(plain), columns_of(played)
+    assert header == ["time_s", "voltage_kV", "infeasible", "saturated"]
+    assert volts[0, 0] == values[0, 0] == 0
+    assert values[:, 0] == pytest.approx(1e-3 * np.arange(len(values)), abs=1e-6)
+    assert values[::2, 1] == pytest.approx(volts[:, 1] / 500, rel=1e-6)
+    assert len(values) == 2 * len(volts) - 1
+
+
+@pytest.mark.parametrize("option", ["--rate", "--input-scale", "--max-displacement", "--unit"])
+def test_invert_refuses_options_without_sense(call, bench, tmp_path, quick_inverse, option):
+    refused(call("invert", bench / "nominal", bench / "target.csv", "--out", tmp_path / "v.csv", option, "-1"))
+    assert tree(tmp_path) == []

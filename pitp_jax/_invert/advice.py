@@ -1,0 +1,98 @@
+"""What the user should know of a target and of the plan for it: one line each, with the share and the remedy.
+
+Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Gaussian, x * g_s, costs
+100 rms(x * g_s - x) / range; the least width s that leaves no corner is told with that figure.
+"""
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from .._metrics import e_rms_percent
+from .._model.model import Model
+from .._record.reading import Target
+from .limits import Limits
+from .target_path import Path
+
+_JUMP = 0.3  # a change of x^(n-1) in one sample by this share of its range is a corner, not motion
+_TOLD = 0.01  # shares below are not worth a line
+_WIDTHS = 12  # doublings of the rounding, from one sample on
+
+
+def rough_share(wanted: np.ndarray, dt: float, model: Model) -> float:
+    """Share of samples where x^(n-1) jumps by more than 30 % of its range in one sample: corners and noise."""
+    x = wanted
+    for _ in range(model.order - 1):
+        x = np.diff(x) / dt
+    jumps = np.abs(np.diff(x))
+    return float((jumps > _JUMP * max(np.ptp(x), 1e-300)).mean())
+
+
+def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float] | None:
+    """Width (s) of the narrowest Gaussian that leaves no corner, and what it changes of the target, % of its range."""
+    for width in 2.0 ** np.arange(_WIDTHS):
+        if 8 * width > len(wanted):
+            break
+        round_ = gaussian_filter1d(wanted, width, mode="nearest")
+        if rough_share(round_, dt, model) == 0:
+            return width * dt, e_rms_percent(round_, wanted)
+    return None
+
+
+def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:
+    """Lines about a target before it is planned."""
+    warnings = ()
+    if target.dt > 1.01 * model.provenance.dt:
+        warnings += (
+            f"the target is sampled every {target.dt:g} s, coarser than the model's {model.provenance.dt:g} s: "
+            "resample it finer to keep its shape between samples",
+        )
+    rough = rough_share(wanted, target.dt, model)
+    if rough > 0:
+        cost = rounding(wanted, target.dt, model)
+        how = "" if cost is None else f"; a Gaussian of {1e3 * cost[0]:.3g} ms does, and costs {cost[1]:.2g} % of range"
+        warnings += (
+            f"{100 * rough:.2g} % of the target is not smooth enough (derivative {model.order - 1} jumps): "
+            f"round the corners or filter it{how}",
+        )
+    if not path.slew_kept:
+        warnings += ("the target's first state is out of reach within the slew limit, its start is cut: begin at rest",)
+    if not path.reached:
+        warnings += (
+            "no voltage within the limits swings the actuator into the target's first state: "
+            "it begins with an error; let it start at rest, or raise --max-voltage",
+        )
+    return warnings
+
+
+def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
+    """A line each where more than a hundredth of the target cannot be played as asked."""
+    lines = ()
+    if infeasible > _TOLD:
+        lines += (
+            f"{100 * infeasible:.0f} % of the target needs negative force, or more than the drive passes: "
+            "raise its mean, lower its frequency or ask for less",
+        )
+    if saturated > _TOLD:
+        lines += (
+            f"{100 * saturated:.0f} % of the target's voltage is cut, by {limits.range_text} or {limits.slew:.3g} V/s: "
+            "ask for less, or raise the limit if the rig allows it",
+        )
+    return lines
+
+
+def on_stroke(wanted: np.ndarray, reached: float, limits: Limits) -> tuple[str, ...]:
+    """Lines where the target goes farther than the membrane may, or the plan does in spite of the bound."""
+    if not np.isfinite(limits.farthest):
+        return ()
+    lines, most = (), 1e3 * limits.farthest
+    beyond = float((np.abs(wanted) > limits.farthest).mean())
+    if beyond > 0:
+        lines += (
+            f"{100 * beyond:.2g} % of the target lies beyond --max-displacement {most:g} mm: the plan stays within",
+        )
+    if reached > limits.farthest:
+        lines += (
+            f"the model's rollout reaches {1e3 * reached:.4g} mm in spite of --max-displacement {most:g} mm: "
+            "ask for a slower or smaller motion",
+        )
+    return lines

@@ -1,0 +1,136 @@
+"""The best change of a voltage where its rollout is linear: `linearised` and the limits as a programme of `stage_qp`.
+
+    y_t = y_t(u) + C_t z,   u_t + c + j d within its range,   |u_{t+1} - u_t + d| <= slew dt,   |y_t| <= farthest
+
+Lengths count in what the first voltage missed, voltages in U. The change is linear over stages of a fortieth of the
+resonance's period at most, of one sample where the horizon is short: its number of stages sets the time a step takes.
+Where F = u^2 has no slope, at u = 0, that of a small voltage is taken: a step that way is not barred, and what it
+brings is judged by the rollout. A delay moves all samples of the voltage against those of the reading.
+"""
+
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._effects.amplifier import Delay
+from .._model.model import Model
+from .._simulate import ports
+from .._simulate.prediction import FAR
+from .linearised import linearise
+from .stage_qp import StageQP, solve_stage_qp
+
+if TYPE_CHECKING:
+    from .nearest_motion import Played, Wish
+
+_STAGES = 4000  # about, up to a stage of a
+_SHARE = 40  # th of the resonance's period
+_FLOOR = 0.03  # of U: the least film voltage linearised about
+_FREE = 4.0  # a bound in units of U that never holds
+_SLACK = 0.02  # of U, to begin with
+_MARGIN = 1e-3  # of the farthest
+
+
+def best_change(model: Model, wish: "Wish", now: "Played", size: float, rho: float) -> np.ndarray:
+    """The change of the voltage, V, shape (T,).
+
+    Args:
+        model: in float64.
+        wish: the motion and the limits.
+        now: the voltage to change, and its rollout.
+        size: the unit of lengths, m.
+        rho: weight of the second differences.
+    """
+    count, period = len(now.voltage), 2 * np.pi / model.natural_frequency
+    late = min(sum(round(float(e.time) / wish.dt) for e in model.effects if isinstance(e, Delay)), count - 1)
+    length = int(np.clip(-(-count // _STAGES), 1, max(period / wish.dt / _SHARE, 1)))
+    cut = _Cut(_padded(-(-count // length)), length)
+    seen = _readings(model, wish, now, cut, late)
+    programme = _programme(wish, now, cut, late, size, rho, *seen)
+    z = np.asarray(solve_stage_qp(programme, _SLACK)[0])[1:]
+    change = (z[:, -2, None] + np.arange(length) * z[:, -1, None]).reshape(-1)[:count]
+    return change * wish.unit
+
+
+class _Cut:
+    """Samples in rows of one stage; behind the last one a fill."""
+
+    def __init__(self, stages: int, length: int):
+        self.stages, self.length = stages, length
+
+    def __call__(self, values: np.ndarray, fill: float) -> np.ndarray:
+        full = np.full((self.stages * self.length, *values.shape[1:]), fill)
+        full[: len(values)] = values
+        return full.reshape(self.stages, self.length, *values.shape[1:])
+
+
+def _padded(stages: int) -> int:
+    """Up to an eighth more, so that horizons of about the same length share a compiled program."""
+    unit = 2 ** max(int(np.log2(stages)) - 3, 3)
+    return -(-stages // unit) * unit
+
+
+def _readings(model: Model, wish: "Wish", now: "Played", cut: _Cut, late: int) -> tuple[np.ndarray, np.ndarray]:
+    """`Stages` in m, along the rollout from the first sample on that the voltage reaches."""
+    u = jnp.asarray(now.voltage)
+    film = np.asarray(model.drive.film(ports.delayed(model, u, wish.dt, True), wish.dt, jnp.asarray(True)))
+    if bool(model.input_map.infeasible(jnp.asarray(-1.0))):
+        film = np.maximum(film, _FLOOR * wish.unit)
+    pairs = np.stack([film, np.append(film[1:], film[-1])], -1)[late:]
+    sound = np.where(np.abs(now.states[late:]) < FAR, now.states[late:], 0.0)  # behind the target it may run away
+    states = jnp.asarray(cut(sound, 0.0)), jnp.asarray(cut(pairs, wish.unit))
+    onward, reading = linearise(model, *states, wish.dt, jnp.asarray(wish.unit))
+    return np.asarray(onward), np.asarray(reading) * model.scales.state[0]
+
+
+def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward, reading) -> StageQP:
+    """The programme; a stage without a past comes first, whose control is the first slope."""
+    v = now.voltage / wish.unit
+    counted = cut(wish.counted[late:].astype(float), 0.0)
+    C = reading * counted[..., None] / size
+    missed = cut(np.where(wish.counted, now.reading - wish.reading, 0.0)[late:], 0.0) / size
+    rise = np.diff(v, append=v[-1:])
+    G, low, high = _inequalities(wish, now, cut, late, rise, reading)
+    free = np.full((1, low.shape[1]), _FREE)
+    inside = cut(np.ones(len(v)), 0.0)[:, 0]
+    bends = cut(second_differences(np.append(v, v[-1]))[1:], 0.0)[:, 0]
+
+    def after_none(values):
+        return np.concatenate([np.zeros((1, *values.shape[1:])), values])
+
+    return StageQP(
+        A=jnp.asarray(after_none(onward)),
+        Q=jnp.asarray(after_none(np.einsum("kjn,kjm->knm", C, C))),
+        q=jnp.asarray(after_none(np.einsum("kjn,kj->kn", C, missed))),
+        b=jnp.asarray(np.append(bends, 0.0)),
+        rho=jnp.asarray(rho),
+        G=jnp.asarray(after_none(G)),
+        low=jnp.asarray(np.concatenate([-free, low])),
+        high=jnp.asarray(np.concatenate([free, high])),
+        g=jnp.asarray(after_none(cut.length * inside)),
+        h=jnp.asarray(after_none(cut(rise, 0.0).sum(1))),
+        budget=jnp.asarray(wish.budget / wish.unit - abs(v[0]) - abs(v[-1])),
+    )
+
+
+def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np.ndarray):
+    """Rows on z and their bounds: voltages, the slope in units of the slew's, readings where they are bounded."""
+    v, step = now.voltage / wish.unit, min(wish.slew * wish.dt / wish.unit, 1.0)
+    n, j = reading.shape[-1], np.arange(cut.length)
+    G = np.zeros((cut.stages, cut.length + 1, n))
+    G[:, :-1, -2], G[:, :-1, -1], G[:, -1, -1] = 1.0, j, 1 / step
+    slope_low, slope_high = cut(-1 - rise / step, -_FREE).max(1), cut(1 - rise / step, _FREE).min(1)
+    low = np.concatenate([cut(wish.low / wish.unit - v, -_FREE), slope_low[:, None]], 1)
+    high = np.concatenate([cut(wish.high / wish.unit - v, _FREE), slope_high[:, None]], 1)
+    if np.isfinite(wish.farthest):
+        far = (1 - _MARGIN) * wish.farthest
+        y = np.nan_to_num(now.reading[late:], posinf=0.0, neginf=0.0)
+        G = np.concatenate([G, reading / far], 1)
+        low = np.concatenate([low, cut(-1 - y / far, -_FREE)], 1)
+        high = np.concatenate([high, cut(1 - y / far, _FREE)], 1)
+    return G, low, high
+
+
+def second_differences(u: np.ndarray) -> np.ndarray:
+    """At every sample, u zero before the first."""
+    return np.diff(np.concatenate([np.zeros(2), u]), 2)

@@ -1,0 +1,165 @@
+"""The course of a feedforward: from rest along the target and back, by eq. 13, by shooting, or by the nearest motion.
+
+    r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit bites
+    min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         where one does
+
+Eq. 13 inverts the continuous equation; the decoder holds its tokens over a step, so a few iterations move the
+reference until the rollout meets the target. Where a limit cuts the voltage, moving the reference would tear it at the
+cut's edges. The nearest motion's total variation is at most 1.2 times that of eq. 13 cut at the limits plus twice its
+largest voltage, and it never misses by more.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._metrics import e_rms_percent, rmse
+from .._model.model import Model
+from .._numerics.spline_derivative import fast_derivatives
+from .._simulate import ports
+from .._simulate.decoder import film_voltage, rest_state
+from .._simulate.parallel_in_time import rollout_by_size
+from .equation import invert_along, scaled_equation
+from .limits import Limits, limit_slew, travel
+from .nearest_motion import Wish, nearest_motion
+from .target_path import Path
+
+_ROUNDING = 1e-6  # of the largest force
+_TRAVEL, _SWINGS = 1.2, 2.0  # total variation allowed: of that of eq. 13 cut at the limits, and largest voltages
+_HEADROOM = 0.95  # of it in the first try
+_TRIES = 3
+_INTERIOR = 1e-6  # an interior point stops short of a limit by less
+
+
+@dataclass(frozen=True)
+class Played:
+    """A voltage with its ramp down, V, and the reading of its rollout, m, at least up to the target's end."""
+
+    voltage: np.ndarray
+    reading: np.ndarray
+
+
+@dataclass(frozen=True)
+class Planned(Played):
+    """Eq. 13 cut at the limits: features, and where no voltage makes its force or a limit cuts it."""
+
+    features: np.ndarray
+    infeasible: np.ndarray
+    saturated: np.ndarray
+
+
+@dataclass(frozen=True)
+class Course:
+    """A target on its way from rest and back, for one model (its substeps set) at one age of the session, s."""
+
+    model: Model
+    path: Path
+    limits: Limits
+    dt: float
+    age: float
+
+    def left(self, played: Played) -> float:
+        """Rmse on the target's own samples, m."""
+        where = self.path.target
+        return rmse(played.reading[where], self.path.displacement[where])
+
+    def error(self, played: Played) -> float:
+        """The same by eq. 15, nan without a range."""
+        where = self.path.target
+        return e_rms_percent(played.reading[where], self.path.displacement[where])
+
+    def beyond(self, played: Played) -> bool:
+        """Whether it goes farther than the membrane may."""
+        return not np.abs(played.reading).max() <= self.limits.farthest
+
+    def play(self, voltage: np.ndarray) -> np.ndarray:
+        """The reading of its rollout, m."""
+        model = self.model
+        u = jnp.asarray(voltage[None], model.coefficients.dtype)
+        states = rollout_by_size(model, u, self.dt, rest_state(model, self.age)[None])[0]
+        return np.asarray(ports.readings(model, states), np.float64) * model.scales.state[0]
+
+    def plan(self, reference: np.ndarray) -> Planned:
+        """Eq. 13 along a reference, cut at the limits, and the ramp down."""
+        model, motion = self.model, reference
+        if model.effects:
+            scale = model.scales.state[0]
+            motion = np.asarray(ports.moves(model, jnp.asarray(reference / scale), self.dt), np.float64) * scale
+        equation = scaled_equation(model, fast_derivatives(motion, self.dt, model.order))
+        force, voltage, features = invert_along(model, equation, self.dt, jnp.asarray(self.age, equation.dtype))
+        u, saturated = limit_slew(np.asarray(voltage, np.float64), self.limits, self.dt)
+        full = np.append(u, self.path.ramp_down(u[-1], self.limits, self.dt))
+        reading = self.play(full if np.isfinite(self.limits.farthest) else u)
+        return Planned(full, reading, np.asarray(features), _infeasible(model, np.asarray(force), self.dt), saturated)
+
+    def best(self, cut: Planned, shots: int) -> Played:
+        """Shooting as long as it helps; where a limit bites, the nearest motion, beginning with what shooting found."""
+        wanted = reference = self.path.displacement
+        most = _TRAVEL * travel(cut.voltage) + _SWINGS * np.abs(cut.voltage).max()
+        best = now = cut
+        bites = shots > 0 and bool(cut.infeasible.any() or cut.saturated.any())
+        for _ in range(shots):
+            missed = wanted - now.reading[: len(wanted)]
+            reference = reference + np.where(now.saturated | ~np.isfinite(missed), 0.0, missed)
+            now = self.plan(reference)
+            bites = bites or bool(now.saturated.any())
+            if not self.left(now) < self.left(best) or (bites and travel(now.voltage) > _HEADROOM * most):
+                break
+            best = now
+        return self.nearest(cut, best, most) if bites or self.beyond(best) else best
+
+    def nearest(self, cut: Planned, best: Planned, most: float) -> Played:
+        """The nearest motion of total variation `most`, V; eq. 13's or shooting's own where nothing is won."""
+        wish, found = self._wish(best, _HEADROOM * most), best
+        for _ in range(_TRIES):
+            found = self._kept(nearest_motion(self.model, wish, best.voltage), wish)
+            turned, reached = travel(found.voltage) / most, np.abs(found.reading).max() / self.limits.farthest
+            if turned <= 1 and not reached > 1:
+                break
+            wish = replace(wish, budget=wish.budget / max(turned, 1.0), farthest=wish.farthest / max(reached, 1.0))
+        if (turned := travel(found.voltage)) > most:  # it is convex: a mixture has no more than its share
+            share = (most - travel(best.voltage)) / (turned - travel(best.voltage))
+            found = self._kept(best.voltage + share * (found.voltage - best.voltage), wish)
+        if self.beyond(best):
+            return min((found, best, cut), key=lambda p: np.nan_to_num(np.abs(p.reading).max(), nan=np.inf))
+        return found if self.left(found) < self.left(best) and not self.beyond(found) else best
+
+    def _wish(self, begun: Planned, budget: float) -> Wish:
+        """The target within its horizon; behind it the voltage comes down to zero, below a raised cosine."""
+        last, count = self.path.target.stop, len(begun.voltage)
+        cosine = 0.5 * (1 + np.cos(np.pi * np.arange(1, count - last + 1) / (count - last)))
+        inside = np.ones(last)
+        down = np.append(inside, np.maximum(cosine, 0.0))
+        tail = np.append(np.zeros(last), begun.voltage[last:])
+        counted = np.zeros(count, bool)
+        counted[self.path.target] = True
+        return Wish(
+            reading=np.append(self.path.displacement, np.zeros(count - last)),
+            counted=counted,
+            dt=self.dt,
+            low=np.minimum(self.limits.low * down, tail),
+            high=np.maximum(self.limits.high * down, tail),
+            slew=self.limits.slew,
+            budget=budget,
+            farthest=self.limits.farthest,
+            age=self.age,
+        )
+
+    def _kept(self, voltage: np.ndarray, wish: Wish) -> Played:
+        """Played, to the last bit within the limits."""
+        middle = (self.limits.low + self.limits.high) / 2
+        outward = middle + (1 + _INTERIOR) * (voltage - middle)
+        u, _ = limit_slew(np.clip(outward, wish.low, wish.high), self.limits, self.dt)
+        return Played(u, self.play(u))
+
+
+def _infeasible(model: Model, force: np.ndarray, dt: float) -> np.ndarray:
+    """Where no voltage makes this scaled force, or no effect of the drive lets it pass."""
+    # an actuator at rest asks for a force of zero, give or take a bit
+    slack = _ROUNDING * np.abs(force[np.isfinite(force)]).max(initial=0.0)
+    never = np.asarray(model.input_map.infeasible(jnp.asarray(force + slack)))
+    if model.effects:
+        film = film_voltage(model, jnp.asarray(force))
+        never = never | np.asarray(ports.beyond(model, film, dt))
+    return never

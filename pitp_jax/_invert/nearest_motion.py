@@ -1,0 +1,128 @@
+"""The nearest motion that the limits allow: constrained least squares over the whole horizon.
+
+    minimise    sum_target (y_t - w_t)^2 / m^2  +  rho sum (u_{t+1} - 2 u_t + u_{t-1})^2 / U^2         y = rollout(u)
+    subject to  low_t <= u_t <= high_t,  |u_{t+1} - u_t| <= slew dt,  sum |u_{t+1} - u_t| <= budget,  |y_t| <= farthest
+
+Gauss-Newton about the current rollout: every change of the voltage solves a quadratic programme with the limits inside
+(`change_programme`, `stage_qp`) and is halved until the rollout itself gains. All limits of u are convex, so every
+iterate keeps them. m is what the first voltage misses, U the range of voltages. 10,000 samples take a second or two.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._model.model import Model
+from .._simulate import ports
+from .._simulate.decoder import rest_state
+from .._simulate.parallel_in_time import rollout_by_size
+from .change_programme import best_change, second_differences
+
+_STEPS = 10  # of Gauss-Newton
+_GAIN = 2e-3  # of the objective, below which it ends
+_SHORTEST = 1 / 16  # of a change
+_SWING = 1e-4  # of what the first voltage misses: the price of a voltage that swings at the resonance
+_SMOOTH = 0.03  # of it at most: the price of the first voltage's own bends
+_BEYOND = 1e3  # weight of a reading beyond the farthest
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is wanted of a voltage, and what it must keep.
+
+    Attributes:
+        reading: in model coordinates, m, shape (T,).
+        counted: where that is asked for, shape (T,).
+        dt: sampling interval, s.
+        low, high: V, shape (T,).
+        slew: V/s.
+        budget: total variation, V.
+        farthest: largest reading either way, m.
+        age: of the session at the first sample, s.
+    """
+
+    reading: np.ndarray
+    counted: np.ndarray
+    dt: float
+    low: np.ndarray
+    high: np.ndarray
+    slew: float
+    budget: float
+    farthest: float = np.inf
+    age: float = 0.0
+
+    @property
+    def unit(self) -> float:
+        """U, V."""
+        return float(self.high.max() - self.low.min())
+
+
+@dataclass(frozen=True)
+class Played:
+    """A voltage, V, the states of its rollout and its reading, m; nothing of it is scaled by the wish."""
+
+    voltage: np.ndarray
+    states: np.ndarray
+    reading: np.ndarray
+
+
+def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
+    """The voltage (V, shape (T,)) that keeps the limits and whose rollout comes nearest to what is wanted.
+
+    Args:
+        model: any.
+        wish: the motion and the limits.
+        first: a voltage within the limits of range and slew to begin with.
+    """
+    with jax.enable_x64(True):
+        model = jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, model)
+        now = _play(model, wish, first)
+        size = np.sqrt(sum((part**2).sum() for part in _misses(wish, now)))
+        if not 0 < size < np.inf:
+            return first
+        rho = _smoothness(model, wish, first)
+        cost = _cost(wish, now, size, rho)
+        for _ in range(_STEPS):
+            change = best_change(model, wish, now, size, rho)
+            length = 1.0
+            while (ahead := _cost(wish, tried := _play(model, wish, now.voltage + length * change), size, rho)) >= cost:
+                length /= 2
+                if length < _SHORTEST:
+                    return now.voltage
+            now, gain, cost = tried, cost - ahead, ahead
+            if gain < _GAIN * (cost + gain):
+                break
+    return now.voltage
+
+
+def _play(model: Model, wish: Wish, voltage: np.ndarray) -> Played:
+    start = rest_state(model, wish.age)
+    states = rollout_by_size(model, jnp.asarray(voltage[None], jnp.float64), wish.dt, start[None])[0]
+    return Played(voltage, np.asarray(states), np.asarray(ports.readings(model, states)) * model.scales.state[0])
+
+
+def _misses(wish: Wish, played: Played) -> tuple[np.ndarray, np.ndarray]:
+    """Of the target, and beyond the farthest, weighed; m."""
+    missed = (played.reading - wish.reading)[wish.counted]
+    if not np.isfinite(wish.farthest):
+        return missed, np.zeros(0)
+    return missed, np.sqrt(_BEYOND) * np.maximum(np.abs(played.reading) - wish.farthest, 0.0)
+
+
+def _cost(wish: Wish, played: Played, size: float, rho: float) -> float:
+    missed = sum((part**2).sum() for part in _misses(wish, played)) / size**2
+    cost = missed + rho * (second_differences(played.voltage / wish.unit) ** 2).sum()
+    return float(cost) if np.isfinite(cost) else np.inf
+
+
+def _smoothness(model: Model, wish: Wish, first: np.ndarray) -> float:
+    """rho: a swing of U/4 at the resonance all along costs 1e-4 of what the first voltage misses, at 10 times that 1.
+
+    But no more than a few hundredths for the second differences of the first voltage itself.
+    """
+    swing = len(first) * (model.natural_frequency * wish.dt) ** 4 / 32
+    bent = float((second_differences(first / wish.unit) ** 2).sum())
+    return min(_SWING / swing, _SMOOTH / max(bent, 1e-30))

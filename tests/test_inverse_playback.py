@@ -1,0 +1,47 @@
+"""A plan on the clock of a DAQ: faster by straight lines, slower along the target's spline."""
+
+import numpy as np
+import pytest
+
+from pitp_jax._errors import BadInput
+from pitp_jax._invert.feedforward_plan import Feedforward
+from pitp_jax._invert.playback import at_faster_rate, at_slower_rate
+from pitp_jax._record.reading import Target
+
+TIME = -0.3 + 1e-3 * np.arange(1301)
+
+
+def plan():
+    u = 1000 * np.sin(np.pi * np.arange(1301) / 1300) ** 2
+    flags = np.arange(1301) % 100 < 50
+    return Feedforward(TIME, u, flags, ~flags, TIME > -5e-4, 0.0, 1.0, 2.0, ())
+
+
+@pytest.mark.parametrize("rate", [1500.0, 10000.0, 44100.0])
+def test_a_faster_clock_gets_straight_lines(rate):
+    found = at_faster_rate(plan(), rate)
+    np.testing.assert_allclose(np.diff(found.time), 1 / rate, rtol=1e-6)
+    assert found.time[0] == TIME[0] and TIME[-1] - 1e-9 <= found.time[-1] < TIME[-1] + 1 / rate
+    np.testing.assert_allclose(found.voltage, np.interp(found.time, TIME, plan().voltage), atol=1e-9)
+    before = np.clip(np.floor((found.time - TIME[0]) * 1e3 + 1e-6).astype(int), 0, 1300)
+    np.testing.assert_array_equal(found.infeasible, plan().infeasible[before])
+    assert found.voltage[-1] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_slower_clock_gets_the_targets_spline():
+    target = Target(TIME, np.sin(9 * TIME))
+    found = at_slower_rate(target, 130.0)
+    assert found.dt == pytest.approx(1 / 130)
+    np.testing.assert_allclose(found.displacement, np.sin(9 * found.time), atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [None, 1000.0])
+def test_the_same_clock_changes_nothing(rate):
+    target, made = Target(TIME, np.sin(9 * TIME)), plan()
+    assert at_slower_rate(target, rate) is target and at_faster_rate(made, rate) is made
+
+
+@pytest.mark.parametrize("rate", [2.0, 1e9])
+def test_a_clock_for_nothing_is_refused(rate):
+    with pytest.raises(BadInput, match="--rate"):
+        at_slower_rate(Target(TIME, np.sin(9 * TIME)), rate)
