@@ -130,7 +130,7 @@ class Vector:
     planned: np.ndarray
 
 
-def plan(model: Model, name: str, rate: float | None, precision: str, *, held: bool = False) -> Plan:
+def plan(model: object, name: str, rate: float | None, precision: str, *, held: bool = False) -> Plan:
     """A plan, or what is wrong with the request.
 
     Raises:
