@@ -133,7 +133,7 @@ def test_the_worst_input_takes_little_longer(models, tmp_path, way):  # noqa: F8
     done = subprocess.run(tool, cwd=tmp_path / "c", capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     counts = [int(re.findall(r"^summary: (\d+)", p.read_text(), re.M)[0]) for p in (tmp_path / "c").glob("out.*")]
-    alone = [c for c in counts if c > max(counts) / 3][:-1]  # between two marks; the others made the numbers
+    alone = sorted(c for c in counts if c > 2 * min(counts))[:-1]  # what made the numbers is less, the start more
     assert len(alone) > 400
     assert max(alone) < 1.5 * np.median(alone)
 
@@ -148,7 +148,7 @@ int main(void)
     static pitp_model_state s;
     static double in[1][3];
     pitp_model_init(&s, 0, 0);
-    for (int block = 0; block < 10; block++) {
+    for (int block = 0; block < 500; block++) {
         double size = any(0, 2e-3), volts = any(0, 4000);
         for (int k = 0; k < 1; k++) {
             in[k][0] = WAY ? any(-size, size) : any(0, volts);

@@ -75,7 +75,6 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
     named = [("target", "m", "wanted displacement")]
     named += [(f"target_{i}", f"m/s{i if i > 1 else ''}", f"derivative {i} of the target") for i in range(1, n + 1)]
     starts = [0.0, 0.0, rest, *[0.0] * n, rest, 0.0, 0.0]
-    line = filled(f"fmi{fmi}_variable.xml", {})
     rows = [("voltage", "V", "drive voltage, held over a step", "input", 0.0)]
     rows += [(*row, "input", rest if row[0] == "target" else 0.0) for row in named]
     rows += [("displacement", "m", "as the sensor reads it", "output", None)]
@@ -84,10 +83,7 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
     for k, (word, unit, text, causality, start) in enumerate(rows, start=1):
         begin = "" if start is None else f' start="{start!r}"'
         fields = {"name": word, "unit": unit, "text": text, "causality": causality, "start": begin, "vr": str(k)}
-        for key, value in fields.items():
-            line_ = line if key == "name" else line_
-            line_ = line_.replace(f"@{key}@", value)
-        variables += line_
+        variables += filled(f"fmi{fmi}_variable.xml", fields)
     units = "".join(
         f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>\n'
         for unit, base in [("V", 'kg="1" m="2" s="-3" A="-1"'), ("s", 's="1"')]
