@@ -296,7 +296,7 @@ def test_pi_trims_a_softer_plant(linear, bounded, tmp_path):
 def test_the_folder_checks_itself(models, tmp_path, precision):
     pitp.export_c(models("linear"), tmp_path / "out", name="cone", precision=precision)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        "Makefile", "README.md", "loop.c", "main.c", "pitp_cone.c", "pitp_cone.h",
+        "Makefile", "README.md", "loop.c", "main.c", "pitp_cone.c", "pitp_cone.h", "teensy.ino",
     ]  # fmt: skip
     for compiler in COMPILERS:
         command = ["make", "-B", f"CC={compiler}", "CFLAGS=-O1"]

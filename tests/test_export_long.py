@@ -10,6 +10,7 @@ import pytest
 from exported import FLAGS, truth
 from test_export import DT, double, export, models, number  # noqa: F401  (a fixture)
 
+import pitp_jax as pitp
 from pitp_jax._effects import CATALOGUE, key
 from pitp_jax._effects.base import Surroundings
 from pitp_jax._export import steps
@@ -225,3 +226,25 @@ def test_a_cortex_m4_takes_it(models, tmp_path):  # noqa: F811
         ["arm-none-eabi-nm", "-u", "pitp_model.o"], cwd=tmp_path / "c", capture_output=True, text=True
     )
     assert "__aeabi_d" not in called.stdout  # nothing in double precision
+
+
+ARDUINO = """
+#include <stddef.h>
+#include <stdint.h>
+struct IntervalTimer { template <typename F, typename T> void begin(F, T) {} };
+struct Line { void begin(long) {} int available() { return 0; } size_t readBytes(char *, size_t) { return 0; } };
+static Line Serial;
+enum { A14 = 14 };
+static inline void analogWrite(int, int) {}
+static inline void analogWriteResolution(int) {}
+"""
+
+
+@pytest.mark.skipif(not shutil.which("arm-none-eabi-g++"), reason="no cross compiler")
+def test_the_sketch_compiles(models, tmp_path):  # noqa: F811
+    """Beside the few names of Arduino that it uses."""
+    pitp.export_c(models("linear"), tmp_path / "out", precision="single")
+    (tmp_path / "out" / "Arduino.h").write_text(ARDUINO)
+    chip = "-mcpu=cortex-m4 -mthumb -ffreestanding -fno-exceptions -I. -x c++ -Wall -Wextra -Werror".split()
+    command = ["arm-none-eabi-g++", *chip, "-c", "teensy.ino", "-o", "sketch.o"]
+    subprocess.run(command, cwd=tmp_path / "out", check=True)

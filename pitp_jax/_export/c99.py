@@ -82,7 +82,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
         "period": f"{1e6 * plan.dt:.0f}_us", "hz": f"{1 / plan.dt:g}", "precision": precision,
         "ahead_ms": f"{1e3 * plan.look_ahead * plan.dt:.0f}_ms",
     }  # fmt: skip
-    for template in ("main.c", "Makefile", "loop.c", "README.md"):
+    for template in ("main.c", "Makefile", "loop.c", "teensy.ino", "README.md"):
         (folder / template).write_text(filled(template, values))
 
 
