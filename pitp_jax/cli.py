@@ -134,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     _predict_arguments(command("predict", "run a model under the voltage of records and score it"))
     _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
     _diagnose_arguments(command("diagnose", "where a model and records disagree, which missing effect causes it"))
+    _export_arguments(command("export", "a model and its inverse as C, as an FMU or as MATLAB functions, for the rig"))
     info = command("info", "what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
@@ -209,3 +210,13 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
     _columns(parser)
+
+
+def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="identified or trained model, with any effects")
+    parser.add_argument("--to", required=True, choices=("c", "fmu", "matlab"), help="what is written")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to make; it must not exist yet")
+    parser.add_argument("--rate", type=_positive, metavar="HZ", help="steps per second (default: the model's)")
+    parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
+    parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
+    parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")

@@ -112,9 +112,6 @@ def required(
 
     Every state of a force effect follows x alone, so it is known along the way; then couplings are divided out.
     """
-    n = model.order
-    rates = jnp.asarray(model.scales.rates, equation.dtype)
-    blunt = 0.1 / (rates[0] if n == 1 else jnp.sqrt(rates[0] * rates[-1]))
     x = equation[:, 0]
     start = split(model, initial(model, x[0], jnp.zeros_like(x[0]), age))
 
@@ -122,17 +119,23 @@ def required(
         return moved(model, parts, ends[0], ends[1], dt), parts
 
     along = jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
+    return jax.vmap(lambda *instant: needed(model, *instant))(along, equation, features)
 
-    def force(parts, row, seen):
-        now = Wanted(row[:n], model.coefficients, rates, jnp.zeros_like(x[0]), blunt, row[n])
-        tokens, offset = acted(model, parts, now, *model.tokens(seen))
-        return tokens @ row + offset
 
-    needed = jax.vmap(force)(along, equation, features)
+def needed(
+    model: "Model", parts: list, row: Float[Array, " tokens"], features: Float[Array, " features"]
+) -> Float[Array, ""]:
+    """The film's scaled force at one instant of a wanted motion `row`, its effects in the states `parts`."""
+    n = model.order
+    rates = jnp.asarray(model.scales.rates, row.dtype)
+    blunt = 0.1 / (rates[0] if n == 1 else jnp.sqrt(rates[0] * rates[-1]))
+    now = Wanted(row[:n], model.coefficients, rates, jnp.zeros_like(row[0]), blunt, row[n])
+    tokens, offset = acted(model, parts, now, *model.tokens(features))
+    force = tokens @ row + offset
     for effect in reversed(model.effects):
         if isinstance(effect, AbstractCouplingEffect):
-            needed = effect.uncouple(needed, x)
-    return needed
+            force = effect.uncouple(force, row[0])
+    return force
 
 
 def played(model: "Model", film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:

@@ -1,0 +1,130 @@
+"""FMU: the C sources behind the Functional Mock-up Interface 2.0 or 3.0, for co-simulation in fixed steps.
+
+    voltage, held from t to t + DT   ->  displacement(t + DT)
+    target, target_1, ... target_n   ->  command, flags            (`inverse_step`)
+
+Beside the FMU stand a run of it for cross checks: `_in.csv`, `_ref.csv`, `_ref.opt`.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+from shutil import rmtree, which
+from uuid import UUID, uuid5
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import numpy as np
+
+from .._errors import BadInput
+from .._model.model import Model
+from . import plan as planning
+from . import steps
+from .c99 import filled, substitutions, write_sources
+from .plan import Plan, played, rate_error, whole_folder
+
+# what an importer looks up in every FMU and one of this kind has not: nothing to read, or no other mode
+_MISSING = {
+    2: "SetInteger GetBoolean SetBoolean GetString SetString GetDirectionalDerivative SetRealInputDerivatives "
+    "GetRealOutputDerivatives CancelStep GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus",
+    3: "EnterEventMode GetFloat32 GetInt8 GetUInt8 GetInt16 GetUInt16 GetUInt32 GetInt64 GetUInt64 GetBoolean "
+    "GetString GetBinary GetClock SetFloat32 SetInt8 SetUInt8 SetInt16 SetUInt16 SetInt32 SetUInt32 SetInt64 "
+    "SetUInt64 SetBoolean SetString SetBinary SetClock GetNumberOfVariableDependencies GetVariableDependencies "
+    "GetDirectionalDerivative GetAdjointDerivative EnterConfigurationMode ExitConfigurationMode GetIntervalDecimal "
+    "GetIntervalFraction GetShiftDecimal GetShiftFraction SetIntervalDecimal SetIntervalFraction SetShiftDecimal "
+    "SetShiftFraction EvaluateDiscreteStates UpdateDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep "
+    "SetTime SetContinuousStates GetContinuousStateDerivatives GetEventIndicators GetContinuousStates "
+    "GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates EnterStepMode "
+    "GetOutputDerivatives ActivateModelPartition",
+}
+
+
+def export_fmu(
+    model: Model, folder: str | Path, *, name: str = "model", rate: float | None = None, precision: str = "double",
+    fmi: int = 2,
+) -> float | None:  # fmt: skip
+    """Write `pitp_<name>.fmu` (sources, and a binary where this machine is Linux and has a C compiler) into a folder.
+
+    Arguments, result and errors are those of `export_c`; `fmi` is 2 or 3.
+    """
+    if fmi not in _MISSING:
+        raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")
+    plan = planning.plan(model, name, rate, precision, held=True)
+    cost = rate_error(plan)
+    with whole_folder(folder) as stage:
+        inside = stage / "inside"
+        (inside / "sources").mkdir(parents=True)
+        values = _values(plan, fmi)
+        write_sources(plan, inside / "sources")
+        values["api"] = filled(f"fmi{fmi}.c", values)
+        (inside / "sources" / "fmu.c").write_text(filled("fmu.c", values))
+        (inside / "modelDescription.xml").write_text(filled(f"fmi{fmi}.xml", values))
+        if fmi == 3:
+            (inside / "sources" / "buildDescription.xml").write_text(filled("build.xml", values))
+        _build(inside, values["id"], fmi)
+        with ZipFile(stage / f"{values['id']}.fmu", "w", ZIP_DEFLATED) as archive:
+            for file in sorted(p for p in inside.rglob("*") if p.is_file()):
+                archive.write(file, file.relative_to(inside).as_posix())
+        rmtree(inside)
+        _write_check(plan, stage, values["id"])
+    return cost
+
+
+def _values(plan: Plan, fmi: int) -> dict[str, str]:
+    values, n = substitutions(plan), plan.model.order
+    rest = float(plan.model.output.offset)
+    named = [("target", "m", "wanted displacement")]
+    named += [(f"target_{i}", f"m/s{i if i > 1 else ''}", f"derivative {i} of the target") for i in range(1, n + 1)]
+    starts = [0.0, 0.0, rest, *[0.0] * n, rest, 0.0, 0.0]
+    rows = [("voltage", "V", "drive voltage, held over a step", "input", 0.0)]
+    rows += [(*row, "input", rest if row[0] == "target" else 0.0) for row in named]
+    rows += [("displacement", "m", "as the sensor reads it", "output", None)]
+    rows += [("command", "V", "voltage for the target, within the limits", "output", None)]
+    variables = ""
+    for k, (word, unit, text, causality, start) in enumerate(rows, start=1):
+        begin = "" if start is None else f' start="{start!r}"'
+        fields = {"name": word, "unit": unit, "text": text, "causality": causality, "start": begin, "vr": str(k)}
+        variables += filled(f"fmi{fmi}_variable.xml", fields)
+    units = "".join(
+        f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>\n'
+        for unit, base in [("V", 'kg="1" m="2" s="-3" A="-1"'), ("s", 's="1"')]
+        + [(row[1], 'm="1"' + (f' s="-{i}"' if i else "")) for i, row in enumerate(named)]
+    )
+    text = "".join((filled("fmu.c", {}), *values.values(), str(fmi)))
+    stubs = "".join(
+        f"EXPORT int fmi{fmi}{missing}(void *m) {{ return (void)m, ERROR; }}\n" for missing in _MISSING[fmi].split()
+    )
+    return values | {
+        "fmi": f"{fmi}.0", "stubs": stubs, "variables": variables, "units": units, "tokens_end": str(n + 2),
+        "starts": ", ".join(map(repr, starts)), "token": f"{{{uuid5(UUID(int=0), text)}}}",
+        "flags": str(n + 5), "out_first": str(n + 4), "step": repr(plan.dt), "vr_y": str(n + 3), "vr_u": str(n + 4),
+        "stop": repr(planning.SAMPLES * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5), "index_f": str(n + 6),
+    }  # fmt: skip
+
+
+def _build(inside: Path, name: str, fmi: int) -> None:
+    """The Linux binary, where it can be made here."""
+    compiler = which("cc") or which("gcc") or which("clang")
+    if not sys.platform.startswith("linux") or compiler is None or sys.maxsize < 2**32:
+        return
+    place = inside / "binaries" / ("linux64" if fmi == 2 else "x86_64-linux")
+    place.mkdir(parents=True)
+    command = [compiler, "-O2", "-std=c99", "-shared", "-fPIC", "-fvisibility=hidden", "-o", place / f"{name}.so"]
+    sources = [f"{name}.c", "fmu.c"]
+    subprocess.run([*command, *sources, "-lm"], cwd=inside / "sources", check=True, capture_output=True)
+
+
+def _write_check(plan: Plan, folder: Path, name: str) -> None:
+    """The test vector as cross-check files: what goes in, what comes out, and how it is run."""
+    time, test = np.arange(planning.SAMPLES) * plan.dt, plan.test
+    words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
+    _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
+    (y,) = played(steps.predict(plan.model, plan.dt, held=True), test.voltage, float(plan.model.output.offset))
+    rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned]
+    _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command"], rows)
+    options = {"StartTime": 0.0, "StopTime": planning.SAMPLES * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
+    (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()))
+
+
+def _csv(file: Path, header: list[str], columns: list[np.ndarray]) -> None:
+    rows = (",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True))
+    file.write_text("\n".join([",".join(header), *rows]) + "\n")

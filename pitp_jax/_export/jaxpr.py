@@ -1,0 +1,329 @@
+"""A JAX program as scalar expressions: every primitive an effect, an encoder or a step may use, once.
+
+    make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, arrays gone
+
+Primitives that only move elements are run on an array of places; those that compute work element by element; large
+products with known weights and long loops stay loops.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+from .._errors import BadInput
+from .scalars import FOLDED, Builder, Loop, Node, Program
+
+_WRITTEN_OUT = 1500  # products of one matrix, above which it is a loop
+_UNROLLED = 4000  # nodes of a loop written out
+_CALLS = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint")
+_SAME = ("stop_gradient", "copy", "copy_p", "reduce_precision", "optimization_barrier")
+
+
+def program(function: Callable, *examples) -> Program:
+    """The scalar program of fn(*examples) -> a tree of arrays; inputs and outputs are the trees' leaves, flattened."""
+    closed = jax.make_jaxpr(function)(*examples)
+    make, shapes = Builder(), [v.aval.shape for v in closed.jaxpr.invars]
+    inputs = sum(int(np.prod(s)) for s in shapes)
+    found = _run(make, closed.jaxpr, closed.consts, _cut(make.inputs(inputs), shapes))
+    return Program(inputs, tuple(v for f in found for v in f.ravel()))
+
+
+def _cut(values: Sequence, shapes) -> list[np.ndarray]:
+    """Scalars in a row as arrays of these shapes."""
+    ends = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
+    return [_array(values[a:b], s) for a, b, s in zip(ends, ends[1:], shapes, strict=False)]
+
+
+def _array(values: Sequence, shape) -> np.ndarray:
+    found = np.empty(len(values), object)
+    found[:] = values
+    return found.reshape(shape)
+
+
+def _known(value) -> np.ndarray:
+    """An array of Python numbers."""
+    value = np.asarray(value)
+    return _array(value.ravel().tolist(), value.shape)
+
+
+def _run(make: Builder, jaxpr: Jaxpr, consts: Sequence, args: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The outputs of a jaxpr for arrays of scalars."""
+    values: dict[Any, np.ndarray] = dict(zip(jaxpr.constvars, map(_as_array, consts), strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
+
+    def read(v) -> np.ndarray:
+        return _known(v.val) if isinstance(v, Literal) else values[v]
+
+    for equation in jaxpr.eqns:
+        found = _apply(make, equation, [read(v) for v in equation.invars])
+        values.update(zip(equation.outvars, found, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def _as_array(value) -> np.ndarray:
+    return value if isinstance(value, np.ndarray) and value.dtype == object else _known(value)
+
+
+def _apply(make: Builder, equation, args: list[np.ndarray]) -> list[np.ndarray]:
+    name, params = equation.primitive.name, equation.params
+    if name in _CALLS:
+        inner = next(params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in params)
+        return _run(make, *_opened(inner), args)
+    if name in _SPECIAL:
+        return _SPECIAL[name](make, params, args, equation)
+    if name in FOLDED:
+        return [_each(lambda *a: make.make(name, *a), args)]
+    if name in _SAME:
+        return args
+    return [_moved(equation, args)]
+
+
+def _opened(jaxpr) -> tuple[Jaxpr, Sequence]:
+    return (jaxpr.jaxpr, jaxpr.consts) if isinstance(jaxpr, ClosedJaxpr) else (jaxpr, ())
+
+
+def _each(function: Callable, args: Sequence[np.ndarray]) -> np.ndarray:
+    args = np.broadcast_arrays(*args)
+    return _array([function(*a) for a in zip(*(b.ravel() for b in args), strict=True)], args[0].shape)
+
+
+def _moved(equation, args: list[np.ndarray]) -> np.ndarray:
+    """What a primitive that only moves elements makes of them: it is run on their places."""
+    name, params = equation.primitive.name, equation.params
+    if name in ("reshape", "squeeze") and params.get("dimensions") is None or name == "squeeze":
+        return args[0].reshape(equation.outvars[0].aval.shape)
+    if name == "slice" and params["strides"] is None:
+        ends = zip(params["start_indices"], params["limit_indices"], strict=True)
+        return args[0][tuple(slice(a, b) for a, b in ends)]
+    if name == "concatenate":
+        return np.concatenate(args, params["dimension"])
+    if name not in _MOVES:
+        raise BadInput(f"a step with the operation {name} cannot be written as C: report it with the model")
+    moving = _MOVES[name]
+    firsts = np.cumsum([0, *(a.size for a in args[:moving])])
+    pool = np.concatenate([a.ravel() for a in args[:moving]])
+    places = [jnp.asarray(f + np.arange(a.size).reshape(a.shape)) for f, a in zip(firsts, args, strict=False)][:moving]
+    still = [_number(a, equation) for a in args[moving:]]
+    found = equation.primitive.bind(*places, *still, **params)
+    return pool[np.asarray(found[0] if isinstance(found, (list, tuple)) else found)]
+
+
+# primitives that move elements, and how many of their first arguments are moved; the others say where to
+_MOVES = {
+    "broadcast_in_dim": 1, "transpose": 1, "rev": 1, "slice": 1, "reshape": 1, "gather": 1, "dynamic_slice": 1,
+    "stack": 99, "pad": 2, "split": 1, "expand_dims": 1,
+}  # fmt: skip
+
+
+def _number(array: np.ndarray, equation) -> jax.Array:
+    """Indices, which must be known."""
+    if any(isinstance(a, Node) for a in array.ravel()):
+        raise BadInput(f"a step whose {equation.primitive.name} takes a place found while it runs cannot be written")
+    return jnp.asarray(np.asarray(array.tolist(), int))
+
+
+def _converted(make, params, args, equation):
+    kind = np.dtype(params["new_dtype"]).kind
+
+    def convert(value):
+        if isinstance(value, Node):
+            if kind == "b":
+                return value if value.truth else make.make("ne", value, 0.0)
+            return make.make("real", value) if value.truth else value
+        return float(value) if kind == "f" else bool(value) if kind == "b" else int(value)
+
+    return [_each(convert, args)]
+
+
+def _power(make, params, args, equation):
+    def power(base):
+        found, square, left = 1.0, base, abs(params["y"])
+        while left:
+            found = make.make("mul", found, square) if left % 2 else found
+            left //= 2
+            square = make.make("mul", square, square) if left else square
+        return make.make("div", 1.0, found) if params["y"] < 0 else found
+
+    return [_each(power, args)]
+
+
+def _chosen(make, params, args, equation):
+    which, *cases = args
+    if len(cases) != 2:
+        return [_each(lambda w, *c: _one_of(make, w, c), args)]
+    return [_each(make.select, [which, *cases])]
+
+
+def _one_of(make, which, cases):
+    found = cases[-1]
+    for k in range(len(cases) - 2, -1, -1):
+        found = make.select(make.make("le", which, k), found, cases[k])
+    return found
+
+
+def _branches(make, params, args, equation):
+    """Both branches, and the one that counts: they have no effects."""
+    found = [_run(make, *_opened(b), args[1:]) for b in params["branches"]]
+    which = args[0].item()
+    if not isinstance(which, Node):
+        return found[min(max(int(which), 0), len(found) - 1)]
+    if which.truth:
+        return [_each(lambda n, y: make.select(which, n, y), pair) for pair in zip(*found, strict=True)]
+    return [_each(lambda *c: _one_of(make, which, c), case) for case in zip(*found, strict=True)]
+
+
+def _clamped(make, params, args, equation):
+    return [_each(lambda low, x, high: make.make("min", make.make("max", x, low), high), args)]
+
+
+def _reduced(op: str):
+    def reduce(make, params, args, equation):
+        axes = tuple(params["axes"])
+        kept = [k for k in range(args[0].ndim) if k not in axes]
+        rows = args[0].transpose(*kept, *axes).reshape(*(args[0].shape[k] for k in kept), -1)
+        found = np.empty(rows.shape[:-1], object)
+        for place in np.ndindex(found.shape):
+            first, *others = rows[place]
+            for value in others:
+                first = make.make(op, first, value)
+            found[place] = first
+        return [found]
+
+    return reduce
+
+
+def _product(make, params, args, equation):
+    (left_sum, right_sum), (left_batch, right_batch) = params["dimension_numbers"]
+
+    def sorted_out(array, batch, summed):
+        free = [k for k in range(array.ndim) if k not in batch and k not in summed]
+        shape = [array.shape[k] for k in (*batch, *free)]
+        rows = array.transpose(*batch, *free, *summed)
+        size = [int(np.prod([array.shape[k] for k in part])) for part in (batch, free, summed)]
+        return rows.reshape(size), shape[len(batch) :], shape[: len(batch)]
+
+    left, left_free, batch = sorted_out(args[0], left_batch, left_sum)
+    right, right_free, _ = sorted_out(args[1], right_batch, right_sum)
+    found = np.empty((len(left), left.shape[1], right.shape[1]), object)
+    for k, (a, b) in enumerate(zip(left, right, strict=True)):
+        found[k] = _matrix(make, a, b.T)
+    return [found.reshape((*batch, *left_free, *right_free))]
+
+
+def _matrix(make: Builder, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The product; a loop over a table where it is large, one factor is known and the other a vector."""
+    if left.size * right.shape[1] > _WRITTEN_OUT:
+        if right.shape[1] == 1 and not _unknown(left):
+            return _array(_table(make, left, right[:, 0]), (len(left), 1))
+        if len(left) == 1 and not _unknown(right):
+            return _array(_table(make, right.T, left[0]), (1, right.shape[1]))
+    found = np.empty((len(left), right.shape[1]), object)
+    for i, j in np.ndindex(found.shape):
+        found[i, j] = make.total([make.make("mul", a, b) for a, b in zip(left[i], right[:, j], strict=True)])
+    return found
+
+
+def _unknown(array: np.ndarray) -> bool:
+    return any(isinstance(a, Node) for a in array.ravel())
+
+
+def _table(make: Builder, weights: np.ndarray, vector: np.ndarray) -> list[Node]:
+    node = make.node("matrix", tuple(vector), block=np.asarray(weights.tolist(), np.float64))
+    return make.block(node, len(weights))
+
+
+def _scattered(make, params, args, equation):
+    """At known places: which element each place takes, and how many it takes."""
+    target, where, update = args
+    kind, indices = equation.outvars[0].aval.dtype, _number(where, equation)
+
+    def spread(values):
+        updates = jnp.asarray(values.reshape(update.shape), kind)
+        return np.asarray(equation.primitive.bind(jnp.zeros(target.shape, kind), indices, updates, **params)).ravel()
+
+    if np.max(spread(np.ones(update.size)), initial=0) > 1:
+        raise BadInput("a step that adds twice to one place cannot be written: report it with the model")
+    found, added = target.ravel().copy(), equation.primitive.name != "scatter"
+    for k, source in enumerate(spread(np.arange(1, update.size + 1)).astype(int)):
+        if source:
+            new = update.ravel()[source - 1]
+            found[k] = make.make("add", found[k], new) if added else new
+    return [found.reshape(target.shape)]
+
+
+def _count(make, params, args, equation):
+    return [_known(np.asarray(jax.lax.iota_p.bind(**params)))]
+
+
+def _scanned(make, params, args, equation):
+    """Written out, or a loop where it is long and gives nothing but its last carry."""
+    jaxpr, consts = _opened(params["jaxpr"])
+    fixed, carried, length = params["num_consts"], params["num_carry"], params["length"]
+    known, carry, rows = args[:fixed], args[fixed : fixed + carried], args[fixed + carried :]
+    if len(jaxpr.outvars) == carried and length > 4:
+        loop = _loop(make, (jaxpr, consts), known, carry, rows, length)
+        if loop is not None:
+            return loop
+    order = range(length - 1, -1, -1) if params["reverse"] else range(length)
+    gathered: list = [None] * length
+    for t in order:
+        found = _run(make, jaxpr, consts, [*known, *carry, *(r[t] for r in rows)])
+        carry, gathered[t] = found[:carried], found[carried:]
+    return [*carry, *(np.stack(column) for column in zip(*gathered, strict=True))]
+
+
+def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, length: int):
+    """The loop as one node; None where writing it out is no longer."""
+    inner, loose = Builder(), [k for k in known if _unknown(k)]
+    shapes = [a.shape for a in (*loose, *carry)] + [r.shape[1:] for r in rows]
+    inputs = sum(int(np.prod(s)) for s in shapes)
+    pieces = iter(_cut(inner.inputs(inputs), shapes))
+    inside = [next(pieces) if _unknown(k) else k for k in known]
+    found = _run(inner, *opened, [*inside, *pieces])
+    body = Program(inputs, tuple(v for f in found for v in f.ravel()))
+    if length * len(body.nodes()) < _UNROLLED:
+        return None
+    flat = [v for a in (*loose, *carry) for v in a.ravel()]
+    flat += [v for t in range(length) for r in rows for v in r[t].ravel()]
+    moving = sum(c.size for c in carry)
+    block = Loop(body, length, sum(k.size for k in loose), moving)
+    node = make.node("loop", tuple(flat), block=block)
+    return _cut(make.block(node, moving), [c.shape for c in carry])
+
+
+def _repeated(make, params, args, equation):
+    """A loop whose test is known at every turn (a counter); one that waits for a value has no bound in time."""
+    tests, bodies = params["cond_nconsts"], params["body_nconsts"]
+    first, second, carry = args[:tests], args[tests : tests + bodies], args[tests + bodies :]
+    while True:
+        goes = _run(make, *_opened(params["cond_jaxpr"]), [*first, *carry])[0].item()
+        if isinstance(goes, Node):
+            raise BadInput("a step with a loop that ends by a value found on the way has no bounded time: not exported")
+        if not goes:
+            return carry
+        carry = _run(make, *_opened(params["body_jaxpr"]), [*second, *carry])
+
+
+def _square(make, params, args, equation):
+    return [_each(lambda a: make.make("mul", a, a), args)]
+
+
+def _logistic(make, params, args, equation):
+    return [_each(lambda a: make.make("div", 1.0, make.make("add", 1.0, make.make("exp", make.make("neg", a)))), args)]
+
+
+def _rsqrt(make, params, args, equation):
+    return [_each(lambda a: make.make("div", 1.0, make.make("sqrt", a)), args)]
+
+
+_SPECIAL = {
+    "convert_element_type": _converted, "integer_pow": _power, "select_n": _chosen, "cond": _branches,
+    "clamp": _clamped, "reduce_sum": _reduced("add"), "reduce_max": _reduced("max"), "reduce_min": _reduced("min"),
+    "reduce_and": _reduced("and"), "reduce_or": _reduced("or"), "dot_general": _product, "scatter": _scattered,
+    "scatter-add": _scattered, "iota": _count, "scan": _scanned, "while": _repeated, "square": _square,
+    "logistic": _logistic, "rsqrt": _rsqrt,
+}  # fmt: skip

@@ -1,0 +1,37 @@
+"""MATLAB: one function file each way, the numbers inside, no toolbox; GNU Octave runs it as well.
+
+[y, s] = pitp_<name>_predict(u, s)        [u, s, flags] = pitp_<name>_inverse([y y' ... y^(n)], s)
+"""
+
+from pathlib import Path
+
+from .._model.model import Model
+from . import plan as planning
+from .c99 import filled, substitutions
+from .plan import Written, rate_error, whole_folder
+from .writing import Writer
+
+
+def export_matlab(model: Model, folder: str | Path, *, name: str = "model", rate: float | None = None) -> float | None:
+    """Write a model and its inverse as two MATLAB functions into a new folder, in double precision.
+
+    Arguments, result and errors are those of `export_c`.
+    """
+    plan = planning.plan(model, name, rate, "double")
+    cost = rate_error(plan)
+    with whole_folder(folder) as stage:
+        for way, written, outputs in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2)):
+            values = {**substitutions(plan), "functions": functions(written, outputs)}
+            (stage / f"pitp_{plan.name}_{way}.m").write_text(filled(f"{way}.m", values))
+    return cost
+
+
+def functions(written: Written, outputs: int) -> str:
+    """`start` and `step`, and the bodies of their loops."""
+    writer, text = Writer("matlab"), ""
+    for name, code, states, count in (("start", written.start, 0, 0), ("step", written.run, written.states, outputs)):
+        inputs = [f"s({k + 1})" for k in range(states)] + [f"in({k + 1})" for k in range(code.inputs - states)]
+        to = [f"next({k + 1})" for k in range(written.states)] + [f"out({k + 1})" for k in range(count)]
+        lines = [f"next = zeros({written.states}, 1);", f"out = zeros({count}, 1);", *writer.body(code, inputs, to)]
+        text += f"function [next, out] = {name}(s, in)\n" + "".join(f"{line}\n" for line in lines) + "end\n\n"
+    return text + "\n".join(writer.beside)

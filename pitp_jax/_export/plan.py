@@ -1,0 +1,238 @@
+"""What is exported: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
+
+Every language writes the same `Plan`. The test vector is the beginning of the longest record the model was identified
+on; a model that carries none has a sum of sines over its range of voltage.
+"""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from .._effects.amplifier import Delay
+from .._errors import BadInput
+from .._metrics import e_rms_percent
+from .._model.input_map import SquareInput
+from .._model.model import Model
+from .._numerics.spline_derivative import derivatives
+from . import steps
+from .jaxpr import program
+from .scalars import Program
+
+SAMPLES = 1000
+_HALF = 12  # samples of a target on either side of the one it is differentiated at
+_NONE = 1e30  # no limit, in float as in double
+_SILENT = 0.02  # s without a target before the voltage ramps to 0 V
+_PREDICTED, _PLANNED = {"double": 1e-9, "single": 1e-4}, {"double": 1e-9, "single": 1e-3}  # test vector's bounds
+
+
+@dataclass(frozen=True)
+class Written:
+    """One step as a program, with what it starts from: fn(y0, u0) -> state."""
+
+    run: Program
+    start: Program
+    states: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A model on its way out.
+
+    Attributes:
+        model: in float64.
+        dt: s between two steps.
+        name: of files and functions, an identifier.
+        single: float instead of double.
+        held: the voltage stands over a step (`steps.predict`).
+    """
+
+    model: Model
+    dt: float
+    name: str
+    single: bool = False
+    held: bool = False
+
+    @cached_property
+    def predict(self) -> Written:
+        """The decoder's step."""
+        return _written(steps.predict(self.model, self.dt, held=self.held))
+
+    @cached_property
+    def inverse(self) -> Written:
+        """The step of eq. 13; out: the voltage and whether none makes it."""
+        return _written(steps.inverse(self.model, self.dt))
+
+    @property
+    def late(self) -> float:
+        """What the drive's delays take, s."""
+        return float(sum(float(e.time) for e in self.model.effects if isinstance(e, Delay)))
+
+    @property
+    def look_ahead(self) -> int:
+        """How many samples early a target is given."""
+        return _HALF + int(np.ceil(self.late / self.dt))
+
+    @property
+    def voltages(self) -> tuple[float, float, float]:
+        """Lowest and highest voltage (V) and slew (V/s) of the records the model was trained on."""
+        low, high = self.model.provenance.voltage_range
+        if isinstance(self.model.input_map, SquareInput):
+            low, high = 0.0, max(high, -low)
+        slew = float(self.model.provenance.slew)
+        return min(float(low), 0.0), min(max(float(high), 0.0), _NONE), min(slew, _NONE)
+
+    @property
+    def displacements(self) -> tuple[float, float]:
+        """The range the model was trained in, a twentieth wider, as the sensor reads it, m; without one, no limit."""
+        if not self.model.provenance.region:
+            return -_NONE, _NONE
+        low, high = self.model.provenance.region[0]
+        wide = 0.05 * (high - low)
+        ends = [float(self.model.output.to_rig(v * self.model.scales.state[0])) for v in (low - wide, high + wide)]
+        return min(ends), max(ends)
+
+    @property
+    def silent(self) -> int:
+        """Calls without a target before the ramp."""
+        return max(int(np.ceil(_SILENT / self.dt)), 1)
+
+    def weights(self) -> np.ndarray:
+        """[y, ..., y^(n)] of the target at t + delay from its window, which ends at t + look-ahead: an odd spline."""
+        count, n = 2 * _HALF + 2, self.model.order
+        place = (count - 1 - (self.look_ahead - self.late / self.dt)) * self.dt
+        spline = make_interp_spline(np.arange(count) * self.dt, np.eye(count), k=2 * ((n + 3) // 2) + 1)
+        return np.stack([spline.derivative(i)(place) if i else spline(place) for i in range(n + 1)])
+
+    @cached_property
+    def test(self) -> "Vector":
+        """The test vector."""
+        return _vector(self)
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A run both ways: voltage (V), displacement (m) and motion [y, ..., y^(n)] with its voltage within the limits."""
+
+    what: str
+    voltage: np.ndarray
+    displacement: np.ndarray
+    motion: np.ndarray
+    planned: np.ndarray
+
+
+def plan(model: object, name: str, rate: float | None, precision: str, *, held: bool = False) -> Plan:
+    """A plan, or what is wrong with the request.
+
+    Raises:
+        BadInput: no single model, a name that is no identifier, a rate or a precision that is none.
+    """
+    if not isinstance(model, Model):
+        raise BadInput(f"{type(model).__name__}: only a single model can be exported; choose one of its members")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
+        raise BadInput(f"--name {name[:60]!r}: is no identifier; use letters, digits and _, a letter first, 40 at most")
+    if precision not in ("single", "double"):
+        raise BadInput(f"--precision {precision!r}: is neither single nor double")
+    if rate is not None and not (np.isfinite(rate) and rate > 0):
+        raise BadInput(f"--rate {rate!r}: must be a positive number of Hz")
+    with jax.enable_x64(True):
+        made = Plan(
+            steps.in_double(model), 1 / rate if rate else model.provenance.dt, name, precision == "single", held
+        )
+    if not made.dt <= 100 * model.provenance.dt:
+        raise BadInput(f"--rate {rate:g}: a hundredth of the model's {1 / model.provenance.dt:g} Hz at least")
+    return made
+
+
+def _written(step: steps.Step) -> Written:
+    with jax.enable_x64(True):
+        zero = jnp.zeros(())
+        carry = step.start(zero, zero)
+        states = sum(int(np.size(leaf)) for leaf in jax.tree.leaves(carry))
+        return Written(program(step.run, carry, jnp.zeros(step.inputs)), program(step.start, zero, zero), states)
+
+
+def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> tuple[np.ndarray, ...]:
+    """What a step gives along its inputs, by JAX in float64, from an actuator held at y0 (m) under u0 (V)."""
+    with jax.enable_x64(True):
+        rows = jnp.asarray(values, jnp.float64).reshape(len(values), -1)
+        start = step.start(jnp.asarray(y0, jnp.float64), jnp.asarray(u0, jnp.float64))
+        return tuple(np.asarray(a) for a in jax.jit(lambda s, r: jax.lax.scan(step.run, s, r)[1])(start, rows))
+
+
+def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
+    """The voltage within range and slew, as the templates have it."""
+    (low, high, slew), last = plan.voltages, 0.0
+    kept = np.clip(wanted, low, high)
+    for k, u in enumerate(kept):
+        kept[k] = last = min(max(u, last - slew * plan.dt), last + slew * plan.dt)
+    return kept
+
+
+def _vector(plan: Plan) -> Vector:
+    stored = plan.model.provenance.long_record
+    low, high, _ = plan.voltages
+    if stored is not None and stored.seconds > 2 * SAMPLES * plan.dt:
+        record, what = stored.record(), "a record the model was identified on"
+        first = 0 if stored.rest else np.argmin(np.abs(record.voltage))
+        u = np.interp(np.arange(SAMPLES) * plan.dt, record.time - record.time[first], record.voltage)
+    else:
+        what, t = "a sum of sines", np.arange(SAMPLES) * plan.dt * plan.model.natural_frequency
+        top = high if high < _NONE else np.sqrt(plan.model.scales.force)
+        u = 0.6 * top * np.sin(0.05 * t) ** 2 * (1 + 0.3 * np.sin(0.71 * t))
+    u = np.clip(u, low, high)
+    if plan.single:
+        u = u.astype(np.float32).astype(np.float64)
+    rest = float(plan.model.output.offset)
+    (y,) = played(steps.predict(plan.model, plan.dt), u, rest)
+    smooth = rest + (y.max() - rest) * 0.4 * np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 4
+    motion = derivatives(smooth, plan.dt, plan.model.order)
+    planned = within(plan, played(steps.inverse(plan.model, plan.dt), motion, rest)[0])
+    return Vector(what, u, y, motion, planned)
+
+
+def rate_error(plan: Plan) -> float | None:
+    """What another rate than the model's costs: e_rms (%) between both over the test vector; None at its own rate."""
+    own = plan.model.provenance.dt
+    if abs(plan.dt / own - 1) < 1e-9:
+        return None
+    t, count = np.arange(SAMPLES) * plan.dt, int(np.ceil(SAMPLES * plan.dt / own)) + 1
+    u = np.interp(np.arange(count) * own, t, plan.test.voltage)
+    own_step = steps.predict(plan.model, own)
+    (fine,) = played(own_step, u, float(plan.model.output.offset))
+    late, own_late = (steps.predict(plan.model, d).late * d for d in (plan.dt, own))
+    found = np.interp(t - late, np.arange(count) * own - own_late, fine)
+    return e_rms_percent(plan.test.displacement, found)
+
+
+@contextmanager
+def whole_folder(folder: str | Path) -> Iterator[Path]:
+    """A new folder that appears with all its files or not at all.
+
+    Raises:
+        BadInput: it exists, or cannot be made.
+    """
+    target = Path(folder).resolve()
+    if target.exists():
+        raise BadInput(f"{folder}: exists already; give a folder that is not there yet, nothing is overwritten")
+    if not target.parent.is_dir():
+        raise BadInput(f"{folder}: there is no folder {target.parent}; create it first")
+    try:
+        stage = Path(mkdtemp(prefix=".pitp-", dir=target.parent))
+    except OSError as error:
+        raise BadInput(f"{folder}: no right to write in {target.parent} ({error.strerror})") from None
+    try:
+        yield stage
+        stage.chmod(0o755)
+        stage.rename(target)
+    finally:
+        rmtree(stage, ignore_errors=True)

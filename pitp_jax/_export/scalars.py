@@ -1,0 +1,176 @@
+"""Scalar expressions: what an array program becomes when every element of every array has a name of its own.
+
+    a Python number                 known when the program is written: folded
+    Node(op, args)                  known when it runs; equal expressions are one node
+
+Arrays are NumPy arrays of these, so that slices, stacks and gathers cost nothing in the program that is written.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+FOLDED: dict[str, Callable] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: float(np.divide(a, b)),
+    "neg": lambda a: -a,
+    "max": max,
+    "min": min,
+    "abs": abs,
+    "sign": lambda a: float(np.sign(a)),
+    "floor": lambda a: float(math.floor(a)),
+    "ceil": lambda a: float(math.ceil(a)),
+    "rem": math.fmod,
+    "sqrt": lambda a: float(np.sqrt(a)),
+    "exp": lambda a: float(np.exp(a)),
+    "expm1": lambda a: float(np.expm1(a)),
+    "log": lambda a: float(np.log(a)),
+    "log1p": lambda a: float(np.log1p(a)),
+    "tanh": math.tanh,
+    "atanh": lambda a: float(np.arctanh(a)),
+    "sin": math.sin,
+    "cos": math.cos,
+    "pow": lambda a, b: float(np.power(float(a), b)),
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "gt": lambda a, b: a > b,
+    "ge": lambda a, b: a >= b,
+    "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a != b,
+    "and": lambda a, b: a and b,
+    "or": lambda a, b: a or b,
+    "xor": lambda a, b: a != b,
+    "not": lambda a: not a,
+    "is_finite": lambda a: math.isfinite(a),
+    "real": float,
+}
+TRUTHS = ("lt", "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not", "is_finite")
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """One operation on scalars.
+
+    Attributes:
+        op: its name in `FOLDED`, or "input", "select", "matrix", "loop", "item".
+        args: nodes and numbers; of an "item" the block and a place in it.
+        place: in the order of making, which is an order to write them in.
+        truth: whether it is true or false rather than a number.
+        block: of a "matrix" its weights, of a "loop" its `Loop`.
+    """
+
+    op: str
+    args: tuple
+    place: int
+    truth: bool = False
+    block: object = None
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A body that runs `count` times on (known, carry, one row after the other), its carry written back."""
+
+    body: "Program"
+    count: int
+    known: int
+    carry: int
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A function of scalars: inputs, then every node, and what comes out."""
+
+    inputs: int
+    outputs: tuple
+
+    def nodes(self) -> list[Node]:
+        """What the outputs need, in an order to write it in."""
+        found, open_ = {}, [o for o in self.outputs if isinstance(o, Node)]
+        while open_:
+            node = open_.pop()
+            if id(node) not in found:
+                found[id(node)] = node
+                open_ += [a for a in node.args if isinstance(a, Node)]
+        return sorted(found.values(), key=lambda n: n.place)
+
+
+@dataclass
+class Builder:
+    """Makes nodes; equal ones once."""
+
+    known: dict = field(default_factory=dict)
+    count: int = 0
+
+    def node(self, op: str, args: tuple = (), *, truth: bool = False, block: object = None) -> Node:
+        """The node of this operation, new or as made before."""
+        key = (op, tuple(id(a) if isinstance(a, Node) else (type(a), a) for a in args), id(block))
+        if key not in self.known:
+            self.known[key] = Node(op, args, self.count, truth, block)
+            self.count += 1
+        return self.known[key]
+
+    def inputs(self, count: int) -> list[Node]:
+        """Places in the input array."""
+        return [self.node("input", (k,)) for k in range(count)]
+
+    def make(self, op: str, *args):
+        """An operation: folded where its arguments are known, simplified where one is 0 or 1."""
+        if not any(isinstance(a, Node) for a in args):
+            return FOLDED[op](*args)
+        simple = _simpler(op, args)
+        if simple is not None:
+            return self.make("neg", args[1]) if simple is _NEGATIVE else simple
+        return self.node(op, args, truth=op in TRUTHS)
+
+    def select(self, which, no, yes):
+        """`yes` where it is true."""
+        if not isinstance(which, Node):
+            return yes if which else no
+        if no is yes or (not isinstance(no, Node) and not isinstance(yes, Node) and no == yes):
+            return no
+        truth = isinstance(yes, bool) or (isinstance(yes, Node) and yes.truth)
+        return self.node("select", (which, no, yes), truth=truth)
+
+    def total(self, terms: Sequence):
+        """Their sum, in order."""
+        found = 0.0
+        for term in terms:
+            found = self.make("add", found, term)
+        return found
+
+    def block(self, node: Node, count: int) -> list[Node]:
+        """What a "matrix" or a "loop" gives, one by one."""
+        return [self.node("item", (node, k)) for k in range(count)]
+
+
+_NEGATIVE = object()
+
+
+def _is(value, number: float) -> bool:
+    return not isinstance(value, (Node, bool)) and value == number
+
+
+def _simpler(op: str, args: tuple):
+    """The result where a neutral or an absorbing number stands in an operation; None where none does.
+
+    0 times a node is 0: what is not finite never gets this far (`steps` guards its inputs).
+    """
+    first, last = args[0], args[-1]
+    if op == "mul":
+        if _is(first, 0) or _is(last, 0):
+            return 0.0
+        return last if _is(first, 1) else first if _is(last, 1) else None
+    if op == "add":
+        return last if _is(first, 0) else first if _is(last, 0) else None
+    if op == "sub":
+        return first if _is(last, 0) else _NEGATIVE if _is(first, 0) else None
+    if op == "div":
+        return 0.0 if _is(first, 0) else first if _is(last, 1) else None
+    if op in ("and", "or") and (isinstance(first, bool) or isinstance(last, bool)):
+        known, other = (first, last) if isinstance(first, bool) else (last, first)
+        return other if known == (op == "and") else known
+    return None

@@ -1,0 +1,203 @@
+"""A scalar program as text: one line a value, in C99 or in MATLAB.
+
+    v12 = v7 * v9;      a value used once stands where it is used, as long as the line stays short
+
+C has helpers only where they are used; a table or a loop has a function or an array of its own.
+"""
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .scalars import Loop, Node, Program
+
+_SHORT = 70  # characters of an expression that still stands within another
+_INFIX = {
+    "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==",
+    "ne": "!=", "and": "&&", "or": "||", "xor": "!=",
+}  # fmt: skip
+_HELPERS = {
+    "larger": "static real larger(real a, real b)\n{\n    return (a > b) ? a : b;\n}\n",
+    "smaller": "static real smaller(real a, real b)\n{\n    return (a < b) ? a : b;\n}\n",
+    "sign_of": "static real sign_of(real a)\n{\n    return (a > ZERO) ? ONE : ((a < ZERO) ? -ONE : ZERO);\n}\n",
+}
+_NAMES = {"max": "larger", "min": "smaller", "sign": "sign_of", "abs": "fabs", "rem": "fmod"}
+_MATLAB = {"sign_of": "sign", "larger": "max", "smaller": "min", "fabs": "abs", "fmod": "rem"}
+_OWN = (*_HELPERS, "isfinite")  # no functions of libm: they have no name for float
+
+
+@dataclass
+class Writer:
+    """Writes programs and keeps what they need beside them.
+
+    Attributes:
+        language: "c" or "matlab".
+        single: numbers and functions of C are float.
+        beside: tables and loop bodies, in the order they are needed.
+    """
+
+    language: str
+    single: bool = False
+    beside: list[str] = field(default_factory=list)
+
+    def number(self, value) -> str:
+        """A literal that reads back as the same number."""
+        if isinstance(value, (bool, np.bool_)):
+            return "true" if value else "false"
+        value = float(value)
+        if not np.isfinite(value):
+            sign = "-" if value < 0 else ""
+            return f"({sign}Inf)" if self.language == "matlab" else f"({sign}(real)INFINITY)"
+        if self.single:
+            top = float(np.finfo(np.float32).max)
+            text = str(np.float32(min(max(value, -top), top)))
+        else:
+            text = repr(value)
+        text = text if any(c in text for c in ".e") else text + ".0"
+        text += "f" if self.single else ""
+        return f"({text})" if value < 0 else text
+
+    def body(self, program: Program, inputs: list[str], outputs: list[str]) -> list[str]:
+        """Lines that compute a program from named inputs and end with its assignments."""
+        nodes, uses = program.nodes(), {}
+        for user in (*(n.args for n in nodes), program.outputs):
+            for a in user:
+                uses[a] = uses.get(a, 0) + 1 if isinstance(a, Node) else 0
+        names: dict[Node, str] = {}
+        lines = []
+
+        def text(value) -> str:
+            return names[value] if isinstance(value, Node) else self.number(value)
+
+        for node in nodes:
+            if node.op == "input":
+                names[node] = inputs[node.args[0]]
+            elif node.op in ("matrix", "loop"):
+                names[node] = f"v{len(lines)}_{node.place}"
+                lines += self._block(node, names[node], [text(a) for a in node.args])
+            elif node.op == "item":
+                names[node] = self._place(names[node.args[0]], node.args[1])
+            else:
+                found = self._operation(node.op, [text(a) for a in node.args])
+                if uses[node] == 1 and len(found) < _SHORT and not node.truth:
+                    names[node] = found
+                else:
+                    names[node] = f"v{node.place}"
+                    lines.append(self._line(names[node], found, node.truth))
+        for name, value in zip(outputs, program.outputs, strict=True):
+            lines.append(f"{name} = {self._as_number(value, text(value))};")
+        return lines
+
+    def function(self, name: str, program: Program, state: int, outputs: int) -> str:
+        """C: static void name(const real s[], const real in[], real next[], real out[])."""
+        inputs = [f"s[{k}]" for k in range(state)] + [f"in[{k}]" for k in range(program.inputs - state)]
+        to = [f"next[{k}]" for k in range(len(program.outputs) - outputs)] + [f"out[{k}]" for k in range(outputs)]
+        lines = self.body(program, inputs, to)
+        used = " ".join(lines)
+        for missing in ("s", "in", "out"):
+            if not re.search(rf"\b{missing}\[", used):
+                lines.insert(0, f"(void){missing};")
+        head = f"static void {name}(const real s[], const real in[], real next[], real out[])"
+        return f"{head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
+
+    def helpers(self, text: str) -> str:
+        """The helpers that a text of C uses."""
+        return "\n".join(code for name, code in _HELPERS.items() if f"{name}(" in text)
+
+    def _operation(self, op: str, args: list[str]) -> str:
+        if op in _INFIX:
+            sign = "~=" if self.language == "matlab" and _INFIX[op] == "!=" else _INFIX[op]
+            return f"({args[0]} {sign} {args[1]})"
+        if op == "neg":
+            return f"(-{args[0]})"
+        if op == "not":
+            return f"(~{args[0]})" if self.language == "matlab" else f"(!{args[0]})"
+        if op == "select":
+            if self.language == "matlab":
+                return f"pick({args[0]}, {args[2]}, {args[1]})"
+            return f"({args[0]} ? {args[2]} : {args[1]})"
+        if op == "real":
+            return f"double({args[0]})" if self.language == "matlab" else f"({args[0]} ? ONE : ZERO)"
+        name = "isfinite" if op == "is_finite" else _NAMES.get(op, op)
+        if self.language == "matlab":
+            name = _MATLAB.get(name, name)
+        elif self.single and name not in _OWN:
+            name += "f"
+        return f"{name}({', '.join(args)})"
+
+    def _line(self, name: str, text: str, truth: bool) -> str:
+        text = text[1:-1] if text.startswith("(") and _closes(text) else text
+        if self.language == "matlab":
+            return f"{name} = {text};"
+        return f"const {'bool' if truth else 'real'} {name} = {text};"
+
+    def _as_number(self, value, text: str) -> str:
+        if isinstance(value, bool) or (isinstance(value, Node) and value.truth):
+            return self._operation("real", [text])
+        return text[1:-1] if text.startswith("(") and _closes(text) else text
+
+    def _place(self, name: str, k: int) -> str:
+        return f"{name}({k + 1})" if self.language == "matlab" else f"{name}[{k}]"
+
+    def _block(self, node: Node, name: str, args: list[str]) -> list[str]:
+        if isinstance(node.block, Loop):
+            return self._loop(node.block, name, args)
+        weights = np.asarray(node.block)
+        rows, columns = weights.shape
+        if self.language == "matlab":
+            table = ";\n".join(" ".join(self.number(w) for w in row) for row in weights)
+            return [f"{name} = [{table}] * [{'; '.join(args)}];"]
+        table = f"table_{len(self.beside)}"
+        text = ",\n".join("    {" + ", ".join(self.number(w) for w in row) + "}" for row in weights)
+        self.beside.append(f"static const real {table}[{rows}][{columns}] = {{\n{text}}};\n")
+        return [
+            f"const real {name}_in[{columns}] = {{{', '.join(args)}}};",
+            f"real {name}[{rows}];",
+            f"for (unsigned i = 0u; i < {rows}u; i++) {{",
+            "    real sum = ZERO;",
+            f"    for (unsigned k = 0u; k < {columns}u; k++) {{ sum += {table}[i][k] * {name}_in[k]; }}",
+            f"    {name}[i] = sum;",
+            "}",
+        ]
+
+    def _loop(self, loop: Loop, name: str, args: list[str]) -> list[str]:
+        carry, rows = loop.carry, loop.body.inputs - loop.known - loop.carry
+        body = f"loop_{len(self.beside)}"
+        self.beside.append("")
+        place = len(self.beside) - 1
+        sizes = (("known", loop.known), ("s", carry), ("row", rows))
+        inputs = [self._place(n, k) for n, size in sizes for k in range(size)]
+        lines = self.body(loop.body, inputs, [self._place("next", k) for k in range(carry)])
+        if self.language == "matlab":
+            self.beside[place] = f"function next = {body}(known, s, row)\n" + "\n".join(lines) + "\nend\n"
+            split = [args[: loop.known], args[loop.known : loop.known + carry], args[loop.known + carry :]]
+            known, start, table = ("[" + "; ".join(part) + "]" for part in split)
+            return [
+                f"{name} = {start};",
+                f"{name}_rows = reshape({table}, {max(rows, 1)}, []);",
+                f"for k = 1:{loop.count}, {name} = {body}({known}, {name}, {name}_rows(:, min(k, end))); end",
+            ]
+        head = f"static void {body}(const real known[], const real s[], const real row[], real next[])"
+        used = " ".join(lines)
+        lines = [f"(void){n};" for n, _ in sizes if not re.search(rf"\b{n}\[", used)] + lines
+        self.beside[place] = f"{head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
+        first, second = loop.known, loop.known + carry
+        return [
+            f"real {name}_all[{len(args) + 1}] = {{{', '.join([*args, self.number(0.0)])}}};",
+            f"real {name}[{carry}];",
+            f"for (unsigned i = 0u; i < {loop.count}u; i++) {{",
+            f"    {body}(&{name}_all[0], &{name}_all[{first}], &{name}_all[{second}u + ({rows}u * i)], {name});",
+            f"    for (unsigned k = 0u; k < {carry}u; k++) {{ {name}_all[{first}u + k] = {name}[k]; }}",
+            "}",
+        ]
+
+
+def _closes(text: str) -> bool:
+    """Whether its first parenthesis closes with its last character."""
+    depth = 0
+    for k, c in enumerate(text):
+        depth += (c == "(") - (c == ")")
+        if depth == 0:
+            return k == len(text) - 1
+    return False
