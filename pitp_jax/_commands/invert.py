@@ -9,7 +9,7 @@ from .console import number, say
 from .outputs import check_files, staged_files, write_json
 
 
-def invert(model, target, out, max_voltage, max_slew, json_file, output_column) -> None:
+def invert(model, target, out, max_voltage, max_slew, json_file, reading) -> None:
     """Invert, write the voltage, and print how much of the target is out of reach.
 
     Args:
@@ -19,14 +19,14 @@ def invert(model, target, out, max_voltage, max_slew, json_file, output_column) 
         max_voltage: limit in V, or None for what the model was trained on.
         max_slew: limit in V/s, or None for what the model was trained on.
         json_file: where to write the counts for machines, or None.
-        output_column: name of the target's column, or None.
+        reading: keyword arguments of `pitp.read_target`: columns, units, scale.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
     check_files(out, json_file, inputs=[model, target])
     loaded = load(model)
-    wanted = read_target(target, output_column)
+    wanted = read_target(target, **reading)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
     found = feedforward(loaded, wanted, max_voltage=max_voltage, max_slew=max_slew)
     for warning in found.warnings:
