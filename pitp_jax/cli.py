@@ -22,10 +22,7 @@ from ._commands.console import say
 from ._errors import BadInput, ComputationFailed
 
 _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of them"
-_READING = (
-    "time_column", "input_column", "output_column", "time_unit", "input_unit", "output_unit",
-    "input_scale", "output_scale", "rate",
-)  # fmt: skip
+_READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 _PLANTS = ("cone100", "cone122", "cone150", "roll")
 
@@ -52,9 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         module, function = arguments.pop("runs"), arguments.pop("command")
         if not arguments.pop("no_cache"):
             keep_programs()
-        reading = {name: arguments.pop(name) for name in _READING if name in arguments}
-        if reading:
-            arguments["reading"] = reading
+        told = [name for name in arguments if name.startswith(_READING)]
+        if told:
+            arguments["reading"] = {name.removeprefix(_READING): arguments.pop(name) for name in told}
         code = getattr(import_module(f"._commands.{module}", __package__), function)(**arguments)
         sys.stdout.flush()
         return code or 0
@@ -167,15 +164,33 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:
     for stem, units in stems.items():
         if target and stem == "input":
             continue
-        group.add_argument(f"--{stem}-column", metavar="NAME", help=f"exact header of the {stem}")
-        group.add_argument(f"--{stem}-unit", metavar="UNIT", help=f"{units}, over what the file says")
+        group.add_argument(
+            f"--{stem}-column", dest=f"{_READING}{stem}_column", metavar="NAME", help=f"exact header of the {stem}"
+        )
+        group.add_argument(
+            f"--{stem}-unit", dest=f"{_READING}{stem}_unit", metavar="UNIT", help=f"{units}, over what the file says"
+        )
     if not target:
         group.add_argument(
-            "--input-scale", type=_number, metavar="S", help="V per V of the input (a monitor of 1 V per kV: 1000)"
+            "--input-scale",
+            dest=f"{_READING}input_scale",
+            type=_number,
+            metavar="S",
+            help="V per V of the input (a monitor of 1 V per kV: 1000)",
         )
-        group.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of files without time")
+        group.add_argument(
+            "--rate",
+            dest=f"{_READING}rate",
+            type=_positive,
+            metavar="HZ",
+            help="samples per second of files without time",
+        )
     group.add_argument(
-        "--output-scale", type=_number, metavar="S", help="m per V of the output (a laser of 2 mm per V: 0.002)"
+        "--output-scale",
+        dest=f"{_READING}output_scale",
+        type=_number,
+        metavar="S",
+        help="m per V of the output (a laser of 2 mm per V: 0.002)",
     )
 
 
