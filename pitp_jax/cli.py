@@ -10,6 +10,7 @@ import argparse
 import io
 import math
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -20,7 +21,12 @@ from ._commands.cache import keep_programs
 from ._commands.console import say
 from ._errors import BadInput, ComputationFailed
 
-_RECORDS = "record files (.csv, .csv.gz, .mat, .npz, .h5) and folders of them"
+_RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of them"
+_READING = (
+    "time_column", "input_column", "output_column", "time_unit", "input_unit", "output_unit",
+    "input_scale", "output_scale", "rate",
+)  # fmt: skip
+_UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 _PLANTS = ("cone100", "cone122", "cone150", "roll")
 
 
@@ -46,6 +52,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         module, function = arguments.pop("runs"), arguments.pop("command")
         if not arguments.pop("no_cache"):
             keep_programs()
+        own = {"rate", "input_scale"} if "target" in arguments else set()  # of `invert` they are the voltage's
+        reading = {name: arguments.pop(name) for name in _READING if name in arguments and name not in own}
+        if reading:
+            arguments["reading"] = reading
         code = getattr(import_module(f"._commands.{module}", __package__), function)(**arguments)
         sys.stdout.flush()
         return code or 0
@@ -74,7 +84,7 @@ def _say_anything() -> None:
 
 def _explain(error: Exception) -> tuple[int, str]:
     """Exit code and one line for anything that ended a command."""
-    text = " ".join(str(error).split())
+    text = _UNSAFE.sub("_", " ".join(str(error).split()))
     if isinstance(error, BadInput):
         return 2, text
     if isinstance(error, ComputationFailed):
@@ -112,6 +122,16 @@ def _positive(text: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
 
 
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isfinite(value) and value != 0:
+        return value
+    raise argparse.ArgumentTypeError(f"{text!r} is not a number other than 0")
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False
@@ -142,9 +162,22 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:
+    """What `pitp.read` (or `read_target`) can be told about the columns of files."""
+    group = parser.add_argument_group("columns of the files", "by default names and units in the headers decide")
+    stems = {"time": "s|ms|us|ns|min", "input": "V|kV|mV", "output": "m|mm|um|cm|nm|V|mV"}
+    for stem, units in stems.items():
+        if target and stem == "input":
+            continue
+        group.add_argument(f"--{stem}-column", metavar="NAME", help=f"exact header of the {stem}")
+        group.add_argument(f"--{stem}-unit", metavar="UNIT", help=f"{units}, over what the file says")
     if not target:
-        parser.add_argument("--input-column", metavar="NAME", help="voltage column (default voltage_{V,kV,mV})")
-    parser.add_argument("--output-column", metavar="NAME", help="output column (default displacement_{m,mm,um,V,mV})")
+        group.add_argument(
+            "--input-scale", type=_number, metavar="S", help="V per V of the input (a monitor of 1 V per kV: 1000)"
+        )
+        group.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of files without time")
+    group.add_argument(
+        "--output-scale", type=_number, metavar="S", help="m per V of the output (a laser of 2 mm per V: 0.002)"
+    )
 
 
 def _identify_arguments(parser: argparse.ArgumentParser) -> None:
@@ -183,7 +216,7 @@ def _predict_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
-    parser.add_argument("target", metavar="TARGET", help="file with time_s and displacement_{m,mm,um,V,mV}")
+    parser.add_argument("target", metavar="TARGET", help="file with a time and a displacement")
     parser.add_argument("--out", required=True, metavar="VOLTAGE.csv", help="voltage to write")
     parser.add_argument("--max-voltage", type=_positive, metavar="V", help="default: the highest trained on")
     parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest trained on")

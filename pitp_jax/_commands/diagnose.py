@@ -7,18 +7,18 @@ from .._diagnose.diagnosis import diagnose as run_diagnosis
 from .._diagnose.report.figures import FIGURES, figures
 from .._diagnose.report.page import NEXT_CSV, report
 from .._model_file.model_file import load, save
-from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
 from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .recordings import is_square, read_records
 
 MODEL, REPORT = "model_augmented", "report.html"
 FILES = (MODEL, REPORT, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
 _ROWS = 8  # of the ranking on standard output
 
 
-def diagnose(records, nominal, refit_nominal, out, json_file, input_column, output_column) -> None:
+def diagnose(records, nominal, refit_nominal, out, json_file, reading) -> None:
     """Diagnose, write what was asked for, and print the finding.
 
     Args:
@@ -27,15 +27,14 @@ def diagnose(records, nominal, refit_nominal, out, json_file, input_column, outp
         refit_nominal: whether its coefficients are fitted along with every effect.
         out: folder for the augmented model, the report, its figures and the next experiment, or None.
         json_file: where to write the finding for machines, or None.
-        input_column: name of the voltage column, or None.
-        output_column: name of the output column, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
     check_files(json_file, inputs=[nominal, *records])
     model = load(nominal)
-    read_in = read(*records, input_column=input_column, output_column=output_column)
+    read_in = read_records(records, reading, square=is_square(model))
     sources = [nominal, *(r.source for r in read_in)]
     check_files(json_file, inputs=sources)
     if out is not None:

@@ -10,16 +10,16 @@ from .._model.input_map import INPUT_MAPS
 from .._model.model import Model
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
-from .._record.reading import read
 from .._train.settings import preset_of
 from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
 from .outputs import check_files
+from .recordings import is_square, read_records
 from .reports import describe, in_words, listed, print_history
 
 
-def fit(records, out, nominal, order, preset, learn, input_map, seed, input_column, output_column) -> None:
+def fit(records, out, nominal, order, preset, learn, input_map, seed, reading) -> None:
     """Train, write the model file, and print how it went.
 
     Args:
@@ -31,8 +31,7 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, input_colu
         preset: "default" or "paper".
         learn: parts between amplifier and sensor learned with it, "delay" and "sensor_lag".
         seed: of the random start.
-        input_column: name of the voltage column, or None.
-        output_column: name of the output column, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -40,7 +39,7 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, input_colu
     """
     check_files(out, inputs=[*records, *([nominal] if nominal else [])])
     start = _given(nominal, order, input_map) if nominal else None
-    read_in = read(*records, input_column=input_column, output_column=output_column)
+    read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
     check_files(out, inputs=[r.source for r in read_in])
     if start is None:
         start = _identified(read_in, order or "auto", input_map or "square")

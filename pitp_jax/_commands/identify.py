@@ -3,14 +3,14 @@
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
 from .._model_file.model_file import save
-from .._record.reading import read
 from .._record.units import from_base
 from .console import number, print_table, say
 from .outputs import check_files, staged_files, write_json
+from .recordings import read_records
 from .reports import describe, listed, print_model
 
 
-def identify(records, out, order, input_map, json_file, input_column, output_column) -> None:
+def identify(records, out, order, input_map, json_file, reading) -> None:
     """Identify, write the model file, and print the comparison of orders.
 
     Args:
@@ -19,14 +19,13 @@ def identify(records, out, order, input_map, json_file, input_column, output_col
         order: 1 to 6 or "auto".
         input_map: "square" or "linear".
         json_file: where to write the result for machines, or None.
-        input_column: name of the voltage column, or None.
-        output_column: name of the output column, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
     check_files(out, json_file, inputs=records)
-    read_in = read(*records, input_column=input_column, output_column=output_column)
+    read_in = read_records(records, reading, square=input_map == "square")
     check_files(out, json_file, inputs=[r.source for r in read_in])
     found = run_identify(read_in, order=order, input_map=input_map, progress=say)
     told = describe(found.model)

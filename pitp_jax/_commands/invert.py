@@ -16,7 +16,7 @@ _UNITS = {"V": 1.0, "kV": 1e-3}
 
 
 def invert(
-    model, target, out, max_voltage, max_slew, max_displacement, rate, unit, input_scale, json_file, output_column
+    model, target, out, max_voltage, max_slew, max_displacement, rate, unit, input_scale, json_file, reading
 ) -> None:
     """Invert, write the voltage, and print how much of the target is out of reach.
 
@@ -31,14 +31,14 @@ def invert(
         unit: of the voltage written, V or kV.
         input_scale: what the amplifier makes of one unit played; the voltage is divided by it.
         json_file: where to write the counts for machines, or None.
-        output_column: name of the target's column, or None.
+        reading: keyword arguments of `pitp.read_target`: columns, units, scale.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
     check_files(out, json_file, inputs=[model, target])
     loaded = load(model)
-    wanted = read_target(target, output_column)
+    wanted = read_target(target, **reading)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
     limits = {"max_voltage": max_voltage, "max_slew": max_slew}
     if max_displacement is not None:

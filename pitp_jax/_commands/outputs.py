@@ -31,11 +31,11 @@ def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) 
     Raises:
         BadInput: with the file and the remedy.
     """
-    taken = {Path(path).resolve(): path for path in inputs}
+    taken = {Path(os.path.realpath(path)): path for path in inputs}
     for path in outputs:
         if path is None:
             continue
-        target = Path(path).resolve()
+        target = Path(os.path.realpath(path))
         if target.is_dir() or not target.name or str(path).endswith(("/", os.sep)):
             raise BadInput(f"{path}: is a folder; give a file name inside a folder")
         if not target.parent.is_dir():
@@ -59,16 +59,16 @@ def check_folder(folder: str, names: Iterable[str], inputs: Iterable[str | os.Pa
     Raises:
         BadInput: with the path and the remedy.
     """
-    target = Path(folder).resolve()
+    target = Path(os.path.realpath(folder))
     existing = next(p for p in (target, *target.parents) if p.exists())
     if not existing.is_dir():
         raise BadInput(f"{folder}: {existing} is a file, not a folder; choose another folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise BadInput(f"{folder}: no right to write in {existing}; choose a place you may write to")
-    taken = {Path(path).resolve() for path in inputs}
+    taken = {Path(os.path.realpath(path)) for path in inputs}
     for name in names:
         file = target / name
-        if file.resolve() in taken:
+        if Path(os.path.realpath(file)) in taken:
             raise BadInput(f"{folder}: {name} would replace a file that is read; choose another folder")
         if file.is_dir():
             raise BadInput(f"{folder}: {name} is a folder there; remove it or choose another folder")
@@ -119,7 +119,7 @@ def staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
     Raises:
         BadInput: the folder cannot be made or a file cannot be moved there.
     """
-    target = Path(folder).resolve()
+    target = Path(os.path.realpath(folder))
     made = _missing_parents(target)
     stage = target / f".pitp-{secrets.token_hex(8)}.tmp"  # inside, so that moving is renaming
     try:

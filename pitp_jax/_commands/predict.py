@@ -8,7 +8,6 @@ from pathlib import Path
 from .._errors import ComputationFailed
 from .._metrics import e_rms_percent, nrmse_percent, rmse
 from .._model_file.model_file import load
-from .._record.reading import read
 from .._record.record import Record
 from .._record.units import from_base
 from .._record.writing import write_csv
@@ -17,9 +16,10 @@ from .._simulate.prediction import predict as run_predict
 from .compatibility import check_suits
 from .console import number, print_table
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .recordings import is_square, read_records
 
 
-def predict(model, records, out, json_file, input_column, output_column) -> None:
+def predict(model, records, out, json_file, reading) -> None:
     """Predict, write what was asked for, and print the scores.
 
     Args:
@@ -27,8 +27,7 @@ def predict(model, records, out, json_file, input_column, output_column) -> None
         records: files and folders.
         out: folder for one CSV per record, or None.
         json_file: where to write the scores for machines, or None.
-        input_column: name of the voltage column, or None.
-        output_column: name of the output column, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
         BadInput: with nothing written.
@@ -36,7 +35,7 @@ def predict(model, records, out, json_file, input_column, output_column) -> None
     """
     check_files(json_file, inputs=[model, *records])
     loaded = load(model)
-    read_in = read(*records, input_column=input_column, output_column=output_column)
+    read_in = read_records(records, reading, square=is_square(loaded))
     sources = [model, *(r.source for r in read_in)]
     check_files(json_file, inputs=sources)
     files = [f"{record.name.lstrip('/')}.csv" for record in read_in]

@@ -5,6 +5,7 @@ u_i finite for all i,    y_i finite or nan (missing) and finite for at least one
 """
 
 from collections.abc import Callable
+from typing import NoReturn
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -13,6 +14,7 @@ from .._errors import BadInput
 
 MIN_SAMPLES = 64
 TIME_TOLERANCE = 0.01  # of one sample
+LATEST = 1e10  # s, 317 years: later than any clock, epoch seconds included
 _ROUNDING = 1e-6  # of one sample: an offset of exactly 1 % must not be refused by the last bit
 
 
@@ -27,6 +29,8 @@ def check_samples(
     source: str,
     columns: tuple[str, str, str] = ("time", "voltage", "displacement"),
     place: Callable[[int], str] = _sample,
+    *,
+    uniform: bool = True,
 ) -> None:
     """Refuse samples no later step could use.
 
@@ -37,31 +41,39 @@ def check_samples(
         source: file or record, for the message.
         columns: names of the three columns, for the message.
         place: turns a sample index (from 0) into words, for the message (`sample 7 (line 9)`).
+        uniform: whether the times must be uniform already.
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, infinite values, missing input or time, no output at
-            all, decreasing, repeated or non-uniform time; the first offending sample is named.
+            all, decreasing, repeated or non-uniform time; all of them in one message, each with its first sample.
     """
     _check_shapes((time, voltage, displacement), source, columns)
+    problems = []
     for values, column in zip((time, voltage, displacement), columns, strict=True):
         bad = np.isinf(values)
         if bad.any():
-            raise BadInput(
-                f"{source}: column {column!r}, {place(_first(bad))}: infinite value; correct it or cut it out"
+            problems.append(
+                f"column {column!r}, {place(_first(bad))}: infinite value; correct it or cut it out"
                 + (" (an empty cell or nan marks a missing output)" if values is displacement else "")
             )
-    check_time(time, source, columns[0], place)
     missing = np.isnan(voltage)
     if missing.any():
-        raise BadInput(
-            f"{source}: column {columns[1]!r}, {place(_first(missing))}: the input is missing "
+        problems.append(
+            f"column {columns[1]!r}, {place(_first(missing))}: the input is missing "
             f"({int(missing.sum())} of {len(voltage)} samples); split the record into files without the gap"
         )
     if np.isnan(displacement).all():
-        raise BadInput(
-            f"{source}: column {columns[2]!r}, {place(0)} to {len(displacement) - 1}: every output sample is "
+        problems.append(
+            f"column {columns[2]!r}, {place(0)} to {len(displacement) - 1}: every output sample is "
             "missing; leave this record out or pick another column with --output-column"
         )
+    if not np.isinf(time).any():
+        try:
+            (check_time if uniform else _check_clock)(time, source, columns[0], place)
+        except BadInput as error:
+            problems.append(str(error).removeprefix(f"{source}: "))
+    if problems:
+        raise BadInput(f"{source}: {'; '.join(problems)}")
 
 
 def check_wanted(
@@ -111,6 +123,22 @@ def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
         )
 
 
+def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> None:
+    """Refuse times that are missing or that no clock shows."""
+    missing = np.isnan(time)
+    if missing.any():
+        raise BadInput(
+            f"{source}: column {column!r}, {place(_first(missing))}: the time is missing; fill it in or "
+            "split the record there"
+        )
+    far = np.abs(time) > LATEST
+    if far.any():
+        raise BadInput(
+            f"{source}: column {column!r}, {place(_first(far))}: {time[far][0]:.4g} s is no time; correct it, or give "
+            "--time-unit"
+        )
+
+
 def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> None:
     """Refuse times that are missing, do not increase, or leave the uniform grid by more than 1 % of a sample.
 
@@ -123,28 +151,30 @@ def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int]
     Raises:
         BadInput: with the first offending sample; for a gap or a dropped sample that is the one after it.
     """
-    missing = np.isnan(time)
-    if missing.any():
-        raise BadInput(
-            f"{source}: column {column!r}, {place(_first(missing))}: the time is missing; fill it in or "
-            "split the record there"
-        )
+    _check_clock(time, source, column, place)
+    if (np.diff(time) <= 0).any() or _grid_offset(time).max() > TIME_TOLERANCE + _ROUNDING:
+        refuse_time(time, source, column, place)
+
+
+def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> NoReturn:
+    """Refuse times that are not on a uniform grid; arguments as for `check_time`.
+
+    Raises:
+        BadInput: with the first sample that decreases, repeats or jumps.
+    """
     steps = np.diff(time)
     if (steps <= 0).any():
-        at = _first(steps <= 0) + 1
+        at = _first(steps < 0 if (steps < 0).any() else steps <= 0) + 1
         how = "decreases" if steps[at - 1] < 0 else "repeats"
         raise BadInput(
             f"{source}: column {column!r}, {place(at)}: time {how} ({time[at - 1]:.9g} s, then "
             f"{time[at]:.9g} s); sort or split the record there"
         )
-    offset = _grid_offset(time)
-    if offset.max() <= TIME_TOLERANCE + _ROUNDING:
-        return
-    typical = float(np.median(steps))
+    typical, offset = float(np.median(steps)), _grid_offset(time)
     jumps = np.abs(steps / typical - 1.0) > 2 * TIME_TOLERANCE
     at = _first(jumps) + 1 if jumps.any() else int(np.argmax(offset))
     raise BadInput(
-        f"{source}: column {column!r}, {place(at)}: time is not uniform to 1 % of a sample (step "
+        f"{source}: column {column!r}, {place(at)}: time is not uniform (step "
         f"{steps[max(at - 1, 0)]:.6g} s where {typical:.6g} s is usual, off the grid by up to "
         f"{offset.max():.2g} samples); split the record at the gap or resample it"
     )

@@ -5,7 +5,9 @@
 A missing output sample is nan in `displacement`; everything downstream masks it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +26,8 @@ class Record:
         voltage_unit: unit the voltage had in its file; used when results are written back.
         displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
         source: where it came from, for messages.
+        recognised: what the reader saw in the file and did to it: `file`, `time`, `input`, `output` in words, counts
+            `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user; no part of equality.
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, non-uniform time, missing input, no finite output.
@@ -36,11 +40,12 @@ class Record:
     voltage_unit: str = "V"
     displacement_unit: str = "m"
     source: str = ""
+    recognised: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self):
         """Refuse what no later step could use (the readers give the file, column and sample as well)."""
-        for field in ("time", "voltage", "displacement"):
-            object.__setattr__(self, field, np.asarray(getattr(self, field), dtype=np.float64))
+        for name in ("time", "voltage", "displacement"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
         check_samples(self.time, self.voltage, self.displacement, self.source or f"record {self.name!r}")
 
     @property

@@ -1,15 +1,53 @@
-"""Units: the suffix of a column name and its factor to the base unit.
+"""Units: their spellings, how a header carries them, and their factors to the base units.
 
 value in base unit = factor(unit) * value in the column,    base units: s, V, and m or V for the output
 """
 
-from .._errors import BadInput
+import re
+import unicodedata
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 INPUT_UNITS = {"V": 1.0, "kV": 1e3, "mV": 1e-3}
-OUTPUT_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "V": 1.0, "mV": 1e-3}
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "nm": 1e-9}
+OUTPUT_UNITS = {**_LENGTHS, "V": 1.0, "mV": 1e-3}
 
 _UNITS = {"time": TIME_UNITS, "voltage": INPUT_UNITS, "displacement": OUTPUT_UNITS}
+_ALL = {**TIME_UNITS, **INPUT_UNITS, **OUTPUT_UNITS}
+_SPELLINGS = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sekunde", "sekunden"), "s"),
+    **dict.fromkeys(("msec", "millisecond", "milliseconds", "millisekunden"), "ms"),
+    **dict.fromkeys(("usec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("volt", "volts", "v"), "V"),
+    **dict.fromkeys(("kilovolt", "kilovolts", "kv"), "kV"),
+    **dict.fromkeys(("millivolt", "millivolts"), "mV"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres"), "um"),
+}
+_IN_BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
+_AT_THE_END = re.compile(r"^(.*\S)\s*(?:[/_,:;\s-]|\sin\s)\s*([^\s/_,:;()\[\]-]+)$")
+
+
+def spelt(text: str) -> str | None:
+    """The unit a text is a spelling of (`µm`, `Volts`, `kV`), or None."""
+    plain = unicodedata.normalize("NFKC", text).strip().strip("()[]{}<>").replace("Âμ", "μ").replace("μ", "u")
+    plain = plain.strip()
+    if plain in _ALL:
+        return plain
+    lower = plain.lower()
+    return _SPELLINGS.get(lower) or (lower if lower in ("s", "mm") else None)
+
+
+def split_header(text: str) -> tuple[str, str | None]:
+    """A header as (what is measured, its unit or None): `Weg [µm]`, `U/V`, `time_s`, `Time in ms`."""
+    for found in _IN_BRACKETS.finditer(text):
+        unit = spelt(found[1])
+        if unit:
+            return (text[: found.start()] + text[found.end() :]).strip(), unit
+    found = _AT_THE_END.match(text.strip())
+    unit = spelt(found[2]) if found else None
+    return (found[1].removesuffix(" in").rstrip(" /_,:;-"), unit) if found and unit else (text.strip(), None)
 
 
 def column_names(quantity: str) -> tuple[str, ...]:
@@ -21,25 +59,18 @@ def column_names(quantity: str) -> tuple[str, ...]:
     return tuple(f"{quantity}_{unit}" for unit in _UNITS[quantity])
 
 
-def unit_of(column: str, quantity: str, source: str) -> str:
-    """The unit a column name ends in: what follows its last underscore.
+def units_of(quantity: str) -> tuple[str, ...]:
+    """The units a quantity may have.
 
     Args:
-        column: name of a column, for example `voltage_command_V`.
-        quantity: `time`, `voltage` or `displacement`; decides which units are known.
-        source: the file, for the message.
-
-    Raises:
-        BadInput: the name has no unit, or one this quantity cannot have.
+        quantity: `time`, `voltage` or `displacement`.
     """
-    stem, _, unit = column.rpartition("_")
-    known = _UNITS[quantity]
-    if stem and unit in known:
-        return unit
-    raise BadInput(
-        f"{source}: column {column!r}: unknown unit {unit!r}; rename the column so that it ends in one of "
-        f"{', '.join('_' + name for name in known)}"
-    )
+    return tuple(_UNITS[quantity])
+
+
+def is_length(unit: str | None) -> bool:
+    """Whether a unit is one of length."""
+    return unit in _LENGTHS
 
 
 def factor(unit: str, quantity: str) -> float:

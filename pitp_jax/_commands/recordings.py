@@ -1,0 +1,54 @@
+"""Recordings for a command: read, and what was recognised told in a line per kind of file."""
+
+from collections.abc import Sequence
+
+from .._model.input_map import SquareInput
+from .._model.model import Model
+from .._record.plausible import monitor_warning
+from .._record.reading import read
+from .._record.record import Record
+from .console import say
+
+
+def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[Record, ...]:
+    """Read records, and say what was recognised in them, what was masked, and what looks wrong.
+
+    Args:
+        paths: files and folders.
+        reading: keyword arguments of `pitp.read`.
+        square: whether the force is known to be the square of the voltage.
+
+    Raises:
+        BadInput: as `pitp.read`.
+    """
+    records = read(*paths, **reading)
+    for line in recognised(records):
+        say(line)
+    warning = monitor_warning(records) if square else None
+    if warning:
+        say(f"warning: {warning}")
+    return records
+
+
+def recognised(records: Sequence[Record]) -> list[str]:
+    """A line for every kind of file among the records, then the remarks on single ones."""
+    kinds: dict[str, list[str]] = {}
+    remarks: list[str] = []
+    for record in records:
+        seen = record.recognised
+        if seen:
+            kind = f"{seen['file']}; time {seen['time']}, input {seen['input']}, output {seen['output']}"
+            kinds.setdefault(kind, []).append(record.name)
+            remarks += seen["remarks"]
+    count = [f"{len(names)} record{'s' if len(names) > 1 else ''}" for names in kinds.values()]
+    lines = [f"read {many} ({_some(names)}): {kind}" for many, (kind, names) in zip(count, kinds.items(), strict=True)]
+    return lines + remarks
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+
+
+def is_square(model: Model) -> bool:
+    """Whether a model's force is the square of the voltage."""
+    return isinstance(model.input_map, SquareInput)

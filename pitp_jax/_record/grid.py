@@ -1,0 +1,154 @@
+"""Samples onto the uniform grid they were meant for: jitter of up to half a sample, and lost samples.
+
+t_i = a + b k_i + e_i,    |e_i| <= b / 2,    k_i = 0, 1, 2, ... less the lost samples
+
+a, b by least squares. The input is interpolated linearly and the output by monotone cubics; the output of a lost
+sample is missing. A gap longer than a tenth of a period of the fastest drive (99 % of its energy lies below) splits the
+record.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from .._errors import BadInput
+from .checks import MIN_SAMPLES, TIME_TOLERANCE, refuse_time
+from .preprocess import force_band
+
+_HALF, _ROUNDING = 0.5, 1e-6  # of a sample
+_GAP = 0.1  # of a period of the fastest drive
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One uniform stretch of a record.
+
+    Attributes:
+        time, voltage, displacement: shapes (T,).
+        lost: samples filled in.
+    """
+
+    time: np.ndarray
+    voltage: np.ndarray
+    displacement: np.ndarray
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class Gridded:
+    """A record on its grid.
+
+    Attributes:
+        pieces: in order, one where no gap is too long.
+        jitter: largest distance of a time from the grid, in samples.
+        dropped: samples of pieces too short to use.
+    """
+
+    pieces: tuple[Piece, ...]
+    jitter: float
+    dropped: int = 0
+
+
+def on_grid(
+    time: np.ndarray,
+    voltage: np.ndarray,
+    displacement: np.ndarray,
+    source: str,
+    column: str,
+    place: Callable[[int], str],
+) -> Gridded:
+    """Put samples on the uniform grid.
+
+    Args:
+        time: in s, finite, shape (T,).
+        voltage: finite, shape (T,).
+        displacement: nan where missing, shape (T,).
+        source: file, for messages.
+        column: name of the time column, for messages.
+        place: turns a sample index into words.
+
+    Raises:
+        BadInput: time decreases, or is no grid with lost samples.
+    """
+    index, start, dt, jitter = _grid(time, source, column, place)
+    lost = np.diff(index) - 1
+    if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
+        return Gridded((Piece(time, voltage, displacement),), jitter)
+    cuts = np.flatnonzero(lost > _longest_gap(voltage, lost, dt)) + 1
+    pieces, dropped = [], 0
+    for begin, end in zip((0, *cuts.tolist()), (*cuts.tolist(), len(time)), strict=True):
+        if end - begin < MIN_SAMPLES:
+            dropped += end - begin
+            continue
+        part = slice(begin, end)
+        pieces.append(_piece(time[part], voltage[part], displacement[part], index[part], (start, dt), jitter))
+    pieces = [piece for piece in pieces if np.isfinite(piece.displacement).any()]
+    if not pieces:
+        raise BadInput(
+            f"{source}: column {column!r}: split at its {len(cuts)} gaps no stretch of {MIN_SAMPLES} samples is left; "
+            "record without gaps"
+        )
+    return Gridded(tuple(pieces), jitter, dropped)
+
+
+def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]:
+    """Places on the grid, its start and step, the largest distance from it in samples.
+
+    Lost samples must explain the times better than none lost do, or one time that is wrong would shift all after it.
+    """
+    steps = np.diff(time)
+    if (steps < 0).any():
+        refuse_time(time, source, column, place)
+    index = np.arange(len(time))
+    usual, straight = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0, np.inf
+    for _ in range(2):
+        start, dt = _line(index, time)
+        off = np.abs(time - start - dt * index) / dt if dt > 0 else np.full(len(time), np.inf)
+        spread = float(np.mean(off**2))
+        if off.max() <= _HALF + _ROUNDING and spread <= straight:
+            return index, start, dt, float(off.max())
+        straight = min(straight, spread)
+        moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
+        if not moves.sum() < 2**53:
+            break
+        trial = np.append(0, np.cumsum(moves)).astype(np.int64)
+        if np.array_equal(trial, index):
+            break
+        index = trial
+    return refuse_time(time, source, column, place)
+
+
+def _line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
+    """a, b of the line a + b k nearest to the times; sums, not BLAS products, whose threads cost more."""
+    k, t = index - index.mean(), time - time.mean()
+    b = float(np.sum(k * t) / np.sum(k * k))
+    return float(time.mean() - b * index.mean()), b
+
+
+def _longest_gap(voltage: np.ndarray, lost: np.ndarray, dt: float) -> float:
+    """Samples that may be lost in a row: a tenth of a period of the fastest drive."""
+    stretches = [part for part in np.split(voltage, np.flatnonzero(lost) + 1) if len(part) > 8]
+    stretches = [part for part in stretches if np.ptp(part) > 1e-6 * np.abs(part).max()]
+    fastest = force_band(stretches, dt) if stretches else 0.0
+    return min(_GAP / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
+
+
+def _piece(time, voltage, displacement, index, line, jitter) -> Piece:
+    """One stretch on the grid a + b k."""
+    start, dt = line
+    where = index - index[0]
+    grid = start + dt * (index[0] + np.arange(where[-1] + 1))
+    output = np.full(len(grid), np.nan)
+    output[where] = displacement
+    lost = len(grid) - len(time)
+    at = np.clip(grid, time[0], time[-1])
+    if jitter <= TIME_TOLERANCE + _ROUNDING or (np.diff(time) <= 0).any():  # equal times: rounded, not measured, ones
+        drive = np.interp(grid, start + dt * index, voltage)
+    else:
+        seen = np.isfinite(displacement)
+        drive = np.interp(at, time, voltage)
+        if seen.sum() > 1:
+            output = np.where(np.isfinite(output), PchipInterpolator(time[seen], displacement[seen])(at), np.nan)
+    return Piece(grid, drive, output, lost)

@@ -1,0 +1,134 @@
+"""What a sensor reads when it does not see: spikes, dropouts and clipping, found and masked.
+
+spike     1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then back
+dropout   a run of one value, entered and left by such jumps;  or a value farther off than all others are apart
+clipping  a run of the record's extreme value while the drive moves and the sensor is noisy elsewhere
+
+step is the median of the record's steps |y_i - y_(i-1)| that are not zero, step_local the largest of the five steps
+about the samples in question with them cut out. White noise of deviation s has |y - chord| of deviation 1.2 s and a
+step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A motion sampled well enough moves by a step.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_FAR, _LONGEST_SPIKE = 10.0, 3
+_SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; share of the drive's range it must move by in them
+_NOISY = 0.05  # of neighbouring samples are equal at most, where a sensor is noisy enough to tell a limit from a rest
+_FEWEST_VALUES = 32  # distinct ones, below which a record is no measured motion (two levels, a counter)
+
+
+@dataclass(frozen=True)
+class Masked:
+    """An output without its faults.
+
+    Attributes:
+        displacement: nan where masked, shape (T,).
+        outliers: samples masked as spikes or dropouts.
+        clipped: samples masked at a limit value.
+        largest: the value farthest off among the outliers, in the output's unit; nan where there is none.
+        limit: the value it was clipped at; nan where it was not.
+    """
+
+    displacement: np.ndarray
+    outliers: int = 0
+    clipped: int = 0
+    largest: float = np.nan
+    limit: float = np.nan
+
+
+def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
+    """Mask spikes, dropouts and clipping.
+
+    Args:
+        displacement: output, shape (T,); nan where missing.
+        voltage: drive, shape (T,).
+    """
+    seen = np.flatnonzero(np.isfinite(displacement))
+    y = displacement[seen]
+    steps = np.abs(np.diff(y))
+    moving = steps[steps > 0]
+    if len(moving) < _FEWEST_VALUES:
+        return Masked(displacement)
+    step = float(np.median(moving))
+    bad = _off_scale(y) | _spikes(y, step)
+    if np.mean(steps == 0) < 0.5:
+        bad |= _stuck(y, step)
+    if 2 * bad.sum() > len(y):
+        return Masked(displacement)
+    clipped = _clipped(np.where(bad, np.nan, y), voltage[seen])
+    if not bad.any() and not clipped.any():
+        return Masked(displacement)
+    kept, off = displacement.copy(), y[bad]
+    kept[seen[bad | clipped]] = np.nan
+    largest = off[np.argmax(np.abs(off - np.median(y)))] if bad.any() else np.nan
+    limit = y[clipped][0] if clipped.any() else np.nan
+    return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit))
+
+
+def _spikes(y: np.ndarray, step: float) -> np.ndarray:
+    """Runs of one to three samples far from the chord between their neighbours, all on one side."""
+    bad = np.zeros(len(y), dtype=bool)
+    for run in range(1, _LONGEST_SPIKE + 1):
+        count = len(y) - run - 5
+        if count <= 0:
+            break
+        a, b, c, d, e, f = (y[k : k + count] for k in (0, 1, 2, run + 3, run + 4, run + 5))
+        local = np.maximum.reduce([np.abs(p - q) for p, q in ((a, b), (b, c), (c, d), (d, e), (e, f))])
+        bound = _FAR * np.maximum(local, step)
+        off = [y[3 + k : 3 + k + count] - c - (d - c) * (k + 1) / (run + 1) for k in range(run)]
+        far = np.minimum.reduce(off) > bound
+        far |= np.maximum.reduce(off) < -bound
+        for k in range(run):
+            bad[3 + k : 3 + k + count] |= far
+    return bad
+
+
+def _off_scale(y: np.ndarray) -> np.ndarray:
+    """Samples at a value farther from all others than those are apart: what a laser reads that sees nothing."""
+    bad = np.zeros(len(y), dtype=bool)
+    values = np.unique(y)
+    while len(values) > _FEWEST_VALUES:
+        low, high = values[1] - values[0], values[-1] - values[-2]
+        if high > values[-2] - values[0]:
+            bad |= y == values[-1]
+            values = values[:-1]
+        elif low > values[-1] - values[1]:
+            bad |= y == values[0]
+            values = values[1:]
+        else:
+            break
+    return bad
+
+
+def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
+    """First and one past the last sample of every run of equal values."""
+    edges = np.flatnonzero(np.append(True, np.append(y[1:] != y[:-1], True)))
+    long = np.flatnonzero(np.diff(edges) >= least)
+    return [(int(edges[k]), int(edges[k + 1])) for k in long]
+
+
+def _stuck(y: np.ndarray, step: float) -> np.ndarray:
+    """Runs of one value that are entered and left by a jump, up to a tenth of the record."""
+    bad = np.zeros(len(y), dtype=bool)
+    for begin, end in _runs(y, _LONGEST_SPIKE + 1):
+        if begin < 3 or end > len(y) - 3 or end - begin > len(y) // 10:
+            continue
+        before, after = y[begin - 3 : begin], y[end : end + 3]
+        local = max(np.abs(np.diff(before)).max(), np.abs(np.diff(after)).max(), step)
+        jumps = before[-1] - y[begin], after[0] - y[begin]
+        bad[begin:end] |= min(map(abs, jumps)) > _FAR * local
+    return bad
+
+
+def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
+    """Runs of the extreme value while the drive moves, of a sensor that is noisy elsewhere."""
+    bad = np.zeros(len(y), dtype=bool)
+    low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)
+    for begin, end in _runs(y, _SHORTEST_CLIP):
+        if y[begin] in (low, high) and np.ptp(voltage[begin:end]) > _MOVES * swing:
+            bad[begin:end] = True
+    inside = bad[1:] & bad[:-1]
+    elsewhere = (y[1:] == y[:-1])[~inside]
+    return bad if bad.any() and np.mean(elsewhere) < _NOISY else np.zeros_like(bad)

@@ -1,0 +1,73 @@
+"""What a careful colleague would ask about a recording: refused where it cannot be, told where it may be meant.
+
+|u| > 100 kV, |x| > 1 km                     refused: a unit is wrong
+range of x > 1 m, 90 % of x equal            told
+|u| <= 10 V on a squared input               told: a monitor's voltage, not the actuator's
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._errors import BadInput
+from .record import Record
+
+_HIGHEST, _FARTHEST = 1e5, 1e3  # V, m
+_LONG, _EQUAL = 1.0, 0.9  # m, share of the samples
+_MONITOR = 10.0  # V: the range of a DAQ
+
+
+def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, unit: str, source: str, columns, place) -> None:
+    """Refuse what no rig has, whatever the unit says.
+
+    Args:
+        voltage: in V, shape (T,).
+        displacement: in m or V, shape (T,); nan where missing.
+        unit: of the output, `m` or `V`.
+        source: file, for the message.
+        columns: headers of input and output.
+        place: turns a sample index into words.
+
+    Raises:
+        BadInput: with both columns where both are.
+    """
+    problems = []
+    limits = ((voltage, _HIGHEST, "V", "input"), (displacement, _HIGHEST if unit == "V" else _FARTHEST, unit, "output"))
+    for (values, most, base, stem), column in zip(limits, columns, strict=True):
+        far = np.abs(np.nan_to_num(values)) > most
+        if far.any() and not (stem == "output" and far.mean() < 0.01):  # a few are the sensor's, and masked
+            at = int(np.argmax(far))
+            problems.append(
+                f"column {column!r}, {place(at)}: {values[at]:.4g} {base} is more than {most:g} {base}; give the right "
+                f"--{stem}-unit or --{stem}-scale"
+            )
+    if problems:
+        raise BadInput(f"{source}: {'; '.join(problems)}")
+
+
+def doubts(displacement: np.ndarray, unit: str) -> list[str]:
+    """What to ask about an output that may be meant.
+
+    Args:
+        displacement: in m or V, shape (T,); nan where missing.
+        unit: `m` or `V`.
+    """
+    seen = displacement[np.isfinite(displacement)]
+    lines = []
+    if unit == "m" and np.ptp(seen) > _LONG:
+        lines.append(f"moves by {np.ptp(seen):.3g} m: is the output's unit right?")
+    equal = float(np.mean(seen == np.median(seen)))
+    if equal > _EQUAL:
+        lines.append(f"{100 * equal:.0f} % of its outputs are equal: does the sensor read?")
+    return lines
+
+
+def monitor_warning(records: Sequence[Record]) -> str | None:
+    """Asks about drives that never leave a DAQ's range, for a model whose force is the square of the voltage."""
+    highest = max(float(np.abs(record.voltage).max()) for record in records)
+    if not 0 < highest <= _MONITOR:
+        return None
+    return (
+        f"the drive never exceeds {highest:.3g} V: if that is the amplifier's monitor (1 V per kV), give "
+        "--input-scale 1000"
+    )
