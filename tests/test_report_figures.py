@@ -1,5 +1,6 @@
 """The figures of a report, on axes of the caller and in the user's units; its numbers and words."""
 
+import io
 from dataclasses import replace
 
 import pytest
@@ -99,3 +100,23 @@ def test_numbers_have_sensible_digits():
 
 def test_every_effect_has_plain_words():
     assert {c.name for c in CATALOGUE} | {"parameter_change"} == set(formatting.PLAIN)
+
+
+@pytest.mark.parametrize("name", ["cost_$5_and_$6", "$\\frac{", "back\\slash$", "<b>&amp;--></b>", "µ\u202ename"])
+def test_any_name_of_a_record_can_be_drawn(explained, name):
+    odd = replace(explained, where={**explained.where, "records": {name: 0.7, "other": 0.3}})
+    for drawn in figures.figures(odd).values():
+        assert not any("not drawn" in text.get_text() for text in drawn.texts)
+        drawn.savefig(io.BytesIO(), format="svg")
+    assert "<b>" not in report(odd)
+
+
+def test_a_figure_that_fails_costs_itself_alone(explained, monkeypatch):
+    def fails(*_):
+        raise RuntimeError("no such $\\frac{")
+
+    monkeypatch.setattr(figures, "where_map", fails)
+    drawn = figures.figures(explained)
+    assert "no such" in drawn["where"].texts[0].get_text()
+    assert len(drawn["shares"].axes) == 3
+    assert "<svg" in report(explained)

@@ -24,8 +24,10 @@ import numpy as np
 
 from .._errors import BadInput
 from .._model.model import Model
+from .._record.table import cleaned
 from .._record.writing import write_bytes_atomic
 from .parts import build, decode, describe, encode
+from .plausible import LARGEST_FILE, check_header, check_leaves
 
 VERSION = 1
 _MAGIC = b"pitp_jax model "
@@ -74,23 +76,30 @@ def load(path: str | os.PathLike) -> Model:
         BadInput: missing, a folder, not a model file, from a newer version, or damaged in any bit.
     """
     rest = _checked_bytes(path)
+    path = cleaned(path)
     try:
         text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(rest.decode("latin-1"))
         header = decode(text)
+        check_header(header)
         return _fill(_skeleton(header), header["leaves"], memoryview(rest)[end + 1 :])
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     except Exception as error:  # an intact digest over contents no version of `save` writes
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+        reason = cleaned(" ".join(f"{type(error).__name__}: {error}".split())[:120])
         raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
 
 
 def _checked_bytes(path) -> bytes:
     """Everything after the digest, once it matches."""
+    name, path = path, cleaned(path)
     try:
-        with open(path, "rb") as file:
+        if os.path.exists(name) and not os.path.isdir(name) and not os.path.isfile(name):
+            raise BadInput(f"{path}: is not a regular file; give a model file")
+        with open(name, "rb") as file:
             magic = file.readline(64)
             _check_magic(path, magic)
+            if os.fstat(file.fileno()).st_size > LARGEST_FILE:
+                raise BadInput(f"{path}: more than {LARGEST_FILE >> 20} MiB; no model is as large, write it again")
             digest, rest = file.readline(80), file.read()
     except FileNotFoundError:
         raise BadInput(f"{path}: no such model file; check the path") from None
@@ -164,6 +173,7 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
         plain = np.frombuffer(stream.read(math.prod(stored) * kind.itemsize), kind).reshape(stored)
         with jax.enable_x64(True):  # else float64 leaves would come back as float32
             arrays.append(jnp.asarray(plain))
+    check_leaves([name for name, _, _ in leaves], [np.asarray(array) for array in arrays])
     if stream.read(1):
         raise ValueError("more bytes than leaves")
     treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))

@@ -6,7 +6,6 @@ Nothing in them is unpickled; what is compressed is unfolded within limits, what
 import io
 import re
 import struct
-import warnings
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -68,9 +67,7 @@ def mat_table(path: Path, kind: str) -> Table:
     """
     source = cleaned(path)
     data = _flat(file_bytes(path), source)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        stored = scipy.io.loadmat(data, struct_as_record=True)
+    stored = scipy.io.loadmat(data, struct_as_record=True)
     variables = {name: value for name, value in stored.items() if not name.startswith("__")}
     structs = [value for value in variables.values() if value.dtype.names and value.size == 1]
     if len(structs) == 1:

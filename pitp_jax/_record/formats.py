@@ -7,6 +7,7 @@
 .h5 .hdf5                  HDF5, datasets at the root or in its groups
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -81,7 +82,9 @@ def open_table(path: Path) -> Table:
 
 def _guarded(source: str, kind: str, function, *arguments):
     try:
-        return function(*arguments)
+        with warnings.catch_warnings():  # theirs about the file; what matters here is told or refused
+            warnings.simplefilter("ignore")
+            return function(*arguments)
     except BadInput:
         raise
     except Exception as error:  # the libraries raise nearly anything on damaged files

@@ -4,6 +4,7 @@ Nothing is only in a figure: `Diagnosis.as_json` and the report's tables hold th
 user's files; no pyplot, no global style; colours from Okabe and Ito (`_plot.lines`).
 """
 
+from collections.abc import Callable
 from typing import cast
 
 import numpy as np
@@ -153,7 +154,8 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         crowded = sum(map(len, labels)) > 60
         tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if crowded and name == "records" else {}
         short = [label if len(label) <= _LABEL else f"{label[: _LABEL - 1]}…" for label in labels]
-        ax.set_xticks(range(len(labels)), short, fontsize=6.5 if crowded else 7.5, **tilted)
+        size = 6.5 if crowded else 7.5
+        ax.set_xticks(range(len(labels)), short, fontsize=size, parse_math=False, **tilted)  # a name may hold a $
         ax.grid(visible=False, axis="x")
     return axes
 
@@ -182,16 +184,32 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """All figures this diagnosis has something to show in, by the name of their file."""
-    drawn = {"gap": gap(diagnosis)[0]}
+    """All figures this diagnosis has something to show in, by the name of their file.
+
+    One that cannot be drawn says so in its place, and costs no other.
+    """
+    wanted: dict[str, Callable[[], Axes]] = {"gap": lambda: gap(diagnosis)[0]}
     if diagnosis.verdict != "no_gap":
-        drawn["where"] = where_map(diagnosis)
-        drawn["shares"] = shares(diagnosis)[0]
-        drawn["force"] = shares(diagnosis, names=("displacement", "velocity", "voltage"))[0]
-        drawn["ranking"] = ranking(diagnosis)
+        wanted["where"] = lambda: where_map(diagnosis)
+        wanted["shares"] = lambda: shares(diagnosis)[0]
+        wanted["force"] = lambda: shares(diagnosis, names=("displacement", "velocity", "voltage"))[0]
+        wanted["ranking"] = lambda: ranking(diagnosis)
     if diagnosis.next_experiment is not None:
-        drawn["next_experiment"] = excitation(diagnosis)
-    return {name: cast(Figure, ax.figure) for name, ax in drawn.items()}
+        wanted["next_experiment"] = lambda: excitation(diagnosis)
+    return {name: _drawn(draw) for name, draw in wanted.items()}
+
+
+def _drawn(draw: Callable[[], Axes]) -> Figure:
+    """A figure that can be saved: the one asked for, or one that says why not."""
+    try:
+        figure = cast(Figure, draw().figure)
+        figure.draw_without_rendering()  # layout and text fail only here
+        return figure
+    except Exception as error:
+        figure, reason = Figure(figsize=(5.0, 1.0)), " ".join(str(error).split())[:80]
+        told = f"not drawn: {type(error).__name__}: {reason}".encode("ascii", "replace").decode()
+        figure.text(0.02, 0.5, told, fontsize=_SMALL, parse_math=False)
+        return figure
 
 
 FIGURES = ("gap", "where", "shares", "force", "ranking", "next_experiment")

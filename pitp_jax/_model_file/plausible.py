@@ -1,0 +1,78 @@
+"""What the numbers of a model file must be: a digest says who wrote them last, not that they make a model.
+
+dt > 0,   scales > 0,   polarity = +-1,   everything finite but upper limits and bounds;   few parts of reasonable size
+"""
+
+import math
+
+import numpy as np
+
+from .._errors import BadInput
+from .._record.units import INPUT_UNITS, OUTPUT_UNITS
+
+_LARGEST = {"depth": 64, "outputs": 64, "tokens": 64, "order": 16, "memories": 256, "size": 256, "lags": 256}
+_EFFECTS, _LEAVES = 64, 4096
+LARGEST_FILE = 1 << 28  # bytes
+
+
+def check_header(header: dict) -> None:
+    """Refuse a header whose numbers make no model, before anything is built from it.
+
+    Raises:
+        BadInput: with all such numbers.
+        KeyError, TypeError, ValueError: entries are missing or of another kind.
+    """
+    source, output, scales = header["provenance"], header["output"], header["scales"]
+    low, high = source["voltage_range"]
+    checks = {
+        f"order {header['order']!r}": 1 <= header["order"] <= _LARGEST["order"],
+        f"{len(header['effects'])} effects": len(header["effects"]) <= _EFFECTS,
+        f"{len(header['leaves'])} arrays": len(header["leaves"]) <= _LEAVES,
+        f"dt {source['dt']!r}": _positive(source["dt"]),
+        f"scales of the state {scales['state']!r}": bool(scales["state"]) and all(map(_positive, scales["state"])),
+        f"scale of the force {scales['force']!r}": _positive(scales["force"]),
+        f"sections {scales['sections']!r}": all(math.isfinite(s) and s != 0 for s in scales["sections"]),
+        f"offset {output['offset']!r}": math.isfinite(output["offset"]),
+        f"polarity {output['polarity']!r}": abs(output["polarity"]) == 1,
+        f"voltage range {low!r} to {high!r}": math.isfinite(low) and low <= high,
+        f"slew {source['slew']!r}": source["slew"] >= 0,
+        f"region {source['region']!r}": all(a <= b for a, b in source["region"]),
+        f"clock {source.get('clock', 0.0)!r}": math.isfinite(source.get("clock", 0.0)),
+        f"unit {source['displacement_unit']!r}": source["displacement_unit"] in OUTPUT_UNITS,
+        f"unit {source['voltage_unit']!r}": source["voltage_unit"] in INPUT_UNITS,
+    }
+    for part in (header["encoder"], header["memory"], header["drive"], header["input_map"], *header["effects"][:64]):
+        for key, value in part.items():
+            number = isinstance(value, (int, float))
+            fits = not number or (math.isfinite(value) and 0 <= value <= _LARGEST.get(key, math.inf))
+            checks[f"{part['name']}: {key} {value!r}"] = fits and not (key == "horizon" and value == 0)
+    long = header.get("long_record")
+    if long is not None:
+        checks[f"dt of the long record {long['dt']!r}"] = _positive(long["dt"])
+    _refuse([name for name, good in checks.items() if not good])
+
+
+def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
+    """Refuse arrays that are not finite (bounds may be open) and a nominal without its highest derivative.
+
+    Raises:
+        BadInput: with all such arrays.
+    """
+    problems = []
+    for name, array in zip(names, arrays, strict=True):
+        good = not np.isnan(array).any() if name.endswith(".bounds") else np.isfinite(array).all()
+        if not good:
+            problems.append(f"{name} holds values that are not finite")
+        elif name == ".coefficients" and array.size and array.reshape(-1)[-1] == 0:
+            problems.append("its highest coefficient is 0")
+    _refuse(problems)
+
+
+def _positive(value) -> bool:
+    return math.isfinite(value) and value > 0
+
+
+def _refuse(problems: list[str]) -> None:
+    if problems:
+        told = "; ".join(problem if len(problem) <= 80 else problem[:80] + "..." for problem in problems[:8])
+        raise BadInput(f"not a usable model file ({told}); write it again with pitp")
