@@ -17,7 +17,7 @@ from .._errors import BadInput
 from .checks import MIN_SAMPLES, TIME_TOLERANCE, refuse_time
 from .preprocess import force_band
 
-_HALF, _ROUNDING = 0.5, 1e-6  # of a sample
+_HALF, _ROUNDING = 0.55, 1e-6  # of a sample: a half, and what the line may be off that was fitted to such times
 _GAP = 0.1  # of a period of the fastest drive
 
 
@@ -76,7 +76,7 @@ def on_grid(
     lost = np.diff(index) - 1
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
         return Gridded((Piece(time, voltage, displacement),), jitter)
-    cuts = np.flatnonzero(lost > _longest_gap(voltage, lost, dt)) + 1
+    cuts = np.flatnonzero(lost > _longest_gap(voltage, index, dt)) + 1
     pieces, dropped = [], 0
     for begin, end in zip((0, *cuts.tolist()), (*cuts.tolist(), len(time)), strict=True):
         if end - begin < MIN_SAMPLES:
@@ -127,11 +127,17 @@ def _line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
     return float(time.mean() - b * index.mean()), b
 
 
-def _longest_gap(voltage: np.ndarray, lost: np.ndarray, dt: float) -> float:
-    """Samples that may be lost in a row: a tenth of a period of the fastest drive."""
-    stretches = [part for part in np.split(voltage, np.flatnonzero(lost) + 1) if len(part) > 8]
-    stretches = [part for part in stretches if np.ptp(part) > 1e-6 * np.abs(part).max()]
-    fastest = force_band(stretches, dt) if stretches else 0.0
+def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
+    """Samples that may be lost in a row: a tenth of a period of the fastest drive.
+
+    A drive with few lost samples is taken whole, since short stretches of a slow drive would look fast.
+    """
+    if index[-1] < 2 * len(voltage):
+        stretches = [np.interp(np.arange(index[-1] + 1), index, voltage)]
+    else:
+        stretches = np.split(voltage, np.flatnonzero(np.diff(index) > 1) + 1)
+    moving = [part for part in stretches if len(part) > 8 and np.ptp(part) > 1e-6 * np.abs(part).max()]
+    fastest = force_band(moving, dt) if moving else 0.0
     return min(_GAP / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
 
 

@@ -1,7 +1,7 @@
 """What a sensor reads when it does not see: spikes, dropouts and clipping, found and masked.
 
 spike     1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then back
-dropout   a run of one value, entered and left by such jumps;  or a value farther off than all others are apart
+dropout   a run of one value of a noisy sensor, entered and left by jumps;  or a value farther off than all others are
 clipping  a run of the record's extreme value while the drive moves and the sensor is noisy elsewhere
 
 step is the median of the record's steps |y_i - y_(i-1)| that are not zero, step_local the largest of the five steps
@@ -13,9 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .initial_state import noise_std
+
 _FAR, _LONGEST_SPIKE = 10.0, 3
 _SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; share of the drive's range it must move by in them
-_NOISY = 0.05  # of neighbouring samples are equal at most, where a sensor is noisy enough to tell a limit from a rest
+_NOISY = 0.05  # of a step is the noise at least, and of neighbouring samples are equal at most, to tell a limit
 _FEWEST_VALUES = 32  # distinct ones, below which a record is no measured motion (two levels, a counter)
 
 
@@ -53,11 +55,12 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
         return Masked(displacement)
     step = float(np.median(moving))
     bad = _off_scale(y) | _spikes(y, step)
-    if np.mean(steps == 0) < 0.5:
+    clipped = np.zeros_like(bad)
+    if noise_std(y) > _NOISY * step:  # else a stop, a rest or a step stands as still as a limit
         bad |= _stuck(y, step)
+        clipped = _clipped(np.where(bad, np.nan, y), voltage[seen])
     if 2 * bad.sum() > len(y):
         return Masked(displacement)
-    clipped = _clipped(np.where(bad, np.nan, y), voltage[seen])
     if not bad.any() and not clipped.any():
         return Masked(displacement)
     kept, off = displacement.copy(), y[bad]
@@ -117,8 +120,8 @@ def _stuck(y: np.ndarray, step: float) -> np.ndarray:
             continue
         before, after = y[begin - 3 : begin], y[end : end + 3]
         local = max(np.abs(np.diff(before)).max(), np.abs(np.diff(after)).max(), step)
-        jumps = before[-1] - y[begin], after[0] - y[begin]
-        bad[begin:end] |= min(map(abs, jumps)) > _FAR * local
+        near, far = sorted((abs(before[-1] - y[begin]), abs(after[0] - y[begin])))
+        bad[begin:end] |= far > _FAR * local and near > _FAR / 2 * local
     return bad
 
 

@@ -1,0 +1,98 @@
+"""A sensor's spikes, dropouts and clipping are masked; real motion is not."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from pitp_jax._record.outliers import mask_faults
+from pitp_jax._record.reading import read
+
+DT, COUNT = 1e-3, 8000
+TIME = np.arange(COUNT) * DT
+NOISE = 5e-6 * np.random.default_rng(1).normal(size=COUNT)
+DRIVE = 1000 + 900 * np.sin(2 * np.pi * 3 * TIME)
+MOTION = 1e-3 * np.sin(2 * np.pi * 3 * TIME - 0.4) + NOISE
+
+
+@pytest.mark.parametrize("value", [0.9999, -0.5, 0.02, 3e-3])
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_spikes_are_masked_and_nothing_else(value, length):
+    x = MOTION.copy()
+    places = np.concatenate([np.arange(k, k + length) for k in (1000, 3333, 7000)])
+    x[places] = value
+    found = mask_faults(x, DRIVE)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found.displacement)), places)
+    assert found.outliers == 3 * length and found.largest == value
+
+
+@pytest.mark.parametrize("edge", [0, COUNT - 1])
+def test_a_lost_laser_at_an_end_of_the_record(edge):
+    x = MOTION.copy()
+    x[edge] = 0.9999
+    assert np.flatnonzero(np.isnan(mask_faults(x, DRIVE).displacement)).tolist() == [edge]
+
+
+@pytest.mark.parametrize("value", [0.9999, 2e-4])
+def test_dropouts_are_masked_whole(value):
+    """The laser sees nothing for 40 samples, and shows its maximum, or what it shows then, within the motion."""
+    x = MOTION.copy()
+    begin = 2000 if abs(MOTION[2000] - value) > 5e-4 else 2100
+    x[begin : begin + 40] = value
+    found = mask_faults(x, DRIVE)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found.displacement)), np.arange(begin, begin + 40))
+
+
+def test_clipping_is_masked_where_the_drive_moves():
+    x = np.minimum(MOTION, 7e-4)
+    found = mask_faults(x, DRIVE)
+    np.testing.assert_array_equal(np.isnan(found.displacement), x == 7e-4)
+    assert found.limit == 7e-4 and found.outliers == 0
+
+
+def resonance(force, hz=20.0, damping=0.02):
+    """What a mass on a spring makes of a force, by an exact pole pair."""
+    pole = np.exp((-damping + 1j * np.sqrt(1 - damping**2)) * 2 * np.pi * hz * DT)
+    a = [1, -2 * pole.real, abs(pole) ** 2]
+    return lfilter([sum(a)], a, force)
+
+
+@pytest.mark.parametrize(
+    "motion",
+    {
+        "steps": np.repeat([0, 1e-3, 2e-4, 1.5e-3], COUNT // 4),  # within one sample
+        "pulses": resonance(np.where(np.arange(COUNT) % 500 == 0, 1e-1, 0.0)),
+        "end stop": np.minimum(1e-3 * np.sin(2 * np.pi * 3 * TIME), 7e-4),
+        "bouncing": np.abs(1e-3 * np.sin(2 * np.pi * 11 * TIME)),
+        "square": 1e-3 * np.sign(np.sin(2 * np.pi * 3 * TIME)),
+        "fast": 1e-3 * np.sin(2 * np.pi * 320 * TIME),
+        "broadband": 1e-3 * np.random.default_rng(0).normal(size=COUNT),
+        "coarse": np.round(1e-3 * np.sin(2 * np.pi * 0.2 * TIME), 4),
+        "heavy tails": 1e-4 * np.random.default_rng(0).laplace(size=COUNT),
+    }.items(),
+    ids=lambda item: item[0],
+)
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_real_motion_is_not_masked(motion, noise):
+    found = mask_faults(motion[1] + noise * NOISE, DRIVE)
+    assert found.outliers + found.clipped == 0
+
+
+def test_a_hundred_thousand_samples_of_noise_have_no_outlier():
+    rng = np.random.default_rng(5)
+    assert mask_faults(rng.normal(size=100_000), rng.normal(size=100_000)).outliers == 0
+
+
+@pytest.mark.parametrize(
+    "folder", ["data/hasel_peano", "data/silverbox", "data/so101/elbow", "data/so101/pitch", "bench/roll/test"]
+)
+def test_nothing_is_masked_in_measured_records(shared, folder):
+    for record in read(shared / folder):
+        assert record.recognised["outliers"] + record.recognised["clipped"] == 0
+
+
+def test_three_samples_of_a_lost_laser(shared):
+    for spoilt, whole in zip(read(shared / "starts" / "spikes"), read(shared / "starts" / "at_rest"), strict=True):
+        assert np.flatnonzero(~spoilt.observed).tolist() == [3000, 3001, 7000]
+        assert spoilt.recognised["outliers"] == 3 and "999.9 mm" in spoilt.recognised["remarks"][0]
+        seen = spoilt.observed
+        np.testing.assert_array_equal(spoilt.displacement[seen], whole.displacement[seen])
