@@ -144,7 +144,8 @@ def find_header(
     first = next((k for k in range(len(rows)) if numbers(k)), None)
     if first is None:
         raise BadInput(f"{source}: no row in which every column has its number; correct the first rows")
-    names, units, notes = _header(rows[:first], commented, width, source)
+    filled = [len(_trimmed(row)) for row in rows[first:] if len(row) == width]
+    names, units, notes = _header(rows[:first], commented, range(max(filled), width + 1), source)
     spoken = _spoken(rows[:first], separator)
     columns = tuple(
         Column(cleaned(name), units[k] or spoken.get(name.lower()), k in stamps) for k, name in enumerate(names)
@@ -154,8 +155,9 @@ def find_header(
     return Layout(separator, decimal, columns, first, width, tuple(notes))
 
 
-def _header(rows: list[list[str]], commented, width, source) -> tuple[list[str], list[str | None], list[str]]:
-    """Names, units beside them, and what to tell of the rows above the numbers."""
+def _header(rows: list[list[str]], commented, widths: range, source) -> tuple[list[str], list[str | None], list[str]]:
+    """Names, units beside them, and what to tell of the rows above the numbers, which have so many cells filled."""
+    width = widths[-1]
     units: list[str | None] = [None] * width
     notes, place = [], len(rows)
     labels = next((row for row in rows if row and row[0].lower() == "y_unit_label"), None)
@@ -169,7 +171,8 @@ def _header(rows: list[list[str]], commented, width, source) -> tuple[list[str],
             units = [cell or None for cell in (*rows[k], *[""] * width)][:width]
             notes.append("units row")
             continue
-        fits = len(row) > 1 and abs(len(_trimmed(rows[k])) - width) <= (0 if commented[k] else 1)
+        names = len(_trimmed(rows[k]))
+        fits = len(row) > 1 and (names in widths or (not commented[k] and abs(names - width) == 1))
         if fits and not any(is_number(cell, ".") or is_number(cell, ",") for cell in row):
             place = k
             break
