@@ -3,6 +3,7 @@
 import hashlib
 import json
 import pickle
+import time
 
 import equinox as eqx
 import jax
@@ -291,3 +292,43 @@ def test_an_effect_needs_one_line(tmp_path, monkeypatch):
     saved = model(effects=(Effect(2), Effect(5)))
     model_file.save(tmp_path / "m", saved)
     assert_same(saved, model_file.load(tmp_path / "m"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        (b'"dt": 0.001', b'"dt": 0.0', "dt"),
+        (b'"dt": 0.001', b'"dt": -0.001', "dt"),
+        (b'"dt": 0.001', b'"dt": {"float": "nan"}', "dt"),
+        (b'"polarity": -1.0', b'"polarity": 0.0', "polarity"),
+        (b'"offset": 1.25e-05', b'"offset": {"float": "inf"}', "offset"),
+        (b'"force": 36000000.0', b'"force": 0.0', "force"),
+        (b'"state": [1.0, ', b'"state": [0.0, ', "state"),
+        (b'"voltage_range": [0.0, ', b'"voltage_range": [9e9, ', "voltage range"),
+        (b'"displacement_unit": "mm"', b'"displacement_unit": "furlong"', "unit"),
+        (b'"memories": 3', b'"memories": 4000', "memories"),
+    ],
+)
+def test_numbers_that_make_no_model_are_refused(stored, old, new, word):
+    path, content = stored
+    assert old in content
+    assert word in refused(path, resealed(content, lambda rest: rest.replace(old, new, 1)))
+
+
+def test_weights_that_are_not_finite_are_refused(tmp_path):
+    odd = eqx.tree_at(lambda m: m.coefficients, model(), jnp.asarray([1.0, np.nan, 1.0]))
+    model_file.save(tmp_path / "m", odd)
+    with pytest.raises(BadInput, match="not finite"):
+        model_file.load(tmp_path / "m")
+    model_file.save(tmp_path / "m", eqx.tree_at(lambda m: m.coefficients, model(), jnp.asarray([1.0, 1.0, 0.0])))
+    with pytest.raises(BadInput, match="highest coefficient"):
+        model_file.load(tmp_path / "m")
+
+
+def test_a_hundred_thousand_effects_are_refused_at_once(stored):
+    path, content = stored
+    many = b", ".join([b'{"name": "coulomb_friction"}'] * 100_000)
+    data = resealed(content, lambda rest: rest.replace(b'"effects": []', b'"effects": [' + many + b"]", 1))
+    begun = time.process_time()
+    assert "100000 effects" in refused(path, data)
+    assert time.process_time() - begun < 1.0  # about 0.15 s
