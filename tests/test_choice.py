@@ -1,5 +1,7 @@
 """Which column is the time, which the input, which the output, and in which unit."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, save_h5, text
@@ -93,7 +95,7 @@ def test_units_and_scales_can_be_given(tmp_path):
     """An amplifier's monitor of 1 V per kV and a laser of 2 mm per V, as a DAQ records them."""
     save_csv(tmp_path / "a.csv", {"t": TIME, "ai0 (V)": VOLTAGE / 1000, "ai1 (V)": OUTPUT / 2})
     assert "two matches" in refused(tmp_path / "a.csv")
-    picked = {"input_column": "ai0 (V)", "output_column": "ai1 (V)"}
+    picked: dict[str, Any] = {"input_column": "ai0 (V)", "output_column": "ai1 (V)"}
     (record,) = read(tmp_path / "a.csv", **picked, input_scale=1000, output_scale=0.002)
     np.testing.assert_allclose(record.voltage, VOLTAGE, rtol=1e-14)
     np.testing.assert_allclose(record.displacement, OUTPUT * 1e-3, rtol=1e-12)

@@ -4,6 +4,7 @@ import csv
 import gzip
 import io
 import time
+from typing import Any
 
 import h5py
 import numpy as np
@@ -113,8 +114,9 @@ def test_a_file_without_header_is_read_by_counting(tmp_path):
     body = "\n".join(f"{a},{b},{c}" for a, b, c in zip(TIME, VOLTAGE, OUTPUT, strict=True))
     (tmp_path / "a.csv").write_text(body)
     assert "columns here: '1', '2', '3'" in refused(tmp_path / "a.csv")
-    picked = {"time_column": "1", "input_column": "2", "output_column": "3", "input_unit": "V", "output_unit": "mm"}
-    (record,) = read(tmp_path / "a.csv", **picked)
+    (record,) = read(
+        tmp_path / "a.csv", time_column="1", input_column="2", output_column="3", input_unit="V", output_unit="mm"
+    )
     assert record.samples == T and "no header" in record.recognised["file"]
 
 
@@ -176,7 +178,9 @@ def test_structs_and_groups(tmp_path):
         for name, values in columns().items():
             file[f"run2/{name}"] = values
     assert "'run1/time_s', 'run2/time_s'" in refused(tmp_path / "b.h5")
-    picked = {f"{k}_column": f"run2/{n}" for k, n in zip(("time", "input", "output"), columns(), strict=True)}
+    picked: dict[str, Any] = {
+        f"{k}_column": f"run2/{n}" for k, n in zip(("time", "input", "output"), columns(), strict=True)
+    }
     assert len(read(tmp_path / "b.h5", **picked)) == 1
 
 
