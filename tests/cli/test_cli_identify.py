@@ -88,7 +88,7 @@ def test_columns_can_be_chosen(call, bench, tmp_path, quick_identify):
     path = write_record(tmp_path / "r.csv", voltage, x, units=("V", "m"))
     path.write_text(path.read_text().replace("voltage_V", "command_V").replace("displacement_m", "laser_um"))
     choice = ["--input-column", "command_V", "--output-column", "laser_um"]
-    assert "missing" in refused(call("identify", path, "--out", tmp_path / "m"))
+    assert "missing" in refused(call("identify", path, "--out", tmp_path / "m", "--input-column", "other_V"))
     assert call("identify", path, "--out", tmp_path / "m", *choice)[0] == 0
     assert call("predict", tmp_path / "m", path, "--out", tmp_path / "d", *choice)[0] == 0
     header = (tmp_path / "d" / "r.csv").read_text().splitlines()[0]

@@ -14,7 +14,7 @@ from pitp_jax._commands.predict import median_e_rms
 def test_predict_writes_scores_and_records_in_their_own_units(call, bench, tmp_path):
     out, file = tmp_path / "new" / "folder", tmp_path / "scores.json"
     code, text, err = call("predict", bench / "nominal", bench / "records", "--out", out, "--json", file)
-    assert (code, err) == (0, "")
+    assert code == 0 and err.startswith("pitp: read 3 records") and err.count("\n") == 1
     result = json.loads(file.read_text())
     assert list(result) == ["records", "median_e_rms_percent"]
     assert set(result["records"]) == set(DRIVES)
@@ -124,7 +124,7 @@ def test_predict_fails_only_where_all_diverge(call, bench, tmp_path, diverging):
     diverging.update(DRIVES)
     code, _, err = call("predict", bench / "nominal", bench / "records", "--json", tmp_path / "j")
     assert code == 3
-    assert len(err.splitlines()) == 1
+    assert [line.split()[1] for line in err.splitlines()] == ["read", "error:"]
     assert json.loads((tmp_path / "j").read_text())["median_e_rms_percent"] is None
 
 
