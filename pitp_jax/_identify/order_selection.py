@@ -94,7 +94,7 @@ def describe(fit: Fit, problem: OutputError) -> OrderFit:
         bic=float(samples * np.log(rms**2) + len(fit.params) * np.log(samples)),
         natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
         damping=np.array([-r.real / abs(r) for r in upper]),
-        offset=problem.offset + (float(fit.params[n + 1]) * problem.output_scale if problem.free_offset else 0.0),
+        offset=float(problem.zero(problem.main, fit.params, n)),
         polarity=float(np.sign(fit.params[n]) or 1.0),
         converged=bool(fit.converged),
         identifiable=bool(fit.converged and (known < 3.0).all() and np.abs(roots).max() * problem.dt < np.pi),
