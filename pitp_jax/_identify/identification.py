@@ -12,8 +12,10 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
+from .._effects.amplifier import Delay
 from .._errors import BadInput, ComputationFailed
 from .._model.input_map import INPUT_MAPS
 from .._model.model import Hold, Model, Output, Provenance, linear_model
@@ -40,6 +42,7 @@ from .output_error import (
 ORDERS = tuple(range(1, 7))
 # Other holds than foh, and the share of its error each has to beat: a wrong one costs little, a right one more later
 _HOLDS: dict[Hold, float] = {"zoh": 0.98, "bandlimited": 0.997}
+_DELAYS = (0.5, 1.5, 4.0)  # samples, from which a delay is sought
 _NO_WORSE = 1.001  # an order holds every lower one, so its cost is no higher unless the search stopped short
 
 
@@ -70,6 +73,7 @@ def identify(
     order: int | str = "auto",
     input_map: str = "square",
     hold: Hold | None = None,
+    learn: Sequence[str] = (),
     progress: Callable[[str], None] = lambda line: None,
 ) -> Identification:
     """Fit a linear ODE to records by output error.
@@ -80,6 +84,7 @@ def identify(
         input_map: "square" (F = u^2) or "linear" (F = u).
         hold: "foh", "zoh", "bandlimited", or None for the one that leaves least error: foh unless zoh wins by 2 %
             or bandlimited by 0.3 %.
+        learn: ("delay",) to fit a pure delay between drive and motion as well; the model carries it as an effect.
         progress: called with one line per finished order.
 
     Raises:
@@ -92,10 +97,12 @@ def identify(
         raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
     if hold is not None and hold not in ("foh", *_HOLDS):
         raise BadInput(f"unknown hold {hold!r}: use one of foh, {', '.join(_HOLDS)}, or None")
+    if unknown := sorted(set(learn) - {"delay"}):
+        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
     check_set(records)
     check_motion(records)
     begun, roots = find_beginnings(records, input_map)
-    problem = build_problem(records, input_map, begun)
+    problem = build_problem(records, input_map, begun, delayed="delay" in learn)
     fits = _fit_orders(records, problem, roots, ORDERS if order == "auto" else range(1, int(order) + 1), progress)
     described = [describe(f, problem) for f in fits]
     chosen = choose(described, order)
@@ -126,7 +133,7 @@ def _fitted(begun: Sequence[Beginning], fit: Fit, problem: OutputError) -> list[
     found = []
     for k, b in enumerate(begun):
         stderr = float(errors[problem.zeros[k]]) if b.free else b.stderr
-        zero = problem.zero(k, fit.params, fit.order)
+        zero = float(problem.zero(k, fit.params, fit.order))
         found.append(replace(b, direction=polarity * b.direction, zero=zero, stderr=stderr, free=False))
     return found
 
@@ -142,7 +149,7 @@ def _fit_orders(records, problem: OutputError, roots, orders: Iterable[int], pro
         if fits and fits[-1].order == order - 1:
             lower = np.roots(polynomial(fits[-1].params[: order - 1])[::-1])
             starts += [np.append(lower, -factor * max(np.abs(lower).max(), 1.0)) for factor in (3.0, 12.0)]
-        params = [linear_start(r, order, problem) for r in starts]
+        params = [linear_start(r, order, problem, d) for r in starts for d in (_DELAYS if problem.delayed else (1.0,))]
         params = [p for p in params if p is not None]
         if len(params) > 1:
             params = sorted(params, key=lambda p: _cost(p, order, "foh", problem))[:2]
@@ -221,7 +228,7 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
             aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest"
         ),
     ).driven_by(records)
-    return linear_model(
+    model = linear_model(
         a,
         input_map=INPUT_MAPS[input_map](),
         state_scale=x_rms * omega ** np.arange(n + 1),
@@ -231,3 +238,4 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
         substeps=int(np.clip(np.ceil(fastest * dt / 0.25), 1, 16)),
         provenance=provenance,
     )
+    return replace(model, effects=(Delay(jnp.asarray(chosen.delay)),)) if chosen.delay > 0 else model
