@@ -183,7 +183,7 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     counts[:spent] = False
     span = float(np.ptp(x[seen]))
     weight = 1e4 * counts / (max(counts.sum(), 1) * span**2)
-    rest = spent == 0
+    rest = not np.any(start[:n])
     late = ports.delayed(model, jnp.asarray(record.voltage, jnp.float32), record.dt, jnp.asarray(rest))
     voltage = np.asarray(model.drive.film(late, record.dt, jnp.asarray(rest)))
     memory = model.memory.trajectory(

@@ -114,6 +114,11 @@ def _still(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return still, values[:, 0], np.minimum(4 * errors[:, 0], 0.015 * span) + 0.002 * span
 
 
+def is_still(record: Record) -> bool:
+    """True when some window finds no velocity at the first sample, and that sample is known."""
+    return first_known(record) == 0 and bool(_still(record)[0].any())
+
+
 def starts_at_rest(record: Record, offset: float) -> bool:
     """True when some window finds the first displacement at `offset` (output unit) and the first velocity zero."""
     still, value, tolerance = _still(record)

@@ -178,7 +178,7 @@ def _from_the_start(model: Model, records: Sequence[Record], size: int, share: f
         target[k, :n] = np.where(seen, x[:n], 0.0)
         span = np.nanmax(x) - np.nanmin(x)
         weight[k, :n] = share * 1e4 * seen / max(seen.sum(), 1) / span**2 / len(records)
-    rest = np.array([s == 0 for s in spent], np.float32)
+    rest = np.asarray(~start[:, : model.order].any(1), np.float32)
     return Runs(start, *(jnp.asarray(v) for v in (rest, voltage, target, weight)))
 
 
