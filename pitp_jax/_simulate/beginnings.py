@@ -82,10 +82,10 @@ def beginnings(
 
 def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray]) -> Beginning:
     """The kind whose run leaves least of the first samples; zero and direction with it."""
-    output, y = model.output, record.displacement[:_AHEAD]
+    zero, polarity, y = float(model.output.offset), float(model.output.polarity), record.displacement[:_AHEAD]
     noise, span = noise_std(record.displacement), np.nanmax(record.displacement) - np.nanmin(record.displacement)
     if not is_still(record):
-        return Beginning("moving", output.polarity, output.offset, float("inf"))
+        return Beginning("moving", polarity, zero, float("inf"))
     moved = np.abs(record.voltage[:_AHEAD] - record.voltage[0]) > 1e-3 * np.ptp(record.voltage)
     first = max(int(np.argmax(moved)) if moved.any() else len(y), min(INITIAL_SAMPLES, len(y)))
     plain = np.abs(y - np.nanmedian(y[:8])) > max(_PLAIN * noise, 0.02 * span)
@@ -96,17 +96,17 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray]) -> 
         return float(np.nanstd(error)) if np.isfinite(runs[begins][:seen]).all() else np.inf
 
     kinds: tuple[Begins, ...] = ("rest", "held") if record.voltage[0] != 0 else ("rest",)
-    scores = {(b, d): left(b, d) for b in kinds for d in (output.polarity, -output.polarity)}
+    scores = {(b, d): left(b, d) for b in kinds for d in (polarity, -polarity)}
     begins, direction = min(scores, key=lambda k: scores[k])
-    if direction != output.polarity and not plain.any():
-        begins, direction = min((k for k in scores if k[1] == output.polarity), key=lambda k: scores[k])
-    at_zero = starts_at_rest(record, output.offset)
+    if direction != polarity and not plain.any():
+        begins, direction = min((k for k in scores if k[1] == polarity), key=lambda k: scores[k])
+    at_zero = starts_at_rest(record, zero)
     enough = max(3 * noise, 0.002 * span, _EXPLAINED * float(np.nanstd(y[:seen])))
     if not at_zero and scores[begins, direction] > enough:
-        return Beginning("moving", output.polarity, output.offset, float("inf"))
+        return Beginning("moving", polarity, zero, float("inf"))
     if begins == "rest":
         level, stderr = rest_level(record)
-        return Beginning("rest", direction, output.offset if at_zero else level, 1.5 * stderr)
+        return Beginning("rest", direction, zero if at_zero else level, 1.5 * stderr)
     error = y[:first] - direction * runs["held"][:first]
     known = int(np.isfinite(error).sum())
     return Beginning("held", direction, float(np.nanmean(error)), float(np.nanstd(error)) / np.sqrt(max(known, 1)))
