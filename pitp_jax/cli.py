@@ -200,6 +200,9 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--order", type=_order, default="auto", metavar="N|auto", help="1 to 6, or auto (default)")
     parser.add_argument("--input-map", choices=("square", "linear"), default="square", help="F = u^2 (default) or u")
     parser.add_argument(
+        "--learn", action="append", default=[], choices=("delay",), help="also fit a pure delay behind the drive"
+    )
+    parser.add_argument(
         "--json", dest="json_file", metavar="FILE", help="also write the comparison of orders for machines"
     )
     _columns(parser)

@@ -152,3 +152,17 @@ def test_nothing_to_identify(coefficients):
         identify([record], order=7)
     with pytest.raises(BadInput, match="unknown input map 'cubic'"):
         identify([record], input_map="cubic")
+
+
+@pytest.mark.parametrize("samples", [0.6, 3.3])
+def test_a_planted_delay_comes_back(coefficients, samples):
+    """A delay of parts of a sample to several, from rest: within its standard errors, and carried by the model."""
+    a, late = coefficients(2), np.interp(np.arange(SAMPLES) - samples, np.arange(SAMPLES), SWEEP, left=0.0)
+    record = sweep(a, 27, voltage=late)
+    record = Record("late", TIME, SWEEP, record.displacement)
+    found = identify([record], order=2, hold="foh", learn=("delay",))
+    assert abs(found.chosen.delay - samples * DT) < 4 * found.chosen.delay_stderr < 0.1 * DT
+    assert errors(found.chosen, a).max() < 5
+    assert float(found.model.effects[0].time) == pytest.approx(found.chosen.delay)
+    with pytest.raises(BadInput, match="'mass' cannot be learned"):
+        identify([record], learn=("mass",))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.initial_guess import equation_error_roots, linear_start, peak_roots
 from pitp_jax._identify.output_error import build_problem, residual
 from pitp_jax._record.record import Record
@@ -19,6 +20,10 @@ def record(a, start=0, offset=0.0):
     return Record("r", TIME[start:], SWEEP[start:], x[start:])
 
 
+def problem_of(*records):
+    return build_problem(records, "square", find_beginnings(records, "square")[0])
+
+
 def sorted_roots(a):
     return np.sort_complex(np.roots(a[::-1]))
 
@@ -26,7 +31,7 @@ def sorted_roots(a):
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_equation_errors_roots_are_the_systems(coefficients, order):
     a = coefficients(order)
-    problem = build_problem([record(a)], "square")
+    problem = problem_of(record(a))
     roots = equation_error_roots([record(a)], order, problem)
     assert roots is not None
     found = np.sort_complex(roots) * problem.omega
@@ -35,7 +40,7 @@ def test_the_equation_errors_roots_are_the_systems(coefficients, order):
 
 def test_too_few_samples_give_no_roots(coefficients):
     a = coefficients(2)
-    problem = build_problem([record(a)], "square")
+    problem = problem_of(record(a))
     blind = record(a)
     blind.displacement[10:] = np.nan
     assert equation_error_roots([blind], 2, problem) is None
@@ -43,7 +48,7 @@ def test_too_few_samples_give_no_roots(coefficients):
 
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_the_peak_is_the_resonance(coefficients, order):
-    problem = build_problem([record(coefficients(2))], "square")
+    problem = problem_of(record(coefficients(2)))
     found = np.asarray(peak_roots(problem, order), complex)
     w = 2 * np.pi * 5.0 / problem.omega
     assert len(found) == order and (np.real(found) < 0).all()
@@ -54,30 +59,30 @@ def test_the_peak_is_the_resonance(coefficients, order):
 
 def test_given_its_poles_the_gain_is_the_systems(coefficients):
     a = coefficients(2)
-    problem = build_problem([record(a, offset=1e-3)], "square")
+    problem = problem_of(record(a, offset=1e-3))
     params = linear_start(sorted_roots(a) / problem.omega, 2, problem)
     assert params is not None
     assert params[2] == pytest.approx(problem.voltage_scale**2 / a[0] / problem.output_scale, rel=1e-3)
     assert np.abs(residual(params, problem, order=2, hold="foh")).max() < 2e-3
 
 
-def test_where_it_starts_in_motion_gain_and_offset_are_the_best_there_are(coefficients):
-    """What is left is orthogonal to what either would add."""
+def test_where_it_starts_in_motion_gain_zero_and_state_are_the_best_there_are(coefficients):
+    """What is left is orthogonal to what any of them would add."""
     a = coefficients(2)
-    problem = build_problem([record(a, 640, offset=1e-3)], "square")
+    problem = problem_of(record(a, 640, offset=1e-3))
     params = linear_start(sorted_roots(a) / problem.omega, 2, problem)
     assert params is not None
 
     def left(p):
         return np.asarray(residual(p, problem, order=2, hold="foh"), np.float64).reshape(-1)
 
-    assert problem.free_offset and len(params) == problem.parameters(2)
-    for more in np.eye(len(params))[2:4]:
+    assert problem.free_zeros == 1 and len(params) == problem.parameters(2)
+    for more in np.eye(len(params))[2:]:
         column = left(params + more) - left(params)
         cosine = column @ left(params) / np.linalg.norm(column) / np.linalg.norm(left(params))
         assert np.linalg.norm(column) > 1.0 and abs(cosine) < 1e-4
 
 
 def test_no_roots_no_start(coefficients):
-    problem = build_problem([record(coefficients(2))], "square")
+    problem = problem_of(record(coefficients(2)))
     assert linear_start(None, 2, problem) is None and linear_start(np.array([-1.0]), 2, problem) is None

@@ -3,6 +3,7 @@
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
 from .._model_file.model_file import save
+from .._record.initial_state import Beginning
 from .._record.units import from_base
 from .console import number, print_table, say
 from .outputs import check_files, staged_files, write_json
@@ -10,7 +11,7 @@ from .recordings import read_records
 from .reports import describe, listed, print_model
 
 
-def identify(records, out, order, input_map, json_file, reading) -> None:
+def identify(records, out, order, input_map, learn, json_file, reading) -> None:
     """Identify, write the model file, and print the comparison of orders.
 
     Args:
@@ -18,6 +19,7 @@ def identify(records, out, order, input_map, json_file, reading) -> None:
         out: model file to write.
         order: 1 to 6 or "auto".
         input_map: "square" or "linear".
+        learn: ("delay",) to fit a pure delay as well.
         json_file: where to write the result for machines, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
@@ -27,18 +29,36 @@ def identify(records, out, order, input_map, json_file, reading) -> None:
     check_files(out, json_file, inputs=records)
     read_in = read_records(records, reading, square=input_map == "square")
     check_files(out, json_file, inputs=[r.source for r in read_in])
-    found = run_identify(read_in, order=order, input_map=input_map, progress=say)
+    found = run_identify(read_in, order=order, input_map=input_map, learn=learn, progress=say)
     told = describe(found.model)
     with staged_files(out, json_file) as (out_stage, json_stage):
         save(out_stage, found.model)
         if json_file:
-            write_json(json_stage, {**told, "orders": [vars(fit) for fit in found.orders], "rest": found.rest})
+            write_json(json_stage, {**told, "orders": [vars(fit) for fit in found.orders], "rest": found.rest,
+                                    "beginnings": {name: vars(b) for name, b in found.beginnings.items()}})  # fmt: skip
     unit = read_in[0].displacement_unit
     print_orders(found, unit)
     print_model(told)
-    moving = [name for name, rest in found.rest.items() if not rest]
-    if moving:
-        print(f"start moving: {listed(moving)}; their initial states were estimated")
+    if found.chosen.delay:
+        print(f"delay: {number(1e3 * found.chosen.delay, 3)} +- {number(1e3 * found.chosen.delay_stderr, 2)} ms")
+    print_beginnings(found.beginnings, unit)
+
+
+def print_beginnings(beginnings: dict[str, Beginning], unit: str) -> None:
+    """What begins otherwise than at rest, and the zeros and directions that differ from those of most records."""
+    for kind, line in (
+        ("held", "begin settled at a held drive: {}"),
+        ("moving", "start moving: {}; their initial states were estimated"),
+    ):
+        if names := [name for name, b in beginnings.items() if b.begins == kind]:
+            print(line.format(listed(names)))
+    if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
+        print(f"read against the motion (sensor reversed): {listed(reversed_ones)}")
+    if len({b.group for b in beginnings.values()}) > 1:
+        rows = [(name, *(number(from_base(v, unit, "displacement"), 4) for v in (b.zero, b.stderr)))
+                for name, b in beginnings.items()]  # fmt: skip
+        print("the sensor's zero differs among the records:")
+        print_table(("record", f"zero ({unit})", "+-"), rows)
 
 
 def print_orders(found: Identification, unit: str) -> None:

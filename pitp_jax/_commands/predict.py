@@ -5,6 +5,8 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from .._errors import ComputationFailed
 from .._metrics import e_rms_percent, nrmse_percent, rmse
 from .._model_file.model_file import load
@@ -65,15 +67,27 @@ def score(record: Record, prediction: Prediction) -> dict:
     `samples` counts the whole record, `missing` those without a measurement; the figures leave out those and
     the ones the initial state was estimated from. `rmse` is in the record's own unit.
     """
-    metrics: dict[str, float | None] = dict.fromkeys(("e_rms_percent", "nrmse_percent", "rmse"))
+    metrics: dict[str, float | None] = dict.fromkeys(
+        ("e_rms_percent", "zero_fitted_e_rms_percent", "nrmse_percent", "rmse")
+    )
+    error = np.where(prediction.scored, prediction.displacement - record.displacement, np.nan)
     if not prediction.diverged:
         measured = (prediction.displacement, record.displacement, prediction.scored)
         metrics["e_rms_percent"] = _finite(e_rms_percent(*measured))
+        fitted = prediction.displacement - np.nanmean(error) if np.isfinite(error).any() else prediction.displacement
+        metrics["zero_fitted_e_rms_percent"] = _finite(e_rms_percent(fitted, *measured[1:]))
         metrics["nrmse_percent"] = _finite(nrmse_percent(*measured))
         metrics["rmse"] = _finite(from_base(rmse(*measured), record.displacement_unit, "displacement"))
     return {
         **metrics,
         "rmse_unit": record.displacement_unit,
+        "begins": prediction.begins,
+        "zero": {
+            "value": from_base(prediction.zero, record.displacement_unit, "displacement"),
+            "stderr": _finite(from_base(prediction.zero_stderr, record.displacement_unit, "displacement")),
+            "unit": record.displacement_unit,
+        },
+        "direction": int(prediction.direction),
         "samples": record.samples,
         "missing": record.missing,
         "diverged": bool(prediction.diverged),

@@ -21,12 +21,13 @@ from .._errors import BadInput
 from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._record.excitation_kind import kind, loudest
+from .._record.initial_state import aligned
 from .._record.preprocess import force_band, preprocess
 from .._record.record import Record
 from .._record.sets import session_clock
 from .._simulate import ports
 from .._simulate.decoder import rollout_batch
-from .._simulate.prediction import at_rate, starts
+from .._simulate.prediction import at_rate, begin
 
 Split = Literal["first", "second", "none"]
 
@@ -102,20 +103,25 @@ class Case:
 
 
 def build_case(model: Model, records: Sequence[Record], *, how: Split = "first", mesh: Mesh | None = None) -> Case:
-    """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`."""
+    """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`.
+
+    Every record enters with its own zero and direction taken out (`begin`): they belong to the sensor, and no effect
+    may explain them.
+    """
     model = _finer(at_rate(model, records[0].dt), records[0].dt)
     known = len(records) > 1 and session_clock(records)
-    begin, spent = starts(model, records, known)
+    starts, spent, begun = begin(model, records, known)
+    records = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
     fitted = split(records, how)
     size = max(r.samples for r in records)
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     dtype = model.coefficients.dtype
-    states = rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, begin)
+    states = rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, starts)
     runs = np.asarray(jax.vmap(lambda s: ports.readings(model, s))(states), np.float64)
     top = force_band([_force(model, r.voltage) for r in records], records[0].dt)
     cut = min(max(3 * top, 3 * model.natural_frequency / (2 * np.pi)), 0.3 / records[0].dt)
     series = tuple(
-        _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(begin[k]), cut, known)
+        _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(starts[k]), cut, known)
         for k, r in enumerate(records)
     )
     return Case(model, series, _surroundings(model, series, known), how, mesh)
@@ -183,7 +189,7 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     counts[:spent] = False
     span = float(np.ptp(x[seen]))
     weight = 1e4 * counts / (max(counts.sum(), 1) * span**2)
-    rest = spent == 0
+    rest = not np.any(start[:n])
     late = ports.delayed(model, jnp.asarray(record.voltage, jnp.float32), record.dt, jnp.asarray(rest))
     voltage = np.asarray(model.drive.film(late, record.dt, jnp.asarray(rest)))
     memory = model.memory.trajectory(

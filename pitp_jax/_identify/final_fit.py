@@ -1,88 +1,51 @@
-"""The last word on an identified model: optimistix's Levenberg-Marquardt on the output error, to its own tolerance.
+"""Refine the identified parameters by Gauss-Newton on the output error, each step by a QR of the whole Jacobian.
 
-    r(p), dr/dp     exact, from the host (`output_error.terms`): no pole is ever compiled
+    min_d |J d + r|,    [J r] = Q R,    d = -R_J^-1 R_r         (Golub & Van Loan, 5.3)
 
-The search over orders, starts and holds runs on normal equations (`levenberg_marquardt`), 10 times faster here because
-nothing is compiled for shapes met once; they square the condition number, a QR of the Jacobian does not. So the chosen
-order is refined by it, and a search that stopped short would show as a step. Compiling takes longer than running: the
-program is handed a problem's number, so the next one of its size runs at once.
+The search over orders, starts and holds runs on normal equations, which square the condition number; a QR does not. It
+is accumulated record by record, so the Jacobian is never held whole.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import partial
-from itertools import count
-
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Float
 
-from .output_error import OutputError, residual, terms
+from .output_error import OutputError, terms
+
+_MOST, _SETTLED, _SHORTEST = 12, 1e-10, 0.01
 
 
-def polish(
+def refine(
     params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
 ) -> Float[np.ndarray, " parameters"]:
     """Parameters of least output error from a nearby start."""
-    with jax.enable_x64(True), _at_hand(problem) as number:
-        return np.asarray(_solve(jnp.asarray(params), number, problem.weight.size, order, hold))
+    best, cost, step, share = params, np.inf, np.zeros(len(params)), 1.0
+    for _ in range(_MOST):
+        triangle = _triangle(params, problem, order, hold)
+        here = float(triangle[:, -1] @ triangle[:, -1])
+        if not here < cost:  # a step that was too long, or rounding
+            share /= 4
+            if share < _SHORTEST:
+                return best
+            params = best + share * step
+            continue
+        settled = here > (1 - _SETTLED) * cost
+        best, cost, share = params, here, 1.0
+        size = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
+        step = -np.linalg.lstsq(triangle[:, :-1] / size, triangle[:, -1], rcond=1e-12)[0] / size
+        if settled or not np.isfinite(step).all():
+            return best
+        params = best + step
+    return best
 
 
-_PROBLEMS: dict[int, OutputError] = {}
-_NUMBERS = count()
-
-
-@contextmanager
-def _at_hand(problem: OutputError) -> Iterator[int]:
-    """The number under which callbacks find the problem meanwhile.
-
-    Not its records: JAX copies what a callback is given, from 100 kB on by a task of the threads that run it, so that
-    on one core the callback waited for ever for its own argument.
-    """
-    number = next(_NUMBERS)
-    _PROBLEMS[number] = problem
-    try:
-        yield number
-    finally:
-        del _PROBLEMS[number]
-
-
-@partial(jax.jit, static_argnames=("samples", "order", "hold"))
-def _solve(start, number, samples: int, order: int, hold: str):
-    def left(bits, number):
-        p, problem = _from_bits(bits), _PROBLEMS[int(number)]
-        return _to_bits(residual(p, problem, order=order, hold=hold).reshape(-1))
-
-    def slopes(bits, number):
-        p, problem = _from_bits(bits), _PROBLEMS[int(number)]
-        found = np.zeros((*problem.weight.shape, len(p)))
-        for k, (_, jacobian, columns) in enumerate(terms(p, problem, order=order, hold=hold)):
-            found[k][:, columns] = jacobian
-        return _to_bits(found.reshape(-1, len(p)))
-
-    def read(callback, p, *shape):
-        bits = jax.lax.bitcast_convert_type(p, jnp.uint32)
-        found = jax.pure_callback(callback, jax.ShapeDtypeStruct((*shape, 2), jnp.uint32), bits, number)
-        return jax.lax.bitcast_convert_type(found, jnp.float64)
-
-    @jax.custom_jvp
-    def fn(p):
-        return read(left, p, samples)
-
-    @fn.defjvp
-    def _(primals, tangents):
-        return fn(*primals), read(slopes, primals[0], samples, len(start)) @ tangents[0]
-
-    solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
-    return optx.least_squares(lambda p, _: fn(p), solver, start, max_steps=20, throw=False).value
-
-
-def _to_bits(values: np.ndarray) -> np.ndarray:
-    """Float64 as pairs of uint32: a callback runs on a thread of its own, where float64 is off and would be rounded."""
-    return np.ascontiguousarray(values, np.float64)[..., None].view(np.uint32)
-
-
-def _from_bits(bits) -> np.ndarray:
-    return np.ascontiguousarray(bits).view(np.float64)[..., 0]
+def _triangle(params, problem: OutputError, order: int, hold: str) -> np.ndarray:
+    """R of [J r], (parameters + 1) square."""
+    found = np.zeros((0, len(params) + 1))
+    with np.errstate(all="ignore"):
+        for left, jacobian, columns in terms(params, problem, order=order, hold=hold):
+            rows = np.zeros((len(left), len(params) + 1))
+            rows[:, columns], rows[:, -1] = jacobian, left
+            if not np.isfinite(rows).all():
+                return np.full((len(params) + 1,) * 2, np.nan)
+            found = np.asarray(np.linalg.qr(np.vstack([found, rows]), mode="r"))
+    return found

@@ -37,6 +37,7 @@ class OrderFit:
         natural_hz, damping: of every real pole and pole pair, ascending in frequency.
         offset, polarity: the sensor's zero (m) and direction (+1 or -1).
         converged: the least squares met its tolerance, and no lower order leaves less.
+        delay, delay_stderr: of the drive in s, where one was fitted.
         identifiable: converged, every pole lies below the Nyquist frequency, and the logarithm of every pole
             coefficient is known to better than +-3 (a strong nonlinearity inflates the errors of a perfectly good
             linear fit; poles that no data see are open by hundreds).
@@ -56,6 +57,8 @@ class OrderFit:
     polarity: float
     converged: bool
     identifiable: bool
+    delay: float = 0.0
+    delay_stderr: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ def describe(fit: Fit, problem: OutputError) -> OrderFit:
     known = np.sqrt(np.clip(np.diag(spread)[: n + 1], 0, None))
     known[n] /= abs(fit.params[n])
     rms = float(np.sqrt((left**2).sum() / samples))
+    delay = float(np.exp(fit.params[-1])) * problem.dt if problem.delayed else 0.0
     return OrderFit(
         order=n,
         hold=fit.hold,
@@ -94,10 +98,12 @@ def describe(fit: Fit, problem: OutputError) -> OrderFit:
         bic=float(samples * np.log(rms**2) + len(fit.params) * np.log(samples)),
         natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
         damping=np.array([-r.real / abs(r) for r in upper]),
-        offset=problem.offset + (float(fit.params[n + 1]) * problem.output_scale if problem.free_offset else 0.0),
+        offset=float(problem.zero(problem.main, fit.params, n)),
         polarity=float(np.sign(fit.params[n]) or 1.0),
         converged=bool(fit.converged),
         identifiable=bool(fit.converged and (known < 3.0).all() and np.abs(roots).max() * problem.dt < np.pi),
+        delay=delay,
+        delay_stderr=delay * float(np.sqrt(max(spread[-1, -1], 0.0))) if problem.delayed else 0.0,
     )
 
 

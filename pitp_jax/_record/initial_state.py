@@ -1,25 +1,48 @@
-"""Rest: sensor noise, records in which nothing moves, and whether the actuator is at rest at the first sample.
+"""How records begin: sensor noise, the first state, and the zero of records at rest.
 
-sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
-still:  range <= 10 sigma  and  range <= a fifth of the largest one
-y(t) ~ c_0 + ... + c_4 t^4 over the first samples; rest when y(0) = offset and y'(0) = 0 within noise
-F = b + k(y - c) + a_1 y' + a_2 y'',    k(0) = 0        (whole records; c is the offset only if b = 0)
+    sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
+    y(t) ~ c_0 + ... + c_4 t^4 over the first samples: y(0) and y'(0) within noise
+    measured = direction * displacement + zero         (a zero and a direction belong to a record, not to the actuator)
 
-A turning point is as still as rest. What tells them apart is b, the force that holds the actuator still at c: none at
-rest, a good part of the drive where it stood still for a moment or moved too slowly to see.
+Whether a still record is at rest, settled at a held drive or turning for a moment only the motion that follows can
+tell: `_identify.beginnings` and `_simulate.beginnings` decide it by likelihood.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from .._errors import BadInput
-from .preprocess import cutoff, force_band, preprocess
+from .checks import MIN_SAMPLES
 from .record import Record
 
+Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50
 _STILL, _SMALL = 10.0, 0.2
 _WINDOWS, _FEWEST = (7, 12, 24, 48), 6  # samples a first state is fitted over; and how many of them must be observed
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """How one record begins: measured = direction * displacement + zero.
+
+    Attributes:
+        begins: "rest" (x = 0, uncharged), "held" (settled at u(0)) or "moving".
+        direction: +1 or -1.
+        zero: the sensor's, output unit.
+        stderr: of the zero.
+        group: records of a set with the same number share one zero.
+        free: whether the zero is fitted with the rest (`zero` is then where the fit starts).
+    """
+
+    begins: Begins
+    direction: float
+    zero: float
+    stderr: float
+    group: int = 0
+    free: bool = False
 
 
 def noise_std(displacement: np.ndarray) -> float:
@@ -91,6 +114,11 @@ def _still(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return still, values[:, 0], np.minimum(4 * errors[:, 0], 0.015 * span) + 0.002 * span
 
 
+def is_still(record: Record) -> bool:
+    """True when some window finds no velocity at the first sample, and that sample is known."""
+    return first_known(record) == 0 and bool(_still(record)[0].any())
+
+
 def starts_at_rest(record: Record, offset: float) -> bool:
     """True when some window finds the first displacement at `offset` (output unit) and the first velocity zero."""
     still, value, tolerance = _still(record)
@@ -105,68 +133,45 @@ def first_known(record: Record) -> int:
     return 0 if enough[0] else int(np.argmax(enough & record.observed))
 
 
-def initial_rest(records: Sequence[Record], input_map: str = "square") -> tuple[np.ndarray, float]:
-    """Which records start at rest, and the sensor's offset: the value most still starts share.
+def from_known(record: Record) -> Record:
+    """The record from its first known state on."""
+    first = min(first_known(record), record.samples - MIN_SAMPLES)
+    if first <= 0:
+        return record
+    time, voltage, displacement = (a[first:] for a in (record.time, record.voltage, record.displacement))
+    return replace(record, time=time, voltage=voltage, displacement=displacement)
 
-    A vote counts less the more of a force would be needed to hold the actuator there (`_held`), and nothing where it
-    is no rest at all. Among the records at rest the offset is averaged over their longest quiet beginnings
-    (`rest_level`). If none is at rest it is the median first value: a start for the fit, not a measurement.
 
-    Args:
-        records: one that begins with a long gap (`first_known`) is never at rest: its first state is unknown.
-        input_map: "square" (F = u^2) or "linear" (F = u).
+def aligned(record: Record, beginning: Beginning, output) -> Record:
+    """The record as the model's own sensor would have read it: its zero and direction taken out.
 
-    Returns:
-        rest: bool (records,); offset: output unit.
+    `output`: the model's, with `offset` and `polarity`.
     """
-    found = [_still(r) for r in records]
-    value = np.array([v[s][-1] if s.any() else np.nan for s, v, _ in found])
-    tolerance = np.array([t[s][-1] if s.any() else np.nan for s, _, t in found])
-    votes = np.array([np.sum(np.abs(value - c) <= tolerance) for c in value])
-    support = votes * (1 - _held(records, input_map, value))
-    if not (support > 0).any():
-        middle = [np.nanmedian(r.displacement) for r in records]
-        first = [v[-1] if np.isfinite(v[-1]) else m for m, (_, v, _) in zip(middle, found, strict=True)]
-        return np.zeros(len(records), bool), float(np.median(first))
-    near = np.flatnonzero(np.abs(value - value[int(np.argmax(support))]) <= tolerance)
-    levels, errors = zip(*[rest_level(records[int(k)]) for k in near], strict=True)
-    offset = float(np.average(levels, weights=1 / (np.array(errors) ** 2 + 1e-30)))
-    return np.array([starts_at_rest(r, offset) for r in records]), offset
+    if beginning.zero == output.offset and beginning.direction == output.polarity:
+        return record
+    return replace(record, displacement=output.to_rig(beginning.direction * (record.displacement - beginning.zero)))
 
 
-def _held(records: Sequence[Record], input_map: str, values: np.ndarray) -> np.ndarray:
-    """How surely each value (output unit, nan for none) is not the sensor's offset: above 1 it cannot be.
+def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, float]]:
+    """Records at rest grouped by the zero they share, most first: their places, the zero and its standard error.
 
-    Least squares of the force balance, pooled over the records, with b and without. 1 is where b is 0.3 of the range
-    of the force and without it three times as much is left; both are asked because a single tone far above the
-    resonance leaves b open. A straight and a cubic k must agree, as a stiffening actuator bends a straight one's b.
-    (So each of 330 bench records at rest, taken by itself, stays at rest.)
+    A level comes from the longest beginning whose misfit hides in the noise (`rest_level`). What hides can still bend
+    the level by about a standard error (measured: rms 1 to 2, as the window happens to stop), so errors are widened by
+    half; levels within 4 of them and 0.2 % of the range are one zero.
     """
-    forces = [r.voltage ** (2 if input_map == "square" else 1) for r in records]
-    span = max(np.nanmax(r.displacement) - np.nanmin(r.displacement) for r in records)
-    cut = cutoff(force_band(forces, records[0].dt), records[0].dt)
-    rows = []
-    for r, f in zip(records, forces, strict=True):
-        settled = max(cut, 15.0 / (r.samples * r.dt))  # leaves three quarters of a short record
-        s = preprocess(r, 2, settled, f, displacement=r.displacement / span)
-        keep = np.flatnonzero(s.valid)
-        keep = keep[:: max(1, len(keep) * len(records) // 20_000)]
-        rows.append(np.c_[s.states[keep], s.force[keep]])
-    x, velocity, acceleration, force = np.concatenate(rows).T
-    if len(force) < INITIAL_SAMPLES:
-        return np.zeros(len(values))
-    unit = np.maximum([np.abs(velocity).max(), np.abs(acceleration).max()], 1e-300)
-    moving, force = np.stack([velocity, acceleration], -1) / unit, force / np.ptp(force)
-
-    def held(c, degree):
-        z = x - c / span
-        balance = np.c_[np.stack([z**i for i in range(degree + 1)], -1), moving]
-        free, *_ = np.linalg.lstsq(balance, force, rcond=None)
-        rest, *_ = np.linalg.lstsq(balance[:, 1:], force, rcond=None)
-        least = max(np.linalg.norm(force - balance @ free), 1e-9 * np.linalg.norm(force))
-        return min(abs(free[0]) / 0.3, np.linalg.norm(force - balance[:, 1:] @ rest) / (3 * least))
-
-    return np.array([min(held(c, 1), held(c, 3)) if np.isfinite(c) else 0.0 for c in values])
+    levels = np.array([rest_level(r) for r in records]).reshape(-1, 2)
+    spans = np.array([np.nanmax(r.displacement) - np.nanmin(r.displacement) for r in records])
+    tolerance = np.minimum(4 * levels[:, 1], 0.015 * spans) + 0.002 * spans
+    left, groups = list(range(len(records))), []
+    while left:
+        near = [[m for m in left if abs(levels[m, 0] - levels[k, 0]) <= max(tolerance[k], tolerance[m])] for k in left]
+        members = max(near, key=len)
+        value, weights = levels[members, 0], 1 / (levels[members, 1] ** 2 + 1e-30)
+        zero = float(np.average(value, weights=weights))
+        scatter = float(weights @ (value - zero) ** 2) / max(len(members) - 1, 1)
+        groups.append((members, zero, float(1.5 * np.sqrt(max(scatter, 1.0) / weights.sum()))))
+        left = [k for k in left if k not in members]
+    return sorted(groups, key=lambda g: -len(g[0]))
 
 
 def rest_level(record: Record) -> tuple[float, float]:

@@ -15,11 +15,12 @@ from jaxtyping import Array, Bool, Float
 
 from .._model.model import Model
 from .._model.programs import jit
-from .._record.initial_state import INITIAL_SAMPLES, first_known, starts_at_rest
+from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, first_known
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
 from . import ports
-from .decoder import rest_state, rollout, settled_state
+from .beginnings import beginnings
+from .decoder import rollout, settled_state
 from .parallel_in_time import rollout_by_size
 
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
@@ -78,6 +79,8 @@ class Prediction:
         estimated_start: the record starts moving, so state and memory were estimated from its first samples.
         scored: samples that count, shape (T,): all but those the initial state was estimated from.
         outside_training_share: share of samples whose state lies outside the trained region.
+        begins: "rest", "held" or "moving".
+        zero, zero_stderr, direction: the record's own, from its beginning: measured = direction * x + zero (m or V).
     """
 
     name: str
@@ -86,6 +89,10 @@ class Prediction:
     estimated_start: bool
     scored: np.ndarray
     outside_training_share: float
+    begins: Begins = "rest"
+    zero: float = 0.0
+    zero_stderr: float = 0.0
+    direction: float = 1.0
 
 
 def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
@@ -106,40 +113,51 @@ def _predicted(model: Model, records: Sequence[Record], aged: bool) -> list[Pred
     """Padded to one length."""
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
-    start, spent = starts(model, records, aged)
+    start, spent, begun = begin(model, records, aged)
     states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, start)
     return [
-        _prediction(model, r, np.asarray(s[: r.samples]), n) for r, s, n in zip(records, states, spent, strict=True)
+        _prediction(model, r, np.asarray(s[: r.samples]), n, b)
+        for r, s, n, b in zip(records, states, spent, begun, strict=True)
     ]
 
 
 def starts(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
-    """Initial states of all records, and from how many samples each was estimated (0: it starts at rest).
+    """Initial states of all records, and from how many samples each was estimated (0: at rest or held).
 
     `aged`: whether their times are one session's (default: where no two overlap); else nothing is known of their age.
     """
+    return begin(model, records, aged)[:2]
+
+
+def begin(
+    model: Model, records: Sequence[Record], aged: bool | None = None
+) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
+    """The same, and how each record begins, with its zero and direction."""
     aged = session_clock(records) if aged is None else aged
-    found, spent = zip(*[_start(model, r, model.provenance.age(r.time[0]) if aged else 0.0) for r in records],
-                       strict=True)  # fmt: skip
-    return jnp.stack(found), spent
+    ages = [model.provenance.age(r.time[0]) if aged else 0.0 for r in records]
+    begun, states = beginnings(model, records, ages)
+    found, spent = [], []
+    for record, age, state in zip(records, ages, states, strict=True):
+        samples = 0 if state is not None else first_known(record) + INITIAL_SAMPLES
+        found.append(_estimated(model, record, age, samples) if state is None else state)
+        spent.append(min(samples, record.samples))
+    return jnp.stack(found), tuple(spent), begun
 
 
-def _start(model: Model, record: Record, age: float):
-    """Rest, or the state estimated from the first samples; and how many samples that took (0 at rest).
+def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
+    """The state of a moving start from its first samples.
 
-    After a gap at the beginning the first 50 samples are those behind it: the rollout reaches them from the start.
+    After a gap at the beginning these are behind it: the rollout reaches them from the start.
     """
-    if starts_at_rest(record, model.output.offset):
-        return rest_state(model, age), 0
-    first = slice(0, first_known(record) + INITIAL_SAMPLES)
+    first = slice(0, samples)
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
     voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
     now = jnp.asarray(age, dtype)  # an array: no program for every age
-    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, now), len(x)
+    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, now)
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:
@@ -155,13 +173,14 @@ def outside_share(model: Model, features: np.ndarray) -> float:
     return float(((features < low - slack) | (features > high + slack)).any(-1).mean())
 
 
-def _prediction(model: Model, record: Record, states: np.ndarray, spent: int) -> Prediction:
+def _prediction(model: Model, record: Record, states: np.ndarray, spent: int, begun: Beginning) -> Prediction:
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
     seen = np.asarray(ports.readings(model, jnp.asarray(states[:first])), np.float64)
-    x[:first] = model.output.to_rig(seen * model.scales.state[0])
+    x[:first] = begun.direction * seen * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
     share = 1.0 if first == 0 else outside_share(model, states[:first, : model.order + model.memory.size])
-    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, share)
+    own = begun.begins, begun.zero, begun.stderr, begun.direction
+    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, share, *own)

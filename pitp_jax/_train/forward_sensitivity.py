@@ -28,13 +28,17 @@ _AT_ONCE = 16  # blocks side by side; what is known of them stays in a core's me
 
 
 class Runs(eqx.Module):
-    """Free runs to be met: starts, drive voltages, scaled displacements and weights of the samples."""
+    """Free runs to be met: starts, drive voltages, scaled displacements and weights of the samples.
+
+    `own_zero`: 1 where a run has a sensor zero of its own, projected out of its errors (variable projection).
+    """
 
     start: Float[Array, "records state"]
     rest: Float[Array, " records"]
     voltage: Float[Array, "records time"]
     target: Float[Array, "records time"]
     weight: Float[Array, "records time"]
+    own_zero: Float[Array, " records"] | None = None
 
     def filled(self, lanes: int) -> "Runs":
         """Copies of the last one added, which count for nothing, until `lanes` can have equally many."""
@@ -56,7 +60,17 @@ def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
     states = fast_rollout(model, runs.voltage, dt, runs.start)
     errors = jax.vmap(lambda run: ports.readings(model, run))(states) - runs.target
     last = runs.target.shape[1] // every * every
-    return (jnp.sqrt(every * runs.weight) * errors)[:, :last:every]
+    return _projected(errors[:, :last:every, None], runs, every)[..., 0]
+
+
+def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -> Float[Array, "records errors n"]:
+    """Weighted by c = sqrt(every w), less c (c . row) / (c . c) where a run has a zero of its own."""
+    c = jnp.sqrt(every * runs.weight)[:, : rows.shape[1] * every : every, None]
+    rows = c * rows
+    if runs.own_zero is None:
+        return rows
+    share = (c * rows).sum(1, keepdims=True) / jnp.maximum((c * c).sum(1, keepdims=True), 1e-30)
+    return rows - runs.own_zero[:, None, None] * c * share
 
 
 class _Local:
@@ -143,4 +157,4 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
     items = chunks(states), chunks(stages(local.both)), chunks(jax.jacfwd(stages)(local.both))
     start = jnp.zeros((records, size, local.numbers.count), states.dtype)
     slopes = jax.lax.scan(chunk, start, items)[1].reshape(-1, records, local.numbers.count)[:count]
-    return jnp.sqrt(every * runs.weight)[:, : count * every : every, None] * jnp.moveaxis(slopes, 0, 1)
+    return _projected(jnp.moveaxis(slopes, 0, 1), runs, every)

@@ -23,11 +23,12 @@ from .._errors import ComputationFailed
 from .._model.model import Model
 from .._numerics.geodesic_steps import steps
 from .._record.excitation_kind import spread_over_kinds
+from .._record.initial_state import aligned
 from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
 from .._simulate.decoder import rollout_batch
-from .._simulate.prediction import starts
+from .._simulate.prediction import begin
 from .creep_balance import SlowBalance
 from .dataset import Dataset
 from .forward_sensitivity import Runs
@@ -165,11 +166,15 @@ def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
 
 
 def _from_the_start(model: Model, records: Sequence[Record], size: int, share: float) -> Runs:
-    """Padded arrays of the first `size` samples; what an initial state was estimated from has no weight."""
+    """Padded arrays of the first `size` samples; what an initial state was estimated from has no weight.
+
+    Records that do not begin at rest have a zero of their own, projected out of their errors.
+    """
     shape = len(records), size
     voltage, target, weight = (np.zeros(shape, np.float32) for _ in range(3))
-    start, spent = starts(model, records)
-    for k, r in enumerate(records):
+    start, spent, begun = begin(model, records)
+    for k, (given, b) in enumerate(zip(records, begun, strict=True)):
+        r = aligned(given, b, model.output)
         n = min(size, r.samples)
         x = model.output.to_model(r.displacement) / model.scales.state[0]
         seen = np.isfinite(x[:n])
@@ -178,8 +183,9 @@ def _from_the_start(model: Model, records: Sequence[Record], size: int, share: f
         target[k, :n] = np.where(seen, x[:n], 0.0)
         span = np.nanmax(x) - np.nanmin(x)
         weight[k, :n] = share * 1e4 * seen / max(seen.sum(), 1) / span**2 / len(records)
-    rest = np.array([s == 0 for s in spent], np.float32)
-    return Runs(start, *(jnp.asarray(v) for v in (rest, voltage, target, weight)))
+    rest = np.asarray(~start[:, : model.order].any(1), np.float32)
+    own = np.array([b.begins != "rest" for b in begun], np.float32)
+    return Runs(start, *(jnp.asarray(v) for v in (rest, voltage, target, weight, own)))
 
 
 def _tamed(model: Model, batches: Sequence[Runs], dt: float) -> Model:

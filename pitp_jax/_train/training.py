@@ -24,11 +24,11 @@ from .._errors import BadInput, ComputationFailed
 from .._model.memory import RingingMemory
 from .._model.model import Model
 from .._model.programs import jit
-from .._record.initial_state import in_motion
+from .._record.initial_state import aligned, in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
 from .._record.sets import check_set
-from .._simulate.prediction import at_rate
+from .._simulate.prediction import at_rate, begin
 from .creep_balance import OUTLASTS, SlowBalance, slow_balance, widened
 from .dataset import Dataset, build_dataset
 from .equation_error import loss
@@ -95,6 +95,7 @@ def train(
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     records, left_out = in_motion(records)
     nominal = at_rate(nominal, records[0].dt)
+    records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
     key_init, key_stages = jax.random.split(key)
     data, slow = _prepared(nominal, records, settings)
     model = with_encoder(data, settings, key_init)

@@ -1,0 +1,216 @@
+"""How every record begins, and the zero and the direction of its sensor, by likelihood on the whole record.
+
+    y = d (g x(t) + free(t)) + z,    free: 0 at rest | F(0) unit step's release when held | any x(0), x'(0) in motion
+
+Poles and gain come first from a fit that knows nothing: every record with a zero, a direction and an initial state of
+its own, all of which enter linearly. Then each record takes the simplest beginning by the criterion of
+`_numerics.coloured_noise`. A record at rest has its zero from its first samples, which hold no error of the model;
+others share one, or have one of their own, by the same criterion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .._model.input_map import INPUT_MAPS
+from .._numerics.coloured_noise import block_means, criterion, project, whitener
+from .._numerics.levenberg_marquardt import minimise
+from .._record.excitation_kind import spread_over_kinds
+from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
+from .._record.preprocess import force_band
+from .._record.record import Record
+from .initial_guess import equation_error_roots, linear_start, peak_roots
+from .linear_ode import coast, logs_from_roots, polynomial, respond
+from .output_error import OutputError, build_problem, normal_equations, upper_bounds
+
+_PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that tell beginnings apart
+_MOST = 100_000  # samples from which the poles are found
+_ORDER, _ROUNDS = 2, 4
+_FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
+
+
+def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None]:
+    """How every record begins, and the roots of order 2 found on the way (rad/s; None: none could be fitted)."""
+    begun = [from_known(r) for r in records]
+    poles = _first_poles(begun, input_map)
+    if poles is None:
+        return [_at_rest(r) for r in begun], None
+    found: list[Beginning] = []
+    for _ in range(_ROUNDS):
+        rows = [_columns(r, input_map, *poles) for r in begun]
+        known = [r is b for r, b in zip(records, begun, strict=True)]
+        kinds = [_kind(row, whole) for row, whole in zip(rows, known, strict=True)]
+        before, found = found, _with_zeros(begun, rows, kinds)
+        if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in found]:
+            break
+        problem = build_problem(begun, input_map, found)
+        start = linear_start(np.roots(polynomial(poles[0])[::-1]) / problem.omega, _ORDER, problem)
+        better = None if start is None else _fitted(start, problem)
+        if better is None:
+            break
+        poles = better[1]
+    return found, np.roots(polynomial(poles[0])[::-1])
+
+
+def _at_rest(record: Record) -> Beginning:
+    return Beginning("rest", 1.0, *rest_level(record))
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """One record, whitened in blocks: output, response from rest, what holding adds, free responses, a constant."""
+
+    output: np.ndarray
+    driven: np.ndarray
+    held: np.ndarray
+    free: np.ndarray
+    one: np.ndarray
+    size: float  # standard deviation of the output
+
+    def left(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
+        """What this explanation leaves, and its zero."""
+        base = self.output - direction * (self.driven + (self.held if begins == "held" else 0.0))
+        columns = [self.one, self.free] if begins == "moving" else [self.one]
+        factors, rest = project(base, np.column_stack(columns))
+        return rest, float(factors[0])
+
+    def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
+        """The zero fitted, its weight 1 / variance, and how many samples tell of it."""
+        left, zero = self.left(begins, direction)
+        alone = project(self.one, self.free)[1] if begins == "moving" else self.one
+        return zero, float(alone @ alone / max(left @ left / len(left), 1e-300)), len(left)
+
+    def score(self, begins: Begins, direction: float) -> float:
+        """BIC."""
+        extra = self.free.shape[1] if begins == "moving" else 0
+        return criterion(self.left(begins, direction)[0], extra, floor=_FINEST * self.size)
+
+
+def _decimated(records: Sequence[Record], input_map: str) -> list[Record]:
+    """Force and output as means over blocks of a tenth of the band's period: a linear system keeps their relation."""
+    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    size = int(1 / (_PER_PERIOD * force_band(forces, records[0].dt) * records[0].dt))
+    size = max(1, min(size, min(r.samples for r in records) // 64))
+    chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))
+    found = []
+    for r, f in ((records[k], forces[k]) for k in chosen):
+        y, share = block_means(np.where(r.observed, r.displacement, 0.0), r.observed.astype(float), size)
+        force, _ = block_means(f, np.ones(len(f)), size)
+        time = r.time[0] + size * r.dt * np.arange(len(y))
+        found.append(Record(r.name, time, force, np.where(share > 0.5, y, np.nan), source=r.source))
+    return found
+
+
+def _first_poles(records: Sequence[Record], input_map: str) -> tuple[np.ndarray, float] | None:
+    """Logarithms of the pole coefficients (rad/s) and gain (m per V^2 or V), nothing known of how records begin."""
+    small = _decimated(records, input_map)
+    unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
+    problem = build_problem(small, "linear", unknown)
+    first = peak_roots(problem, _ORDER)
+    problem = build_problem(small, "linear", _directed(first, problem))
+    starts = [linear_start(r, _ORDER, problem) for r in (equation_error_roots(small, _ORDER, problem), first)]
+    found = []
+    for start in starts:
+        if start is None:
+            continue
+        found += [f for f in [_fitted(start, problem)] if f is not None]
+    return min(found, key=lambda f: f[0])[1] if found else None
+
+
+def _fitted(start: np.ndarray, problem: OutputError) -> tuple[float, tuple[np.ndarray, float]] | None:
+    """Least output error from here: its cost, logarithms (rad/s) and gain (m per V^2 or V)."""
+    how = {"order": _ORDER, "hold": "foh"}
+    params, _ = minimise(lambda p: normal_equations(p, problem, **how), start, upper_bounds(_ORDER, problem))
+    cost = normal_equations(params, problem, **how).cost
+    logs = params[:_ORDER] + np.log(problem.omega) * np.array([1.0, 2.0])
+    scale = problem.voltage_scale ** (2 if problem.square else 1)
+    return (cost, (logs, float(params[_ORDER] * problem.output_scale / scale))) if np.isfinite(cost) else None
+
+
+def _directed(roots: np.ndarray, problem: OutputError) -> list[Beginning]:
+    """Directions from each record's own gain, relative to most."""
+    logs, step = logs_from_roots(roots), problem.omega * problem.dt
+    gains = []
+    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+        unit, _ = respond(logs, drive, step=step, square=problem.square, hold="foh")
+        _, _, free = coast(logs, np.zeros(_ORDER), len(drive), step=step)
+        columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), free])
+        gains.append(project(weight * output, columns)[0][0] * np.std(unit))
+    most = 1.0 if np.sum(gains) >= 0 else -1.0
+    return [
+        replace(b, direction=1.0 if most * g >= 0 else -1.0) for b, g in zip(problem.beginnings, gains, strict=True)
+    ]
+
+
+def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:
+    """Whitened by the spectrum of what the richest explanation leaves, in blocks of a tenth of the resonance."""
+    square, dt = input_map == "square", record.dt
+    unit, _ = respond(logs, record.voltage, step=dt, square=square, hold="foh")
+    first = record.voltage[0] ** (2 if square else 1)
+    held, _, free = coast(logs, np.array([first, 0.0]), record.samples, step=dt)
+    period = 2 * np.pi / np.exp(logs[1] / 2)
+    size = int(np.clip(period / _PER_PERIOD / dt, 1, record.samples // 64))
+    y = np.where(record.observed, record.displacement, 0.0)
+    stacked = np.column_stack([y, gain * unit, gain * held, free, np.ones(len(y))])
+    means, share = block_means(stacked, record.observed.astype(float), size)
+    means = means * np.sqrt(share)[:, None]
+    y, driven, one = means[:, 0], means[:, 1], means[:, -1:]
+    columns = np.column_stack([one, means[:, 3:-1]])
+    left = [project(y - d * driven, columns)[1] for d in (1.0, -1.0)]
+    white = whitener(min(left, key=lambda e: float(e @ e)))(means)
+    return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1], float(y.std()))
+
+
+def _kind(row: _Columns, whole: bool) -> tuple[Begins, float]:
+    """The simplest beginning and the direction, zero fitted; "moving" where the first samples are missing."""
+    kinds: tuple[Begins, ...] = ("rest", "held", "moving") if whole else ("moving",)
+    return min(((b, d) for d in (1.0, -1.0) for b in kinds), key=lambda k: row.score(*k))
+
+
+def _with_zeros(
+    records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]]
+) -> list[Beginning]:
+    """Zeros at rest from the first samples, pooled where they agree; of the others that one, one for all, or own."""
+    found: dict[int, Beginning] = {}
+    resting = [k for k, (begins, _) in enumerate(kinds) if begins == "rest"]
+    groups = level_groups([records[k] for k in resting])
+    fitted = {k: rows[k].zero(*kinds[k]) for k in range(len(records))}
+    for group, (members, zero, stderr) in enumerate(groups):
+        free = _sharper([fitted[resting[m]] for m in members], zero, stderr)
+        found |= {resting[m]: Beginning("rest", kinds[resting[m]][1], zero, stderr, group, free) for m in members}
+    own = {k: zero for k, zero in fitted.items() if k not in found}
+    if groups:
+        (first, *_), zero, stderr = groups[0]
+        free = found[resting[first]].free
+        near = [k for k, (there, w, size) in own.items() if _agree(zero - there, w / (1 + w * stderr**2), size)]
+        found |= {k: Beginning(*kinds[k], zero, stderr, 0, free) for k in near}
+        own = {k: v for k, v in own.items() if k not in near}
+    pool, mean = dict(own), 0.0
+    while pool:
+        mean = sum(z * w for z, w, _ in pool.values()) / sum(w for _, w, _ in pool.values())
+        worst = max(pool, key=lambda k: pool[k][1] * (pool[k][0] - mean) ** 2)
+        if _agree(pool[worst][0] - mean, *pool[worst][1:]):
+            break
+        pool.pop(worst)
+    group = len(groups)
+    found |= {k: Beginning(*kinds[k], mean, 0.0, group, True) for k in pool}
+    apart = [k for k in own if k not in pool]
+    found |= {k: Beginning(*kinds[k], own[k][0], 0.0, group + 1 + j, True) for j, k in enumerate(apart)}
+    return [found[k] for k in range(len(records))]
+
+
+def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> bool:
+    """The whole records tell a zero better than their first samples, and no error of the model bends it.
+
+    The fitted one has the smaller standard error, and both agree within five of theirs together (a level is bent by
+    what hides in its noise).
+    """
+    weight = sum(w for _, w, _ in fitted)
+    mean = sum(z * w for z, w, _ in fitted) / weight
+    return bool(weight * stderr**2 > 1 and (mean - level) ** 2 < 25 * (1 / weight + stderr**2))
+
+
+def _agree(difference: float, weight: float, size: int) -> bool:
+    """A zero of its own is not worth its parameter: T log(1 + w dz^2 / T) <= log T."""
+    return bool(size * np.log1p(weight * difference**2 / size) <= np.log(size))

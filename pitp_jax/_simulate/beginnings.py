@@ -1,0 +1,112 @@
+"""How a record begins beside a model, from its first samples: state, zero and direction.
+
+    rest     x(0) = 0, uncharged                         zero: the level of the first samples
+    held     tokens(x) x + offset = F(u(0)), memories settled there       zero: mean of y - d x
+    moving   state estimated from at most 50 samples     zero and direction: the model's
+
+Still records (`initial_state`) are at rest or held, whichever run leaves less of the samples before the drive moves, or
+of the first 50; where neither explains them the record turns there, and moves. The direction is what these runs leave
+less with until the motion is plain of noise.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._model.model import Model
+from .._model.programs import jit
+from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, is_still, noise_std, rest_level, starts_at_rest
+from .._record.record import Record
+from . import ports
+from .decoder import rest_state, rollout_batch, settled_state, step
+
+_AHEAD = 2048  # samples, of which beginning and direction are read
+_GRID, _ROUNDS, _FAR = 64, 4, 10.0  # scaled displacements among which an equilibrium is sought
+_PLAIN = 20.0  # noise floors that a motion must exceed before it tells a direction
+_EXPLAINED = 0.2  # share of the first samples' motion that a model may miss and still explain how they begin
+
+
+@jit
+def held_states(
+    model: Model, voltage: Float[Array, " records"], dt: float, age: Float[Array, " records"]
+) -> Float[Array, "records state"]:
+    """States settled for ever at these voltages; nan where the model has no equilibrium within ten scales.
+
+    One decoder step from (x, 0, ...) changes x^(n-1) by nothing at an equilibrium; the sign changes there.
+    """
+
+    def one(volts, age):
+        stages = jnp.full((2 * model.substeps + 1,), volts)
+
+        def state(x):
+            return settled_state(model, jnp.zeros(model.order, x.dtype).at[0].set(x), x, volts, age)
+
+        def change(x):
+            return (step(model, state(x), stages, dt) - state(x))[model.order - 1]
+
+        low, high = jnp.asarray(-_FAR, voltage.dtype), jnp.asarray(_FAR, voltage.dtype)
+        found = jnp.asarray(True)
+        for _ in range(_ROUNDS):
+            grid = jnp.linspace(low, high, _GRID)
+            up = jax.vmap(change)(grid) > 0
+            turns = up[:-1] & ~up[1:]
+            place = jnp.argmin(jnp.where(turns, jnp.abs(grid[:-1]), jnp.inf))
+            found = found & turns.any()
+            low, high = grid[place], grid[place + 1]
+        return jnp.where(found, state((low + high) / 2), jnp.nan)
+
+    return jax.vmap(one)(voltage, age)
+
+
+def beginnings(
+    model: Model, records: Sequence[Record], ages: Sequence[float]
+) -> tuple[list[Beginning], list[Float[Array, " state"] | None]]:
+    """How every record begins, and its state where that is rest or held (None: moving)."""
+    dtype, size = model.coefficients.dtype, min(_AHEAD, max(r.samples for r in records))
+    ends = [r.voltage[:size] for r in records]
+    voltage = jnp.asarray(np.stack([np.pad(v, (0, size - len(v)), mode="edge") for v in ends]), dtype)
+    rest = jnp.stack([rest_state(model, age) for age in ages])
+    held = held_states(model, voltage[:, 0], records[0].dt, jnp.asarray(ages, dtype))
+    runs: list[dict[Begins, np.ndarray]] = [{} for _ in records]
+    states: dict[Begins, Array] = {"rest": rest, "held": held}
+    for begins, start in states.items():
+        x = jax.vmap(lambda s: ports.readings(model, s))(rollout_batch(model, voltage, records[0].dt, start))
+        for k, row in enumerate(np.asarray(x, np.float64) * model.scales.state[0]):
+            runs[k][begins] = row
+    found = [_beginning(model, r, run) for r, run in zip(records, runs, strict=True)]
+    return found, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(found)]
+
+
+def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray]) -> Beginning:
+    """The kind whose run leaves least of the first samples; zero and direction with it."""
+    zero, polarity, y = float(model.output.offset), float(model.output.polarity), record.displacement[:_AHEAD]
+    noise, span = noise_std(record.displacement), np.nanmax(record.displacement) - np.nanmin(record.displacement)
+    if not is_still(record):
+        return Beginning("moving", polarity, zero, float("inf"))
+    moved = np.abs(record.voltage[:_AHEAD] - record.voltage[0]) > 1e-3 * np.ptp(record.voltage)
+    first = max(int(np.argmax(moved)) if moved.any() else len(y), min(INITIAL_SAMPLES, len(y)))
+    plain = np.abs(y - np.nanmedian(y[:8])) > max(_PLAIN * noise, 0.02 * span)
+    seen = min(max(int(np.argmax(plain)) + INITIAL_SAMPLES if plain.any() else len(y), first), len(y))
+
+    def left(begins: Begins, direction: float) -> float:
+        error = y[:seen] - direction * runs[begins][:seen]
+        return float(np.nanstd(error)) if np.isfinite(runs[begins][:seen]).all() else np.inf
+
+    kinds: tuple[Begins, ...] = ("rest", "held") if record.voltage[0] != 0 else ("rest",)
+    scores = {(b, d): left(b, d) for b in kinds for d in (polarity, -polarity)}
+    begins, direction = min(scores, key=lambda k: scores[k])
+    if direction != polarity and not plain.any():
+        begins, direction = min((k for k in scores if k[1] == polarity), key=lambda k: scores[k])
+    at_zero = starts_at_rest(record, zero)
+    enough = max(3 * noise, 0.002 * span, _EXPLAINED * float(np.nanstd(y[:seen])))
+    if not at_zero and scores[begins, direction] > enough:
+        return Beginning("moving", polarity, zero, float("inf"))
+    if begins == "rest":
+        level, stderr = rest_level(record)
+        return Beginning("rest", direction, zero if at_zero else level, 1.5 * stderr)
+    error = y[:first] - direction * runs["held"][:first]
+    known = int(np.isfinite(error).sum())
+    return Beginning("held", direction, float(np.nanmean(error)), float(np.nanstd(error)) / np.sqrt(max(known, 1)))
