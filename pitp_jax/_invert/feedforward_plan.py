@@ -20,7 +20,7 @@ from .._simulate import ports
 from .._simulate.decoder import film_voltage, rest_state
 from .._simulate.parallel_in_time import rollout_by_size
 from .._simulate.prediction import at_rate, outside_share
-from .equation import invert_along, scaled_equation
+from .equation import invert_path, scaled_equation
 from .target_path import Path, extend, limit_slew, rough_share
 
 _BIPOLAR = 0.1  # of the largest voltage
@@ -229,7 +229,7 @@ def _shoot(model: Model, path: Path, limits: Limits, dt: float, shots: int, age:
         if model.effects:
             motion = np.asarray(ports.moves(model, jnp.asarray(reference / scale), dt), np.float64) * scale
         equation = scaled_equation(model, fast_derivatives(motion, dt, model.order))
-        force, voltage, features = invert_along(model, equation, dt, jnp.asarray(age, dtype))
+        force, voltage, features = invert_path(model, equation, dt, jnp.asarray(age, dtype))
         u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
         states = rollout_by_size(model, jnp.asarray(u[None], dtype), dt, rest_state(model, age)[None])[0]
         x = np.asarray(ports.readings(model, states), np.float64) * scale
