@@ -7,13 +7,14 @@ bandwidth, both measured in the same run.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._invert.equation import equation_inverse, scaled_equation
+from pitp_jax._invert.equation import force_along, scaled_equation
+from pitp_jax._model.equation import equation_force
 from pitp_jax._model.model import Model
 from pitp_jax._numerics.spline_derivative import fast_derivatives
-from pitp_jax._simulate.rows import force_rows
 
 from .clock import row, take_turns
 from .machine import floor
@@ -25,14 +26,15 @@ FAST, PLAIN = "pitp_jax", "pitp_jax, vmapped"
 @eqx.filter_jit
 def fast(model: Model, equation, memory):
     """Rows."""
-    rows = list(equation.T)
-    return model.input_map.voltage(force_rows(model, [*rows[:-1], *memory.T], rows) * model.scales.force)
+    return model.input_map.voltage(force_along(model, equation, memory) * model.scales.force)
 
 
 @eqx.filter_jit
 def plain(model: Model, equation, memory):
     """One instant, vmapped."""
-    return model.input_map.voltage(equation_inverse(model, equation, memory) * model.scales.force)
+    features = jnp.concatenate([equation[:, :-1], memory], 1)
+    force = jax.vmap(lambda f, x: equation_force(model, model.encoder(f), x)[0])(features, equation)
+    return model.input_map.voltage(force * model.scales.force)
 
 
 def inputs(model: Model):

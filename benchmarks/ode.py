@@ -34,7 +34,8 @@ def slope(model: Model, dt: float, t, state, film):
     tokens, offset = model.tokens(state)
     highest = (force - offset - tokens[:n] @ state[:n]) / tokens[n]
     rates = jnp.asarray(model.scales.rates, state.dtype)
-    return jnp.concatenate([rates * jnp.append(state[1:n], highest), model.memory.rate(state[n:], state[0])])
+    memory = jnp.array(model.memory.rate()(state[n:], state[0]))
+    return jnp.concatenate([rates * jnp.append(state[1:n], highest), memory])
 
 
 @eqx.filter_jit

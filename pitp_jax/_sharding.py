@@ -16,7 +16,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from ._errors import BadInput
-from ._invert.equation import invert_along
+from ._invert.equation import invert_path
 from ._model.model import Model
 from ._model.programs import jit
 from ._numerics.spline_derivative import fast_derivatives
@@ -78,7 +78,7 @@ class _Inverse(eqx.Module):
     dt: float = eqx.field(static=True)
 
     def __call__(self, model, equation):
-        return jax.lax.map(lambda e: invert_along(model, e, self.dt)[1], equation)
+        return jax.lax.map(lambda e: invert_path(model, e, self.dt)[1], equation)
 
 
 def sharded_rollout(

@@ -84,13 +84,13 @@ def test_torch_copies_are_the_same_model(preset):
     torch = pytest.importorskip("torch")
     from benchmarks import subjects
     from benchmarks.torch_model import Inverse, tensor
-    from pitp_jax._invert.equation import equation_inverse
+    from pitp_jax._invert.equation import force_along
 
     model = getattr(subjects, preset)()
     rng = np.random.default_rng(0)
     equation = rng.normal(0, 0.3, (20, 3)).astype(np.float32)
     memory = rng.normal(0, 0.3, (20, model.memory.size)).astype(np.float32)
-    force = np.asarray(equation_inverse(model, jnp.asarray(equation), jnp.asarray(memory)))
+    force = np.asarray(force_along(model, jnp.asarray(equation), jnp.asarray(memory)))
     with torch.inference_mode():
         film = Inverse(model)(tensor(np.concatenate([equation[:, :-1], memory], 1)), tensor(equation)).numpy()
     np.testing.assert_allclose(film**2 / model.scales.force, np.maximum(force, 0), rtol=0, atol=1e-5)

@@ -38,7 +38,7 @@ def adaptive(model, voltage=COARSE, dt=DT, tolerance=1e-10):
         tokens, offset = model.tokens(s)
         force = model.input_map.force(drive.evaluate(t)) / model.scales.force
         highest = (force - offset - tokens[:n] @ s[:n]) / tokens[n]
-        return jnp.concatenate([rates * jnp.append(s[1:n], highest), model.memory.rate(s[n:], s[0])])
+        return jnp.concatenate([rates * jnp.append(s[1:n], highest), jnp.array(model.memory.rate()(s[n:], s[0]))])
 
     control = diffrax.ClipStepSizeController(
         diffrax.PIDController(rtol=tolerance, atol=tolerance), step_ts=times, jump_ts=times

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._invert.equation import invert_along, scaled_equation
+from pitp_jax._invert.equation import invert_path, scaled_equation
 from pitp_jax._model.model import Output, Provenance, Scales
 from pitp_jax._model.programs import bare, jit
 from pitp_jax._model.sections import sections_of
@@ -80,7 +80,7 @@ def test_models_of_one_structure_share_their_programs(order, nonlinear, traces):
 
     def everything(model):
         volts, start = jnp.asarray(held_out(model).voltage, jnp.float32)[None], rest_state(model)[None]
-        played = invert_along(model, scaled_equation(model, x), DT)[1]
+        played = invert_path(model, scaled_equation(model, x), DT)[1]
         (predicted,) = pitp.predict(model, [held_out(model)])
         return rollout_batch(model, volts, DT, start), fast_rollout(model, volts, DT, start), played, predicted
 

@@ -23,7 +23,7 @@ def data_of(model, count=200, key=KEY):
     features = jax.random.normal(keys[0], (count, n + model.memory.size))
     highest = jax.random.normal(keys[1], (count, 1))
     equation = jnp.concatenate([features[:, :n], highest], -1)
-    force = jax.vmap(lambda f, x: equation_force(model, f, x)[0])(features, equation)
+    force = jax.vmap(lambda f, x: equation_force(model, model.encoder(f), x)[0])(features, equation)
     return EquationData(features, equation, force, jnp.ones(count))
 
 
@@ -54,7 +54,8 @@ def test_box_penalty(linear, monkeypatch, sign):
     """Factors 1.5, 0.7 and 1: (2 * 0.3 + 3 * 0.1) / 3, for negative coefficients too."""
     model = eqx.tree_at(lambda m: m.coefficients, linear(2), sign * linear(2).coefficients)
     factors = jnp.array([1.5, 0.7, 1.0])
-    monkeypatch.setattr(Model, "tokens", lambda self, f, key=None: (self.coefficients * factors, jnp.float32(0.0)))
+    moved = list(model.coefficients[:, None] * factors[:, None])
+    monkeypatch.setattr(Model, "tokens_from", lambda self, logits: (moved, jnp.float32(0.0)))
     _, (_, constraint) = loss(model, data_of(model), BOX, width=1.0, penalty=(2.0, 3.0))
     assert float(constraint) == pytest.approx((2 * 0.3 + 3 * 0.1) / 3, rel=1e-5)
 

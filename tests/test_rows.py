@@ -1,4 +1,4 @@
-"""Rows against one instant at a time: logits, tokens, forces and memory rates of every kind of part."""
+"""Rows against one instant at a time or what was written down once more: logits, tokens and memory rates."""
 
 import equinox as eqx
 import jax
@@ -8,8 +8,8 @@ import pytest
 
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
-from pitp_jax._simulate.relu_tables import tables
-from pitp_jax._simulate.rows import encoder_rows, memory_rates, tokens_rows
+from pitp_jax._model.positive import positive_factor
+from pitp_jax._model.relu_tables import tables
 
 RINGING = RingingMemory(jnp.array(1.5), jnp.array(-2.0), jnp.array([-1.0, 0.5]))
 
@@ -33,22 +33,22 @@ def compact(order, memories, width, offset, shake, seed, frugal=False):
     return shake(fresh, 0.3, seed)
 
 
-CASES = (  # order, memories, width, offset, matrix, shape
-    (1, 0, 3, True, False, (13,)),
-    (2, 5, 8, True, False, (13,)),
-    (2, 5, 8, True, True, (2, 3)),
-    (3, 1, 40, True, False, (13,)),
-    (4, 2, 2, False, False, ()),
-    (2, 2, 3, False, True, (1,)),
+CASES = (  # order, memories, width, offset, way, shape
+    (1, 0, 3, True, "instants", (13,)),
+    (2, 5, 8, True, "instants", (13,)),
+    (2, 5, 8, True, "records", (2, 3)),
+    (3, 1, 40, True, "instants", (13,)),
+    (4, 2, 2, False, "instants", ()),
+    (2, 2, 3, False, "records", (1,)),
 )
 
 
 @pytest.mark.parametrize("frugal", [False, True])
-@pytest.mark.parametrize(("order", "memories", "width", "offset", "matrix", "shape"), CASES)
-def test_compact_logits(shake, order, memories, width, offset, matrix, shape, frugal):
+@pytest.mark.parametrize(("order", "memories", "width", "offset", "way", "shape"), CASES)
+def test_compact_logits(shake, order, memories, width, offset, way, shape, frugal):
     encoder = compact(order, memories, width, offset, shake, order, frugal)
     rows = np.random.default_rng(width).normal(0, 1, (order + memories, *shape)).astype(np.float32)
-    found = jax.jit(lambda r: jnp.stack(encoder_rows(encoder, matrix)(list(r))))(rows)
+    found = jax.jit(lambda r: jnp.stack(encoder.over(way)(list(r))))(rows)
     truth = jax.jit(jax.vmap(encoder))(rows.reshape(len(rows), -1).T).T.reshape(order + 2, *shape)
     np.testing.assert_allclose(found, truth, rtol=0, atol=3e-6 * max(1, np.abs(truth).max()))
 
@@ -56,7 +56,7 @@ def test_compact_logits(shake, order, memories, width, offset, matrix, shape, fr
 @pytest.mark.parametrize("encoder", [ConstantEncoder(4), Odd()])
 def test_other_encoders(encoder):
     rows = jnp.asarray(np.random.default_rng(0).normal(0, 1, (3, 7)), jnp.float32)
-    found, truth = jnp.stack(encoder_rows(encoder)(list(rows))), jax.vmap(encoder)(rows.T).T
+    found, truth = jnp.stack(encoder.over()(list(rows))), jax.vmap(encoder)(rows.T).T
     np.testing.assert_allclose(found, truth, rtol=1e-6)
 
 
@@ -71,7 +71,7 @@ def paper(features, tokens, width, seed):
 
 
 def _jitted(encoder, rows):
-    return jax.jit(lambda r: jnp.stack(encoder_rows(encoder)(list(r))))(rows)
+    return jax.jit(lambda r: jnp.stack(encoder.over()(list(r))))(rows)
 
 
 @pytest.mark.parametrize("instants", [5, 2300])
@@ -92,7 +92,7 @@ def test_tables_are_exact_between_at_and_beyond_the_knots():
         weight = branch.weight.at[0, 0, :3, 0].set(jnp.array([0.0, 1.0, -2.0]))
         bias = branch.bias.at[0, 0, :3].set(jnp.array([0.7, 0.5, -1.0]))
         encoder = eqx.tree_at(lambda e: (e.networks.branches.weight, e.networks.branches.bias), made, (weight, bias))
-        knots, slope, intercept = (np.asarray(a)[0, 0] for a in tables(encoder))
+        knots, slope, intercept = (np.asarray(a)[0, 0] for a in tables(encoder.networks))
         finite = knots[np.abs(knots) < 1e20]
         x = np.concatenate([finite, np.linspace(-5, 5, 101), [-1e4, 1e4]])
         at = np.searchsorted(knots, x)
@@ -102,25 +102,44 @@ def test_tables_are_exact_between_at_and_beyond_the_knots():
     np.testing.assert_allclose(found, truth, rtol=1e-12, atol=1e-12)
 
 
+def direct(model, logits):
+    """The tokens at one instant, written down once more: the nominal's sections multiplied out by `jnp.polymul`."""
+    factor, n = jax.vmap(positive_factor)(logits[:-1]), model.order
+    if n < 3:
+        return model.coefficients * factor, logits[-1]
+
+    def polynomial(q):
+        poly = jnp.ones(1)
+        for k in range(0, n - 1, 2):
+            poly = jnp.polymul(poly, jnp.array([1.0, q[k + 1], q[k]]))
+        return (jnp.polymul(poly, jnp.array([1.0, q[-1]])) if n % 2 else poly)[::-1]
+
+    nominal = jnp.asarray(model.scales.sections)
+    return model.coefficients * factor[n] * polynomial(factor[:n] * nominal) / polynomial(nominal), logits[-1]
+
+
 @pytest.mark.parametrize("order", [2, 3, 4])
 def test_tokens(linear, order):
     model = linear(order)
     logits = jnp.asarray(np.random.default_rng(order).normal(0, 1.0, (order + 2, 9)), jnp.float32)
-    tokens, offset = jax.jit(lambda rows: tokens_rows(model, list(rows)))(logits)
-    truth, truth_offset = jax.jit(jax.vmap(model.tokens_from))(logits.T)
+    tokens, offset = jax.jit(lambda rows: model.tokens_from(list(rows)))(logits)
+    truth, truth_offset = jax.jit(jax.vmap(lambda row: direct(model, row)))(logits.T)
     np.testing.assert_allclose(jnp.stack(tokens), truth.T, rtol=2e-5)
     np.testing.assert_array_equal(offset, truth_offset)
 
 
 @pytest.mark.parametrize("memory", [ElapsedTime(3.0), FadingMemory(jnp.array([-1.0, 0.5])), RINGING])
 @pytest.mark.parametrize("shape", [(), (4,)])
-def test_memory_rates(memory, shape):
-    rng = np.random.default_rng(0)
-    rows, x = jnp.asarray(rng.normal(0, 1, (memory.size, *shape))), jnp.asarray(rng.normal(0, 1, shape))
-    found = memory_rates(memory)(list(rows), x)
-    truth = jax.vmap(memory.rate, (1, 0), 1)(rows.reshape(memory.size, -1), x.reshape(-1))
-    assert len(found) == memory.size
-    assert memory_rates(NoMemory())([], x) == []
-    for k, row in enumerate(found):
-        assert row.shape == shape
-        np.testing.assert_allclose(row.reshape(-1), truth[k], rtol=1e-5)
+def test_memory_rates(memory, shape, double):
+    """The slope of the exact trajectory at its beginning."""
+    rng, dt = np.random.default_rng(0), 1e-5
+    with jax.enable_x64(True):
+        memory = double(memory)
+        rows, x = jnp.asarray(rng.normal(0, 1, (memory.size, *shape))), jnp.asarray(rng.normal(0, 1, shape))
+        found = memory.rate()(list(rows), x)
+        path = jnp.broadcast_to(x.reshape(-1), (3, x.size))
+        ran = jax.vmap(lambda x, m: memory.trajectory(x, dt, m), (1, 1), 2)(path, rows.reshape(memory.size, -1))
+        slope = (-3 * ran[0] + 4 * ran[1] - ran[2]) / (2 * dt)
+        assert len(found) == memory.size and all(row.shape == shape for row in found)
+        np.testing.assert_allclose(jnp.stack(found).reshape(memory.size, -1), slope, rtol=1e-6, atol=1e-6)
+    assert NoMemory().rate()([], x) == []

@@ -4,7 +4,7 @@ The row itself is the inversion of 10^6 samples beside ten times that of 10^5: l
 """
 
 from pitp_jax import rest_state
-from pitp_jax._invert.equation import invert_along, scaled_equation
+from pitp_jax._invert.equation import invert_path, scaled_equation
 from pitp_jax._numerics.spline_derivative import fast_derivatives
 from pitp_jax._simulate.batched_rollout import fast_rollout
 
@@ -16,7 +16,7 @@ def inversion(samples: int, order: int = 2, width: int = 8):
     """Fn() of eq. 13 with memories, along known derivatives."""
     model = default(order, width)
     equation = scaled_equation(model, fast_derivatives(target(samples), DT, order))
-    return lambda: invert_along(model, equation, DT)[1]
+    return lambda: invert_path(model, equation, DT)[1]
 
 
 def rollout(records: int):

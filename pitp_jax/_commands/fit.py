@@ -6,7 +6,6 @@ import jax
 
 from .._errors import BadInput
 from .._identify.identification import identify
-from .._model.input_map import INPUT_MAPS
 from .._model.model import Model
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
@@ -65,8 +64,7 @@ def _given(path: str, order, input_map) -> Model:
     model = load(path)
     if order not in (None, "auto", model.order):
         raise BadInput(f"--order {order} contradicts {path}, whose order is {model.order}; leave one of them out")
-    if input_map is not None and type(model.input_map) is not INPUT_MAPS[input_map]:
-        own = next(name for name, kind in INPUT_MAPS.items() if type(model.input_map) is kind)
+    if input_map not in (None, own := model.input_map.name):
         raise BadInput(f"--input-map {input_map} contradicts {path}, whose input map is {own}; leave one of them out")
     return model
 

@@ -6,7 +6,6 @@ import math
 import numpy as np
 
 from .._diagnose.result import physical
-from .._model.input_map import LinearInput
 from .._model.model import Model
 from .._record.units import base_unit
 from .console import number, print_table
@@ -23,9 +22,8 @@ def notes(model: Model) -> dict:
 
 def coefficient_units(model: Model) -> list[str]:
     """Units of a_0 ... a_n: force (V^2, or V for a linear input) times s^i over the output's."""
-    force = "V" if isinstance(model.input_map, LinearInput) else "V^2"
     output = base_unit(model.provenance.displacement_unit)
-    return [f"{force}{('', ' s', f' s^{i}')[min(i, 2)]}/{output}" for i in range(model.order + 1)]
+    return [f"{model.input_map.unit}{('', ' s', f' s^{i}')[min(i, 2)]}/{output}" for i in range(model.order + 1)]
 
 
 def standard_errors(model: Model) -> list[float | None]:
@@ -54,7 +52,7 @@ def describe(model: Model) -> dict:
     return {
         "kind": "identified" if type(model.encoder).__name__ == "ConstantEncoder" else "trained",
         "order": model.order,
-        "input_map": "linear" if isinstance(model.input_map, LinearInput) else "square",
+        "input_map": model.input_map.name,
         "encoder": type(model.encoder).__name__.removesuffix("Encoder").lower(),
         "memory_states": model.memory.size,
         "effects": [_described(model, effect) for effect in model.effects],

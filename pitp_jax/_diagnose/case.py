@@ -18,7 +18,6 @@ from jax.sharding import Mesh
 
 from .._effects.base import Surroundings
 from .._errors import BadInput
-from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._record.excitation_kind import kind, loudest
 from .._record.initial_state import aligned
@@ -118,17 +117,13 @@ def build_case(model: Model, records: Sequence[Record], *, how: Split = "first",
     dtype = model.coefficients.dtype
     states = rollout_batch(model, jnp.asarray(voltage, dtype), records[0].dt, starts)
     runs = np.asarray(jax.vmap(lambda s: ports.readings(model, s))(states), np.float64)
-    top = force_band([_force(model, r.voltage) for r in records], records[0].dt)
+    top = force_band([model.input_map.force(r.voltage) for r in records], records[0].dt)
     cut = min(max(3 * top, 3 * model.natural_frequency / (2 * np.pi)), 0.3 / records[0].dt)
     series = tuple(
         _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(starts[k]), cut, known)
         for k, r in enumerate(records)
     )
     return Case(model, series, _surroundings(model, series, known), how, mesh)
-
-
-def _force(model: Model, voltage):
-    return voltage**2 if isinstance(model.input_map, SquareInput) else voltage
 
 
 def _finer(model: Model, dt: float) -> Model:
@@ -182,7 +177,7 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
         raise BadInput(f"the nominal model diverges on {record.name}: it cannot be diagnosed, identify it again")
     error = np.interp(place, place[seen], (run - x)[seen])
     filled = (run - error) * scale[0]
-    force = _force(model, record.voltage) / model.scales.force
+    force = model.input_map.force(record.voltage) / model.scales.force
     motion = preprocess(record, n, cut, force, displacement=filled).states / scale
     motion[0, 0] = x[0] if seen[0] else motion[0, 0]
     counts = seen.copy()
@@ -199,8 +194,9 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
     tokens, offset = jax.vmap(model.tokens)(features)
     film = np.asarray(voltage, np.float64)
     return Series(
-        record=record, fitted=fitted, voltage=film, force=_force(model, film) / model.scales.force, motion=motion,
-        tokens=np.asarray(tokens), offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest,
+        record=record, fitted=fitted, voltage=film,
+        force=model.input_map.force(film) / model.scales.force, motion=motion, tokens=np.asarray(tokens),
+        offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest,
         start=start[: n + model.memory.size], age=model.provenance.age(record.time[0]) if known else 0.0, span=span,
     )  # fmt: skip
 

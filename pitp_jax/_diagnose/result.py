@@ -9,7 +9,6 @@ import numpy as np
 
 from .._effects import CATALOGUE
 from .._effects.base import Parameter, physical_factor
-from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._record.units import base_unit
 from .case import Case
@@ -111,8 +110,8 @@ def gap_of(case: Case, found: Attribution, after: Judged, low: float, held) -> G
 def physical(model: Model, p: Parameter, value: float) -> tuple[float, str]:
     """A number stored in an effect, in physical units."""
     unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))
-    if p.force and not isinstance(model.input_map, SquareInput):
-        unit = unit.replace("V^2", "V")
+    if p.force:
+        unit = unit.replace("V^2", model.input_map.unit)
     return value * physical_factor(p, model.scales.state, model.scales.force), unit
 
 

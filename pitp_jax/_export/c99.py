@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from .._invert.pi_control import KV_PER_MM
-from .._model.input_map import SquareInput
 from .._model.model import Model
 from . import plan as planning
 from . import steps
@@ -67,7 +66,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
     """What stands around the sources: test vector, Makefile, loop, README."""
     values, writer, test = substitutions(plan), Writer("c", plan.single), plan.test
     precision = "single" if plan.single else "double"
-    square = isinstance(plan.model.input_map, SquareInput)
+    square = plan.model.input_map.one_sided
     values |= {
         "count": str(planning.SAMPLES), "what": test.what, "voltage": table(writer, test.voltage),
         "displacement": table(writer, test.displacement), "targets": table(writer, test.motion),

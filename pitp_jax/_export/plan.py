@@ -21,7 +21,6 @@ from scipy.interpolate import make_interp_spline
 from .._effects.amplifier import Delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
-from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives
 from . import steps
@@ -86,7 +85,7 @@ class Plan:
     def voltages(self) -> tuple[float, float, float]:
         """Lowest and highest voltage (V) and slew (V/s) of the records the model was trained on."""
         low, high = self.model.provenance.voltage_range
-        if isinstance(self.model.input_map, SquareInput):
+        if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
         slew = float(self.model.provenance.slew)
         return min(float(low), 0.0), min(max(float(high), 0.0), _NONE), min(slew, _NONE)

@@ -74,7 +74,7 @@ def _readings(model: Model, wish: "Wish", now: "Played", cut: _Cut, late: int) -
     """`Stages` in m, along the rollout from the first sample on that the voltage reaches."""
     u = jnp.asarray(now.voltage)
     film = np.asarray(model.drive.film(ports.delayed(model, u, wish.dt, True), wish.dt, jnp.asarray(True)))
-    if bool(model.input_map.infeasible(jnp.asarray(-1.0))):
+    if model.input_map.one_sided:
         film = np.maximum(film, _FLOOR * wish.unit)
     pairs = np.stack([film, np.append(film[1:], film[-1])], -1)[late:]
     sound = np.where(np.abs(now.states[late:]) < FAR, now.states[late:], 0.0)  # behind the target it may run away

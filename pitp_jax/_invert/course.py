@@ -20,7 +20,7 @@ from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
 from .._simulate.decoder import film_voltage, rest_state
 from .._simulate.parallel_in_time import rollout_by_size
-from .equation import invert_along, scaled_equation
+from .equation import invert_path, scaled_equation
 from .limits import Limits, limit_slew, travel
 from .nearest_motion import Wish, nearest_motion
 from .target_path import Path
@@ -87,7 +87,7 @@ class Course:
             scale = model.scales.state[0]
             motion = np.asarray(ports.moves(model, jnp.asarray(reference / scale), self.dt), np.float64) * scale
         equation = scaled_equation(model, fast_derivatives(motion, self.dt, model.order))
-        force, voltage, features = invert_along(model, equation, self.dt, jnp.asarray(self.age, equation.dtype))
+        force, voltage, features = invert_path(model, equation, self.dt, jnp.asarray(self.age, equation.dtype))
         u, saturated = limit_slew(np.asarray(voltage, np.float64), self.limits, self.dt)
         full = np.append(u, self.path.ramp_down(u[-1], self.limits, self.dt))
         reading = self.play(full if np.isfinite(self.limits.farthest) else u)

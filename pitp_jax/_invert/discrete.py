@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._model.programs import jit
 from .._simulate.decoder import film_voltage, frozen_increment
@@ -77,8 +76,8 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
     """Gauss-Newton for all voltages at once, in units where the largest force is one."""
     top, top_gain = upper
     dtype = top.dtype
-    squares = isinstance(model.input_map, SquareInput)
-    unit = jnp.asarray(model.scales.force ** (0.5 if squares else 1.0), dtype)
+    force, voltage = model.input_map.force, model.input_map.voltage
+    unit = voltage(jnp.asarray(model.scales.force, dtype))
     count = top.shape[0]
     rows = [(top / top_gain.sum(1), top_gain / top_gain.sum(1)[:, None], jnp.ones((), dtype))]
     if lower is not None:
@@ -88,11 +87,8 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
     known = jnp.zeros((), dtype) if first is None else jnp.asarray(first, dtype) / unit
     anchor = 0.0 if first is None else 1.0
 
-    def force(v):
-        return v * v if squares else v
-
     def slope(v):
-        return 2 * v if squares else jnp.ones_like(v)
+        return jax.jvp(force, (v,), (jnp.ones_like(v),))[1]
 
     def sweep(u, _):
         now, later = u[:-1], u[1:]
@@ -116,9 +112,7 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
             jnp.concatenate([pad, beside]), diagonal, jnp.concatenate([beside, pad]), right[:, None]
         )[:, 0]
         u = u + move
-        return (jnp.abs(u) if squares else u), None
+        return voltage(force(u)), None  # of the two that a square has, the positive one
 
-    guess = jnp.maximum(rows[0][0], 0.0) if squares else rows[0][0]
-    start = jnp.append(guess, guess[-1:])
-    start = jnp.sqrt(start) + 1e-3 if squares else start
+    start = voltage(jnp.append(rows[0][0], rows[0][0][-1:])) + 1e-3  # where a square's slope is not zero
     return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit

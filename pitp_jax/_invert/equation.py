@@ -3,12 +3,10 @@
     F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = drive^-1(V)   (e.g. V + tau V')
 
 Memories follow x alone, so they are known along a motion. The closed form inverts the continuous equation; for
-consecutive states of the decoder see `discrete`, for a voltage to play `feedforward_plan`. `invert_path` takes it
-instant by instant, with effects; `force_and_voltage` has the same numbers to rounding with every quantity an array
-over time (`_simulate.rows`): 120,000 samples at order 2 with five memories in 3 ms on two cores instead of 8 to 24.
+consecutive states of the decoder see `discrete`, for a voltage to play `feedforward_plan`. Every quantity is an array
+over time (`_model.rows`): 120,000 samples at order 2 with five memories in 3 ms on two cores, vmapped 8 to 24.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,35 +17,14 @@ from .._model.programs import jit
 from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
 from .._simulate.decoder import film_voltage
-from .._simulate.rows import force_rows
 
 _HUGE = 1e3  # of the training force: what stands for a force no field makes
 
 
-def equation_inverse(
-    model: Model, equation: Float[Array, "time tokens"], memory: Float[Array, "time memory"]
-) -> Float[Array, " time"]:
+def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Float[Array, "time memory"]):
     """Eq. 13 before the root: the scaled force each instant needs, from scaled [x, ..., x^(n)] and memories."""
-    features = jnp.concatenate([equation[:, :-1], memory], -1)
-    return jax.vmap(lambda f, x: equation_force(model, f, x)[0])(features, equation)
-
-
-@jit
-def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
-    """Scaled force, voltage before limits (V) and features along a path that starts at rest; vmap for a batch.
-
-    `age`: of the session at its first sample, s, which effects of the slow time read.
-    """
-    start = model.memory.initial(jnp.zeros((), equation.dtype))
-    memory = model.memory.trajectory(equation[:, 0], dt, start)
-    features = jnp.concatenate([equation[:, :-1], memory], -1)
-    if model.effects:
-        force = ports.required(model, equation, features, dt, age)
-        force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end, to its own side
-    else:
-        force = equation_inverse(model, equation, memory)
-    film = film_voltage(model, jnp.clip(force, -_HUGE, _HUGE))
-    return force, ports.played(model, film, dt), features
+    rows = list(equation.T)
+    return equation_force(model, model.encoder.over()([*rows[:-1], *memory.T]), rows)[0]
 
 
 @jit
@@ -63,26 +40,32 @@ def force_and_voltage(
         start: the memories at the first sample.
     """
     memory = model.memory.trajectory(equation[:, 0], dt, start)
-    rows = list(equation.T)
-    force = force_rows(model, [*rows[:-1], *memory.T], rows)
+    force = force_along(model, equation, memory)
     film = film_voltage(model, force)
     return force, model.drive.lead(film, dt), memory
 
 
 @jit
-def invert_along(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
-    """Scaled force, voltage before limits (V) and features along a path that starts at rest, as `invert_path`."""
-    if model.effects:
-        return invert_path(model, equation, dt, age)
+def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
+    """Scaled force, voltage before limits (V) and features along a path that starts at rest; vmap for a batch.
+
+    `age`: of the session at its first sample, s, which effects of the slow time read.
+    """
     start = model.memory.initial(jnp.zeros((), equation.dtype))
-    force, voltage, memory = force_and_voltage(model, equation, dt, start)
-    return force, voltage, jnp.concatenate([equation[:, :-1], memory], -1)
+    if not model.effects:
+        force, voltage, memory = force_and_voltage(model, equation, dt, start)
+        return force, voltage, jnp.concatenate([equation[:, :-1], memory], -1)
+    features = jnp.concatenate([equation[:, :-1], model.memory.trajectory(equation[:, 0], dt, start)], -1)
+    force = ports.required(model, equation, features, dt, age)
+    force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end, to its own side
+    film = film_voltage(model, jnp.clip(force, -_HUGE, _HUGE))
+    return force, ports.played(model, film, dt), features
 
 
 def invert_displacement(model: Model, displacement: Float[np.ndarray, " time"], dt: float) -> Float[Array, " time"]:
     """Drive voltage before limits (V) for a displacement from rest (model coordinates, m): eq. 13, end to end."""
     equation = scaled_equation(model, fast_derivatives(displacement, dt, model.order))
-    return invert_along(model, equation, dt)[1]
+    return invert_path(model, equation, dt)[1]
 
 
 def scaled_equation(model: Model, derivatives: Float[np.ndarray, "time tokens"]) -> Float[Array, "time tokens"]:

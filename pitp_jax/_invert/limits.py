@@ -5,7 +5,6 @@ low <= u <= high,   |u'| <= slew,   |x| <= farthest
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import BadInput
@@ -39,7 +38,7 @@ def limits_of(
     """
     low, high = model.provenance.voltage_range
     warnings: tuple[str, ...] = ()
-    if bool(model.input_map.infeasible(jnp.asarray(-1.0))):  # squared: what was played below zero counts as well
+    if model.input_map.one_sided:  # squared: what was played below zero counts as well
         if high <= 0 > low:
             warnings += (
                 "trained on negative voltages alone, this one is positive: play its negative, the square is the same",

@@ -64,14 +64,15 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
         memory, (before, film_1, film_2) = carry[:memories], carry[memories:]
         x = wanted / scale
         memory = memory_after(model.memory, memory, before, x[0], dt)
-        force = equation_force(model, jnp.concatenate([x[:-1], memory]), x)[0]
+        force = equation_force(model, model.encoder.over()([*x[:-1], *memory]), list(x))[0]
         film = film_voltage(model, force)
         voltage = film + lag(model.drive) * (3 * film - 4 * film_1 + film_2) / (2 * dt)
         return jnp.concatenate([memory, jnp.stack([x[0], film, film_1])]), voltage
 
     rest = jnp.zeros((), jnp.float32)
     memory = model.memory.initial(rest)
-    before = memory - dt * model.memory.rate(memory, rest)  # elapsed time: the first sample is at age 0
+    rates = jnp.array(model.memory.rate()(memory, rest))
+    before = memory - dt * rates  # elapsed time: the first sample is at age 0
     return _compiled(one, np.concatenate([np.asarray(before), np.zeros(3)]), model.order + 1)
 
 

@@ -7,6 +7,8 @@ It never sees x^(n), which the tokens themselves define (docs/readings.md: a rol
 """
 
 from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -15,8 +17,14 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .positive import logit_of, positive_factor
+from .relu_tables import logits_by_tables
+from .rows import Rows, affine, as_product, vmapped, written_out
 
+# layers at one instant (vmapped, differentiated) are products, over many written out, in a scan over records joined
+Way = Literal["instant", "instants", "records"]
 _WIDE = 1e6  # no bound
+_WRITTEN_OUT = 32  # hidden units of a net; beyond, a matrix product is faster and compiles faster
+_FEW = 256  # instants for which the paper's tables cost more to build than they save
 
 
 class AbstractEncoder(eqx.Module):
@@ -27,6 +35,13 @@ class AbstractEncoder(eqx.Module):
         self, features: Float[Array, " features"], *, key: PRNGKeyArray | None = None
     ) -> Float[Array, " tokens"]:
         """Logits, shape (n + 2,); `key` turns dropout on where the encoder has any."""
+
+    def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
+        """fn(features): logits, one row per token and one for the offset, of instants of any shape.
+
+        What is constant is computed here, once.
+        """
+        return lambda features: vmapped(self, features)
 
     @abstractmethod
     def scaled(self, factor: float) -> "AbstractEncoder":
@@ -46,6 +61,10 @@ class ConstantEncoder(AbstractEncoder):
         """Zeros."""
         return jnp.zeros((self.outputs,), features.dtype)
 
+    def over(self, way="instants"):
+        """Zeros."""
+        return lambda features: [jnp.zeros_like(features[0])] * self.outputs
+
     def scaled(self, factor):
         """Zeros stay zeros."""
         return self
@@ -64,6 +83,33 @@ class _Net(eqx.Module):
 
     def __call__(self, features):
         return self.readout(jnp.tanh(self.hidden(features)))
+
+
+def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], Sequence[Rows]]:
+    """fn(features): outputs of nets that each see some columns; over records they share one hidden matrix."""
+    if way == "records":
+        return _side_by_side(nets)
+    layer = as_product if way == "instant" else written_out
+    layers = [(layer(*affine(net.hidden)), layer(*affine(net.readout)), columns) for net, columns in nets]
+    return lambda rows: [
+        outer(jax.tree.map(jnp.tanh, inner([rows[c] for c in columns]))) for inner, outer, columns in layers
+    ]
+
+
+def _side_by_side(nets: Sequence[tuple[_Net, list[int]]]) -> Callable[[Rows], Sequence[Rows]]:
+    """The same with all nets in one hidden matrix and one block-diagonal readout."""
+    width = 1 + max(c for _, columns in nets for c in columns)
+    (weights, inner), (readouts, outer) = (
+        zip(*(affine(part) for part in parts), strict=True)
+        for parts in zip(*((net.hidden, net.readout) for net, _ in nets), strict=True)
+    )
+    wide = [
+        jnp.zeros((len(w), width), w.dtype).at[:, jnp.array(c)].set(w) for w, (_, c) in zip(weights, nets, strict=True)
+    ]
+    hidden = as_product(jnp.concatenate(wide), jnp.concatenate(inner))
+    readout = as_product(jax.scipy.linalg.block_diag(*readouts), jnp.concatenate(outer))
+    ends = np.cumsum([len(w) for w in readouts])[:-1]
+    return lambda rows: jnp.split(readout(jnp.tanh(hidden(rows[:width]))), ends)
 
 
 class CompactEncoder(AbstractEncoder):
@@ -130,28 +176,36 @@ class CompactEncoder(AbstractEncoder):
 
     def __call__(self, features, *, key=None):
         """Logits of one instant."""
-        low, high = jax.lax.stop_gradient(self.bounds).astype(features.dtype)
-        features = jnp.clip(features, low, high)
-        state, memory = features[: self.order], features[self.order :]
-        x = features[0]
-        powers = jnp.stack([x, x * x, x**3])
-        first, last = self.spring(features[:1]) + self.spring_poly @ powers
-        offset = jnp.zeros((), features.dtype)
-        if self.offset:
-            offset = (self.fading @ jnp.stack([jnp.ones_like(x), x, x * x])) @ memory
-        if self.past is not None:
-            offset = offset + self.past(jnp.append(x, memory[: fast_memories(memory.shape[0])]))[0]
-        middle = jnp.zeros((0,), features.dtype)
-        if self.damping is not None:
-            rows, columns = np.triu_indices(self.order)
-            products = jnp.concatenate([state, state[rows] * state[columns]])
-            middle = self.damping(state if self.frugal else features) + self.damping_poly @ products
-        logits = jnp.concatenate([first[None], middle, last[None]])
-        if self.coupling is None:
-            return jnp.append(logits, offset)
-        common = jnp.exp(self.coupling @ powers)
-        shared = logit_of(positive_factor(logits) * common)
-        return jnp.append(jnp.where(shared_by(self.order), shared, logits), offset * common)
+        return jnp.stack(self.over("instant")(list(features)))
+
+    def over(self, way="instants"):
+        """The formula."""
+        n, low, high = self.order, *jax.lax.stop_gradient(self.bounds)
+        memories, sums = len(low) - n, as_product if way == "instant" else written_out
+        moving, past = list(range(n if self.frugal else n + memories)), [0, *range(n, n + fast_memories(memories))]
+        seen_by = [(self.spring, [0]), (self.damping, moving), (self.past, past)]
+        wide = way == "instants" and len(self.spring.hidden.weight) > _WRITTEN_OUT
+        nets = _nets([(net, c) for net, c in seen_by if net is not None], "records" if wide else way)
+
+        def logits(features: Rows) -> Rows:
+            seen = [jnp.clip(f, low[i], high[i]) for i, f in enumerate(features)]
+            (x, *_), state, memory, found = seen, seen[:n], seen[n:], iter(nets(seen))
+            powers = [x, x * x, x * x * x]
+            first, last = sums(self.spring_poly, next(found))(powers)
+            products = [*state, *(state[i] * state[k] for i, k in zip(*np.triu_indices(n), strict=True))]
+            middle = [] if self.damping is None else sums(self.damping_poly, next(found))(products)
+            (offset,) = [jnp.zeros_like(x)] if self.past is None else next(found)
+            for k, row in enumerate(memory[: len(self.fading)]):
+                offset = offset + (self.fading[k, 0] + self.fading[k, 1] * x + self.fading[k, 2] * powers[1]) * row
+            raw = [first, *middle, last]
+            if self.coupling is None:
+                return [*raw, offset]
+            common = jnp.exp(sum(c * power for c, power in zip(self.coupling, powers, strict=True)))
+            for k in np.flatnonzero(shared_by(n)):
+                raw[k] = logit_of(positive_factor(raw[k]) * common)
+            return [*raw, offset * common]
+
+        return logits
 
     def scaled(self, factor):
         """Readouts and polynomials are the last, linear layer."""
@@ -227,6 +281,17 @@ class PaperEncoder(AbstractEncoder):
             keys = jax.random.split(key, count)
             logits = eqx.filter_vmap(lambda net, k: net(features, k))(self.networks, keys)
         return jnp.concatenate([logits, jnp.zeros((1,), logits.dtype)])
+
+    def over(self, way="instants"):
+        """Few instants one by one, many by tables."""
+
+        def logits(features: Rows) -> Rows:
+            if features[0].size < _FEW:
+                return vmapped(self, features)
+            found = logits_by_tables(self.networks, jnp.stack([f.reshape(-1) for f in features]))
+            return [*found.reshape(-1, *features[0].shape), jnp.zeros_like(features[0])]
+
+        return logits
 
     def scaled(self, factor):
         """The readouts are linear."""

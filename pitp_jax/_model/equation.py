@@ -1,13 +1,14 @@
-"""The equation at one instant (paper, eq. 5 with an offset token): F = sigma_off + sum_i sigma_i(S, m) x^(i)."""
+"""The equation (paper, eq. 5 with an offset token): F = sigma_off + sum_i sigma_i(S, m) x^(i)."""
 
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from .model import Model
+from .rows import Rows
 
 
-def equation_force(
-    model: Model, features: Float[Array, " features"], equation: Float[Array, " tokens"], *, key=None
-) -> tuple[Float[Array, ""], Float[Array, " tokens"]]:
-    """Scaled force the model needs at one instant (eq. 5 plus the offset token), and the tokens."""
-    tokens, offset = model.tokens(features, key=key)
-    return tokens @ equation + offset, tokens
+def equation_force(model: Model, logits: Rows, equation: Rows) -> tuple[Array, list[Array]]:
+    """Scaled force the model needs under these logits along rows x, ..., x^(n), scaled, and the tokens."""
+    tokens, force = model.tokens_from(logits)
+    for token, row in zip(tokens, equation, strict=True):
+        force = force + token * row
+    return force, tokens

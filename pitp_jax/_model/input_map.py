@@ -5,17 +5,31 @@ linear:  F = u                   u = F                      (electronic benchmar
 """
 
 from abc import abstractmethod
+from typing import ClassVar, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
+
+Values = TypeVar("Values", Array, np.ndarray)  # of any shape, traced or in float64 on the host
 
 
 class AbstractInputMap(eqx.Module):
-    """A memoryless, invertible map from voltage to force; works on any array shape."""
+    """A memoryless, invertible map from voltage to force; works on any array shape.
+
+    Attributes:
+        name: in files and options.
+        unit: of the force.
+        one_sided: whether it makes no negative force.
+    """
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+    one_sided: ClassVar[bool]
 
     @abstractmethod
-    def force(self, voltage: Float[Array, "..."]) -> Float[Array, "..."]:
+    def force(self, voltage: Values) -> Values:
         """Equivalent force (V^2 or V) of a voltage (V)."""
 
     @abstractmethod
@@ -29,6 +43,8 @@ class AbstractInputMap(eqx.Module):
 
 class SquareInput(AbstractInputMap):
     """Maxwell stress: F = u^2 (eq. 6); a negative force is infeasible (docs/readings.md: eq. 13)."""
+
+    name, unit, one_sided = "square", "V^2", True
 
     def force(self, voltage):
         """F = u^2 in V^2."""
@@ -47,6 +63,8 @@ class SquareInput(AbstractInputMap):
 class LinearInput(AbstractInputMap):
     """F = u, for plants whose input is not squared."""
 
+    name, unit, one_sided = "linear", "V", False
+
     def force(self, voltage):
         """F = u in V."""
         return voltage
@@ -60,4 +78,4 @@ class LinearInput(AbstractInputMap):
         return jnp.zeros(jnp.shape(force), bool)
 
 
-INPUT_MAPS = {"square": SquareInput, "linear": LinearInput}
+INPUT_MAPS = {kind.name: kind for kind in (SquareInput, LinearInput)}

@@ -10,6 +10,7 @@ extrapolate past the longest training record; fading memories can (50 s record, 
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.linear_recurrence import first_order_lags, oscillator
+from .rows import Rows
 
 
 class AbstractMemory(eqx.Module):
@@ -32,8 +34,8 @@ class AbstractMemory(eqx.Module):
         """The memory of an actuator that has been held at x for ever (at rest: x = 0)."""
 
     @abstractmethod
-    def rate(self, memory: Float[Array, " memory"], x: Float[Array, ""]) -> Float[Array, " memory"]:
-        """Time derivative of the memory in 1/s."""
+    def rate(self) -> Callable[[Rows, Array], list[Array]]:
+        """fn(memory, x): its time derivatives in 1/s, row by row; what is constant is computed here, once."""
 
     @abstractmethod
     def trajectory(
@@ -54,9 +56,9 @@ class NoMemory(AbstractMemory):
         """Nothing."""
         return jnp.zeros((0,), jnp.result_type(x))
 
-    def rate(self, memory, x):
+    def rate(self):
         """Nothing."""
-        return jnp.zeros((0,), jnp.result_type(x))
+        return lambda memory, x: []
 
     def trajectory(self, x, dt, start):
         """Nothing."""
@@ -77,9 +79,9 @@ class ElapsedTime(AbstractMemory):
         """Zero at the record's first sample."""
         return jnp.zeros((1,), jnp.result_type(x))
 
-    def rate(self, memory, x):
+    def rate(self):
         """1/T."""
-        return jnp.full((1,), 1.0 / jnp.asarray(self.horizon, jnp.result_type(x)))
+        return lambda memory, x: [jnp.full_like(x, 1.0 / jnp.asarray(self.horizon, x.dtype))]
 
     def trajectory(self, x, dt, start):
         """T/T."""
@@ -100,9 +102,10 @@ class FadingMemory(AbstractMemory):
         """Every lag has settled at x."""
         return jnp.full((self.size,), 1.0, jnp.result_type(x)) * x
 
-    def rate(self, memory, x):
+    def rate(self):
         """(x - z) / tau."""
-        return (x - memory) * jnp.exp(-self.log_tau)
+        pace = jnp.exp(-self.log_tau)
+        return lambda memory, x: [(x - z) * pace[k] for k, z in enumerate(memory)]
 
     def trajectory(self, x, dt, start):
         """Exact for x linear between samples."""
@@ -136,11 +139,15 @@ class RingingMemory(AbstractMemory):
         """At rest beside x, every lag settled."""
         return jnp.full((self.size,), 1.0, jnp.result_type(x)).at[1].set(0.0) * x
 
-    def rate(self, memory, x):
+    def rate(self):
         """(w v, w (x - r - 2 zeta v)) with v = r' / w, then (x - z) / tau."""
-        (omega, zeta), place, speed = self.ring, memory[0], memory[1]
-        ring = jnp.stack([omega * speed, omega * (x - place - 2 * zeta * speed)])
-        return jnp.concatenate([ring, (x - memory[2:]) * jnp.exp(-self.log_tau)])
+        (omega, zeta), lags = self.ring, FadingMemory(self.log_tau).rate()
+
+        def rates(memory: Rows, x: Array) -> list[Array]:
+            place, speed, *others = memory
+            return [omega * speed, omega * (x - place - 2 * zeta * speed), *lags(others, x)]
+
+        return rates
 
     def trajectory(self, x, dt, start):
         """Exact for x linear between samples."""

@@ -24,6 +24,7 @@ from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
 from .memory import AbstractMemory, NoMemory
 from .positive import positive_factor
+from .rows import Rows
 from .sections import product, sections_of
 
 Hold = Literal["foh", "zoh", "bandlimited"]
@@ -177,18 +178,20 @@ class Model(eqx.Module):
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
         """Scaled tokens sigma_0 ... sigma_n and the offset token at one instant (S then memory, scaled)."""
-        return self.tokens_from(self.encoder(features, key=key))
+        tokens, offset = self.tokens_from(self.encoder(features, key=key))
+        return jnp.stack(tokens), offset
 
-    def tokens_from(self, logits: Float[Array, " logits"]) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
-        """Tokens and offset token of an encoder's logits; the polynomial they make is stable (`sections`).
+    def tokens_from(self, logits: Rows | Float[Array, " logits"]) -> tuple[list[Array], Array]:
+        """Tokens and offset token, row by row, of an encoder's logits; the polynomial they make is stable (`sections`).
 
         From order 3 on the factors act on the nominal's sections, and the coefficients follow in proportion.
         """
-        factor = positive_factor(logits[:-1])
-        if self.order < 3:
-            return self.coefficients * factor, logits[-1]
-        nominal, n = jnp.asarray(self.scales.sections, factor.dtype), self.order
-        return self.coefficients * factor[n] * (product(factor[:n] * nominal) / product(nominal)), logits[-1]
+        *factor, offset = [*map(positive_factor, logits[:-1]), logits[-1]]
+        if self.order >= 3:
+            (*sections, last), nominal = factor, list(jnp.asarray(self.scales.sections, offset.dtype))
+            moved = product([f * s for f, s in zip(sections, nominal, strict=True)])
+            factor = [last * a * (1 / b) for a, b in zip(moved, product(nominal), strict=True)]
+        return [self.coefficients[i] * f for i, f in enumerate(factor)], offset
 
     def changed(self, factors: np.ndarray) -> "Model":
         """The model whose nominal coefficients are these factors times its own, shape (n + 1,)."""

@@ -6,9 +6,11 @@ For n <= 2 these are the tokens themselves. For n >= 3 positive tokens alone may
 factors never are, and every stable polynomial is reached.
 """
 
-import jax.numpy as jnp
+from collections.abc import Sequence
+
 import numpy as np
-from jaxtyping import Array, Float
+
+from .rows import Rows
 
 
 def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
@@ -22,10 +24,14 @@ def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
     return tuple(flat + ([float(real[-1])] if len(real) % 2 else []))
 
 
-def product(values: Float[Array, " n"]) -> Float[Array, " n+1"]:
-    """Ascending coefficients c_0 ... c_{n-1}, 1 of the polynomial with these sections."""
-    one = jnp.ones((), values.dtype)
-    poly = one[None]
-    for k in range(0, len(values) - 1, 2):
-        poly = jnp.convolve(poly, jnp.stack([values[k], values[k + 1], one]))
-    return jnp.convolve(poly, jnp.stack([values[-1], one])) if len(values) % 2 else poly
+def product(values: Rows | Sequence[float]) -> list:
+    """Ascending coefficients c_0 ... c_{n-1}, 1 of the polynomial with these sections, row by row."""
+    poly: list = [1.0]
+    pairs = [[*values[k : k + 2], 1.0] for k in range(0, len(values) - 1, 2)]
+    for section in pairs + ([[values[-1], 1.0]] if len(values) % 2 else []):
+        wide: list = [0.0] * (len(poly) + len(section) - 1)
+        for i, a in enumerate(poly):
+            for k, b in enumerate(section):
+                wide[i + k] = wide[i + k] + a * b
+        poly = wide
+    return poly

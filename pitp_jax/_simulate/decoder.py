@@ -10,6 +10,9 @@ w^2 h^2 / 2 a step: an encoder fitted to the equation error of the roll diverged
 order 2 against the continuous-token ODE, but for what depends on x^(n-1) (order 1).
 """
 
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,9 +22,11 @@ from jaxtyping import Array, Float
 from .._effects.base import Instant
 from .._model.model import Model
 from .._model.programs import jit
+from .._model.rows import Rows
 from .._numerics.intersample import between
 from . import ports
 
+State = TypeVar("State", list[Array], Array)
 UNROLLED = 4  # substeps written out one by one; 50 of them took minutes to compile
 
 
@@ -40,53 +45,84 @@ def stage_voltages(model: Model, film: Float[Array, " time"]) -> Float[Array, "t
     return between(film, model.hold, np.arange(2 * model.substeps + 1) / (2 * model.substeps), jnp)
 
 
-def increment(
-    model: Model, state: Float[Array, " state"], logits: Float[Array, " logits"], forces: tuple, h: float
-) -> Float[Array, " state"]:
-    """What one RK4 step of length h (s) adds under these logits; `state` is S then memory, scaled."""
-    return _runge_kutta(model, state, *model.tokens_from(logits), forces, h)
+class Motion(NamedTuple):
+    """What is constant in how a state moves, to be computed before a scan: dX_i/dt over X_{i+1}, and the memory's."""
+
+    rates: list[Array]
+    memory: Callable[[Rows, Array], list[Array]]
 
 
-def _runge_kutta(model: Model, state, tokens, offset, forces: tuple, h: float):
-    """What one RK4 step of length h (s) adds under these tokens; `state` is S then memory, scaled."""
-    n = model.order
-    rates = jnp.asarray(model.scales.rates, state.dtype)
-    first, middle, last = forces
-
-    def slope(s, force):
-        highest = (force - offset - tokens[:n] @ s[:n]) / tokens[n]
-        memory = model.memory.rate(s[n:], s[0])
-        return jnp.concatenate([rates * jnp.append(s[1:n], highest), memory])
-
-    k1 = slope(state, first)
-    k2 = slope(state + h / 2 * k1, middle)
-    k3 = slope(state + h / 2 * k2, middle)
-    k4 = slope(state + h * k3, last)
-    return h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+def motion_of(model: Model) -> Motion:
+    """Rates in the model's precision."""
+    return Motion(list(jnp.asarray(model.scales.rates, model.coefficients.dtype)), model.memory.rate())
 
 
-def midpoint(model: Model, state: Float[Array, " state"], h: float) -> Float[Array, " state"]:
+def held(tokens: Rows, offset: Array, together: bool = True) -> list[Array]:
+    """What a step holds: sigma_0 ... sigma_{n-1}, 1 / sigma_n (a division in every stage would cost a kernel), offset.
+
+    `together`: computed once and kept; XLA would fuse them into every row of the new state and compute them for each.
+    """
+    rows = [*tokens[:-1], 1 / tokens[-1], offset]
+    return list(jax.lax.optimization_barrier(jnp.stack(rows))) if together else rows
+
+
+def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: float) -> State:
+    """What one RK4 step of length h (s) adds under what is `held`.
+
+    `state`: S then memory, scaled, as rows (kernels of their own, for a scan) or as one array (to differentiate).
+    """
+    (rates, memory), n = motion, len(motion.rates)
+    *tokens, share, offset = frozen
+
+    def slope(state, force) -> Any:  # of the state's kind
+        s, highest = list(state), force - offset
+        for token, row in zip(tokens, s, strict=False):
+            highest = highest - token * row
+        upper = [*s[1:n], highest * share]
+        rows = [r * row for r, row in zip(rates, upper, strict=True)] + memory(s[n:], s[0])
+        return rows if isinstance(state, list) else jnp.stack(rows)
+
+    k1 = slope(state, forces[0])
+    k2 = slope(moved(state, h / 2, k1), forces[1])
+    k3 = slope(moved(state, h / 2, k2), forces[1])
+    k4 = slope(moved(state, h, k3), forces[2])
+    return jax.tree.map(lambda a, b, c, d: h / 6 * (a + 2 * b + 2 * c + d), k1, k2, k3, k4)
+
+
+def moved(state: State, by: float, slope: State) -> State:
+    """The state that much further along a slope."""
+    return jax.tree.map(lambda a, b: a + by * b, state, slope)
+
+
+def midpoint(motion: Motion, state: Rows, h: float) -> list[Array]:
     """What is known of the state half a step on, whatever the force: all but x^(n-1) has drifted."""
-    n = model.order
-    rates = jnp.asarray(model.scales.rates, state.dtype)
-    still = jnp.zeros((1,), state.dtype)
-    return state + h / 2 * jnp.concatenate([rates[: n - 1] * state[1:n], still, model.memory.rate(state[n:], state[0])])
+    n, still, half = len(motion.rates), state[len(motion.rates) - 1], [h / 2 * rate for rate in motion.rates]
+    # not h/2 (rate x'), which k2 has too: what both read would become a kernel of its own, 3 to 10 ms per 10,000
+    drifted = [x + by * v for x, by, v in zip(state[: n - 1], half, state[1:n], strict=False)]
+    return [*drifted, still, *moved(list(state[n:]), h / 2, motion.memory(state[n:], state[0]))]
 
 
 def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
     """What one step adds, tokens read at the drifted midpoint."""
-    return increment(model, state, model.encoder(midpoint(model, state, h)), forces, h)
+    constant = motion_of(model)
+    seen = jnp.stack(midpoint(constant, list(state), h))
+    return runge_kutta(constant, state, held(*model.tokens_from(model.encoder(seen)), False), forces, h)
+
+
+def along(one: Callable, state, stages: Float[Array, "stages *shape"]):
+    """Advance one sample along its stages: one(state, three of them) for every substep."""
+    count = len(stages) // 2
+    if count > UNROLLED:
+        threes = stages[2 * np.arange(count)[:, None] + np.arange(3)]
+        return jax.lax.scan(lambda s, three: (one(s, three), None), state, threes)[0]
+    for k in range(count):
+        state = one(state, stages[2 * k : 2 * k + 3])
+    return state
 
 
 def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " stages"], dt: float):
     """Advance one sample along its stage voltages: `substeps` RK4 steps, tokens read anew at each."""
-    h, count = dt / model.substeps, model.substeps
-    if count > UNROLLED:
-        threes = stages[2 * np.arange(count)[:, None] + np.arange(3)]
-        return jax.lax.scan(lambda s, volts: (substep(model, s, volts, h), None), state, threes)[0]
-    for k in range(count):
-        state = substep(model, state, stages[2 * k : 2 * k + 3], h)
-    return state
+    return along(lambda s, volts: substep(model, s, volts, dt / model.substeps), state, stages)
 
 
 def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"], h: float, logits=None):
@@ -94,17 +130,18 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
 
     Every effect's force is frozen beside the tokens, and its states are moved on after the step.
     """
-    size = model.order + model.memory.size
-    core, seen = state[:size], midpoint(model, state[:size], h)
-    logits = model.encoder(seen) if logits is None else logits
+    n, size = model.order, model.order + model.memory.size
+    core, constant = list(state[:size]), motion_of(model)
+    seen = jnp.stack(midpoint(constant, core, h))
+    tokens, offset = model.tokens_from(model.encoder(seen) if logits is None else logits)
     if not model.effects:
-        return core + increment(model, core, logits, tuple(scaled_force(model, volts)), h)
+        return state + runge_kutta(constant, state, held(tokens, offset, False), scaled_force(model, volts), h)
     films, parts = ports.films(model, ports.split(model, state[size:]), tuple(volts), h)
     forces = ports.coupled(model, tuple(scaled_force(model, v) for v in films), seen[0])
-    now = Instant(seen[: model.order], model.coefficients, jnp.asarray(model.scales.rates, state.dtype), forces[1], h)
-    tokens, offset = ports.acted(model, parts, now, *model.tokens_from(logits))
-    after = core + _runge_kutta(model, core, tokens, offset, forces, h)
-    return jnp.concatenate([after, *ports.moved(model, parts, core[0], after[0], h)])
+    now = Instant(seen[:n], model.coefficients, jnp.asarray(model.scales.rates, state.dtype), forces[1], h)
+    tokens, offset = ports.acted(model, parts, now, jnp.stack(tokens), offset)
+    after = moved(core, 1.0, runge_kutta(constant, core, held(list(tokens), offset), forces, h))
+    return jnp.concatenate([jnp.stack(after), *ports.moved(model, parts, core[0], after[0], h)])
 
 
 def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:

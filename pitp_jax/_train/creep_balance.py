@@ -20,6 +20,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from .._model.equation import equation_force
 from .._model.model import Model
 from .._model.programs import jit
 from .._record.long_record import LongRecord
@@ -139,8 +140,7 @@ def _force(model: Model, drive, series: _Series):
 
 def _balance(model: Model, encoder, past, state):
     """What the equation gives for the scaled force at one instant."""
-    tokens, offset = model.tokens_from(encoder(jnp.concatenate([state[:-1], past])))
-    return tokens @ state + offset
+    return equation_force(model, list(encoder(jnp.concatenate([state[:-1], past]))), list(state))[0]
 
 
 @jit

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import BadInput
-from .._model.input_map import SquareInput
 from .._model.model import Model, Scales
 from .._record.derivative import DIFFERENCES
 from .._record.initial_state import starts_at_rest
@@ -58,7 +57,7 @@ def build_dataset(
         if asked not in known:
             raise BadInput(f"unknown {name} {asked!r}: use one of {', '.join(known)}")
     dt = records[0].dt
-    forces = [_force(nominal, r.voltage) for r in records]
+    forces = [np.asarray(nominal.input_map.force(r.voltage), np.float64) for r in records]
     f_max = force_band(forces, dt)
     cut = cutoff(f_max, dt)
     states = [
@@ -106,11 +105,6 @@ def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np
     weight = 1.0 / np.sqrt(np.bincount(flat, minlength=1)[flat])
     weight = np.minimum(weight, most * weight.min())
     return weight / weight.mean()
-
-
-def _force(model: Model, voltage: np.ndarray) -> np.ndarray:
-    """Force in float64 on the host."""
-    return np.asarray(voltage**2 if isinstance(model.input_map, SquareInput) else voltage, np.float64)
 
 
 def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: float, scaling: str) -> Model:

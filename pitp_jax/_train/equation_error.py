@@ -49,11 +49,10 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
         The total, and (L1, L2) apart.
     """
     keys = None if key is None else jax.random.split(key, data.force.shape[0])
-    force, tokens = jax.vmap(
-        lambda f, x, k: equation_force(model, f, x, key=k), in_axes=(0, 0, None if key is None else 0)
-    )(data.features, data.equation, keys)
+    logits = jax.vmap(lambda f, k: model.encoder(f, key=k), (0, None if key is None else 0))(data.features, keys)
+    force, tokens = equation_force(model, list(logits.T), list(data.equation.T))
     physics = jnp.mean(data.weight * huber(force - data.force, width))
-    factor = tokens / model.coefficients
+    factor = jnp.stack(tokens, -1) / model.coefficients
     over, under = jax.nn.relu(factor - box[1]), jax.nn.relu(box[0] - factor)
     constraint = jnp.mean(penalty[0] * over + penalty[1] * under)
     return physics + constraint, (physics, constraint)

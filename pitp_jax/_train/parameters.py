@@ -16,7 +16,7 @@ from .._model.encoder import CompactEncoder
 from .._model.memory import ElapsedTime
 from .._model.model import Model
 from .._simulate import ports
-from .._simulate.decoder import midpoint, stage_voltages, substep
+from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
 
 
 def trainable(model: Model):
@@ -107,7 +107,7 @@ class Numbers:
 
     def seen(self, core, q, h: float):
         """What the encoder sees of a state half a substep on."""
-        return midpoint(self.with_memory(q), core, h)
+        return jnp.stack(midpoint(motion_of(self.with_memory(q)), list(core), h))
 
     def moved(self, state, logits, q, volts, a, h: float):
         """The state after one substep under these logits along three stage voltages."""

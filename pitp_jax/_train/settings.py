@@ -19,7 +19,6 @@ from .._effects.sensor import SensorLag
 from .._errors import BadInput
 from .._model.drive import ElectrodeLag
 from .._model.encoder import CompactEncoder, PaperEncoder
-from .._model.input_map import SquareInput
 from .._model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model
 from .._record.long_record import LongRecord
@@ -150,7 +149,7 @@ def firmness_of(settings: Settings, model: Model, records: int) -> float:
         return settings.firmness
     if _frugal(model):
         return 0.06 / records
-    return 1e-4 if isinstance(model.input_map, SquareInput) else 1e-3
+    return 1e-4 if model.input_map.one_sided else 1e-3
 
 
 def _frugal(model: Model) -> bool:
@@ -162,7 +161,7 @@ def with_drive(model: Model, settings: Settings) -> Model:
 
     Without a square behind it a lag is one more linear pole, which the order stands for.
     """
-    if settings.drive != "electrode" or not isinstance(model.input_map, SquareInput):
+    if settings.drive != "electrode" or not model.input_map.one_sided:
         return model
     lag = ElectrodeLag(jnp.asarray(np.log(0.1 / model.natural_frequency), jnp.float32))
     return eqx.tree_at(lambda m: m.drive, model, lag)
@@ -190,7 +189,7 @@ def with_encoder(data: Dataset, settings: Settings, key) -> Model:
         low, high = np.asarray(data.region).T
         half = np.maximum(high - low, 0.25 * (high[0] - low[0])) / 2
         bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half
-        frugal = isinstance(model.input_map, SquareInput) and len(data.features) < settings.few
+        frugal = model.input_map.one_sided and len(data.features) < settings.few
         encoder = CompactEncoder(
             n, memories, width=settings.width, offset=settings.offset, frugal=frugal, bounds=bounds, key=key
         )

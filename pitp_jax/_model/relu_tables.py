@@ -8,35 +8,28 @@ token and instant at order 2. Blocks of about a thousand instants keep the activ
 On two shared cores 120,000 instants took 0.35-0.45 s; vmapped 2.0-3.2 s; PyTorch compiled 2.4 s.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._model.encoder import PaperEncoder
+from .rows import affine
 
 _BLOCK = 1000
 _FAR = 1e30  # the knot of a branch without slope
 
 
-def affine(layer: eqx.nn.Linear) -> tuple[Array, Array]:
-    """Weight and bias."""
-    assert layer.bias is not None  # every layer of these networks has one
-    return layer.weight, layer.bias
-
-
 def tables(
-    encoder: PaperEncoder,
+    networks,
 ) -> tuple[
     Float[Array, "tokens features width"],
     Float[Array, "tokens features pieces width"],
     Float[Array, "tokens features pieces width"],
 ]:
     """Sorted knots, and slope and intercept of every piece (width + 1 of them) in every fusion unit."""
-    weight, b = affine(encoder.networks.branches)
+    weight, b = affine(networks.branches)
     a = weight[..., 0]
     tokens, features, width = a.shape
-    fusion = encoder.networks.fusion.weight.reshape(tokens, -1, features, width)
+    fusion = networks.fusion.weight.reshape(tokens, -1, features, width)
     knots = jnp.sort(jnp.clip(jnp.where(a == 0, _FAR, -b / jnp.where(a == 0, 1.0, a)), -_FAR, _FAR), -1)
     inside = (knots[..., 1:] + knots[..., :-1]) / 2
     low, high = knots[..., :1], knots[..., -1:]
@@ -46,18 +39,18 @@ def tables(
     return knots, slope, jnp.einsum("tfpw,tofw->tfpo", active * b[..., None, :], fusion)
 
 
-def paper_logits(encoder: PaperEncoder, features: Float[Array, "features time"]) -> Float[Array, "tokens time"]:
+def logits_by_tables(networks, features: Float[Array, "features time"]) -> Float[Array, "tokens time"]:
     """Logits of every instant, without the offset's, in blocks."""
     kinds, count = features.shape
     blocks = -(-count // _BLOCK)
     padded = jnp.pad(features, ((0, 0), (0, blocks * _BLOCK - count)))
-    made = tables(encoder)
-    found = jax.lax.map(lambda f: _block(encoder, made, f), padded.reshape(kinds, blocks, _BLOCK).swapaxes(0, 1))
+    made = tables(networks)
+    found = jax.lax.map(lambda f: _block(networks, made, f), padded.reshape(kinds, blocks, _BLOCK).swapaxes(0, 1))
     return found.swapaxes(0, 1).reshape(found.shape[1], -1)[:, :count]
 
 
-def _block(encoder: PaperEncoder, made, features: Float[Array, "features block"]) -> Float[Array, "tokens block"]:
-    networks, (knots, slope, intercept) = encoder.networks, made
+def _block(networks, made, features: Float[Array, "features block"]) -> Float[Array, "tokens block"]:
+    knots, slope, intercept = made
     (_, fusion), (readout, last) = affine(networks.fusion), affine(networks.readout)
     enhance = [affine(layer) for layer in networks.enhance]
     find = jax.vmap(lambda k, x: jnp.searchsorted(k, x, method="scan"))
