@@ -52,7 +52,7 @@ def test_every_effect_is_pythons(bounded, linear, tmp_path, form):
         assert np.abs(found.follow(False, seen, drive())[1] - y).max() < step_bound * span
         assert np.abs(found.predict(drive())[:free] - y[:free, 0]).max() < run_bound * span
         said = found.follow(True, known, motion)[1][:, 0] ** 2
-        # slopes between samples that single precision keeps: their rounding over dt, twice over in a second-order sensor
+        # slopes between kept samples: their rounding over dt, twice over in a second-order sensor
         lead = 20 if precision == "single" and form.port in ("IN", "OUT") else 1
         assert np.abs(said - force).max() < lead * step_bound * force.max()
 
