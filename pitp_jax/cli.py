@@ -266,7 +266,9 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model, with any effects")
     parser.add_argument("--to", required=True, choices=("c", "fmu", "matlab"), help="what is written")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to make; it must not exist yet")
-    parser.add_argument("--rate", type=_positive, metavar="HZ", help="steps per second (default: the model's)")
+    parser.add_argument(
+        "--rate", dest="steps", type=_positive, metavar="HZ", help="steps per second (default: the model's)"
+    )
     parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
     parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
     parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")

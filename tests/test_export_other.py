@@ -2,7 +2,9 @@
 
 import shutil
 import subprocess
+import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,7 +104,7 @@ def test_its_sources_compile(fmus, fmi, tmp_path):
     pytest.importorskip("fmpy")
     file = shutil.copy(fmus[fmi] / "pitp_cone.fmu", tmp_path)
     command = ["fmpy", "compile", "--all-warnings", "--warning-as-error", str(file)]
-    done = subprocess.run([shutil.which("fmpy") or "fmpy", *command[1:]], capture_output=True, text=True)
+    done = subprocess.run([str(Path(sys.executable).with_name("fmpy")), *command[1:]], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

@@ -6,14 +6,14 @@ from .._model_file.model_file import load
 from .console import number
 
 
-def export(model, to, out, rate, precision, fmi, name) -> None:
+def export(model, to, out, steps, precision, fmi, name) -> None:
     """Write the folder and say what is in it.
 
     Args:
         model: model file.
         to: "c", "fmu" or "matlab".
         out: folder to make.
-        rate: steps per second, or None for the model's own.
+        steps: per second, or None for the model's own.
         precision: "single" or "double", or None.
         fmi: version of the FMU's interface, or None.
         name: of files and functions.
@@ -25,7 +25,7 @@ def export(model, to, out, rate, precision, fmi, name) -> None:
         raise BadInput(f"--fmi {fmi} is for --to fmu")
     if precision == "single" and to == "matlab":
         raise BadInput("--precision single is for --to c and fmu: MATLAB computes in double")
-    loaded, options = load(model), {"name": name, "rate": rate}
+    loaded, options = load(model), {"name": name, "rate": steps}
     if to == "matlab":
         cost = export_matlab(loaded, out, **options)
     elif to == "fmu":
@@ -33,7 +33,7 @@ def export(model, to, out, rate, precision, fmi, name) -> None:
     else:
         cost = export_c(loaded, out, **options, precision=precision or "double")
     what = {"c": "C99 (`make` there checks it)", "fmu": f"FMU {fmi or 2}.0", "matlab": "MATLAB functions"}[to]
-    print(f"pitp_{name}: {what}, {number(rate or 1 / loaded.provenance.dt)} steps a second, in {out}")
+    print(f"pitp_{name}: {what}, {number(steps or 1 / loaded.provenance.dt)} steps a second, in {out}")
     if cost is not None:
         own = number(1 / loaded.provenance.dt)
         print(f"at this rate instead of the model's {own} Hz it predicts {number(cost, 2)} % of range off (e_rms)")

@@ -308,6 +308,17 @@ def _repeated(make, params, args, equation):
         carry = _run(make, *_opened(params["body_jaxpr"]), [*second, *carry])
 
 
+def _convolved(make, params, args, equation):
+    """In one dimension: products of polynomials."""
+    (low, high), left, right = params["padding"][0], list(args[0].ravel()), args[1].ravel()
+    padded = [0.0] * low + left + [0.0] * high
+    found = [
+        make.total([make.make("mul", a, b) for a, b in zip(padded[k:], right, strict=False)])
+        for k in range(len(padded) - len(right) + 1)
+    ]
+    return [_array(found, equation.outvars[0].aval.shape)]
+
+
 def _square(make, params, args, equation):
     return [_each(lambda a: make.make("mul", a, a), args)]
 
@@ -321,7 +332,8 @@ def _rsqrt(make, params, args, equation):
 
 
 _SPECIAL = {
-    "convert_element_type": _converted, "integer_pow": _power, "select_n": _chosen, "cond": _branches,
+    "convert_element_type": _converted,
+    "conv_general_dilated": _convolved, "integer_pow": _power, "select_n": _chosen, "cond": _branches,
     "clamp": _clamped, "reduce_sum": _reduced("add"), "reduce_max": _reduced("max"), "reduce_min": _reduced("min"),
     "reduce_and": _reduced("and"), "reduce_or": _reduced("or"), "dot_general": _product, "scatter": _scattered,
     "scatter-add": _scattered, "iota": _count, "scan": _scanned, "while": _repeated, "square": _square,
