@@ -1,19 +1,9 @@
 """Shapes and types of pitp_jax are checked while its tests run; models and data that several files use."""
 
-import os
 import pkgutil
-import tempfile
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # workers and processes that tests start share what they compile
-    _programs = tempfile.TemporaryDirectory(prefix="pitp-programs-")  # gone with the process that made it
-    os.environ |= {
-        "JAX_COMPILATION_CACHE_DIR": _programs.name,
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    }
 
 import jax
 import jax.numpy as jnp

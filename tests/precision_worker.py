@@ -23,8 +23,10 @@ def drives():
 
 
 def dtypes(model):
-    """Of all its numbers."""
-    return sorted({str(a.dtype) for a in jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array))})
+    """Of all its numbers but the scales, which are NumPy's."""
+    return sorted(
+        {str(a.dtype) for a in jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array)) if isinstance(a, jax.Array)}
+    )
 
 
 def main(place):

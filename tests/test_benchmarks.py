@@ -92,5 +92,5 @@ def test_torch_copies_are_the_same_model(preset):
     memory = rng.normal(0, 0.3, (20, model.memory.size)).astype(np.float32)
     force = np.asarray(force_along(model, jnp.asarray(equation), jnp.asarray(memory)))
     with torch.inference_mode():
-        film = Inverse(model)(tensor(np.concatenate([equation[:, :-1], memory], 1)), tensor(equation)).numpy()
+        film = Inverse(model)(tensor(np.concatenate([equation[:, :-1], memory], 1).T), tensor(equation.T)).numpy()
     np.testing.assert_allclose(film**2 / model.scales.force, np.maximum(force, 0), rtol=0, atol=1e-5)

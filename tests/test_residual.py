@@ -54,7 +54,7 @@ def test_box_penalty(linear, monkeypatch, sign):
     """Factors 1.5, 0.7 and 1: (2 * 0.3 + 3 * 0.1) / 3, for negative coefficients too."""
     model = eqx.tree_at(lambda m: m.coefficients, linear(2), sign * linear(2).coefficients)
     factors = jnp.array([1.5, 0.7, 1.0])
-    moved = list(model.coefficients[:, None] * factors[:, None])
+    moved = list(model.coefficients * factors)
     monkeypatch.setattr(Model, "tokens_from", lambda self, logits: (moved, jnp.float32(0.0)))
     _, (_, constraint) = loss(model, data_of(model), BOX, width=1.0, penalty=(2.0, 3.0))
     assert float(constraint) == pytest.approx((2 * 0.3 + 3 * 0.1) / 3, rel=1e-5)

@@ -46,7 +46,7 @@ def export_c(
 def write_sources(plan: Plan, folder: Path) -> None:
     """`pitp_<name>.h` and `pitp_<name>.c`."""
     values = substitutions(plan)
-    (folder / f"{values['id']}.h").write_text(filled("model.h", values))
+    (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
     writer = Writer("c", plan.single)
     functions = "\n".join(
         writer.function(f"{what}_{part}", code, states, outputs)
@@ -59,7 +59,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
     values["functions"], values["beside"] = functions, "\n".join(writer.beside)
     values["helpers"] = writer.helpers(functions + values["beside"])
     values["weights"] = table(writer, plan.weights())
-    (folder / f"{values['id']}.c").write_text(filled("model.c", values))
+    (folder / f"{values['id']}.c").write_text(filled("model.c", values), encoding="utf-8")
 
 
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
@@ -82,7 +82,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
         "ahead_ms": f"{1e3 * plan.look_ahead * plan.dt:.0f}_ms",
     }  # fmt: skip
     for template in ("main.c", "Makefile", "loop.c", "teensy.ino", "README.md"):
-        (folder / template).write_text(filled(template, values))
+        (folder / template).write_text(filled(template, values), encoding="utf-8")
 
 
 def substitutions(plan: Plan) -> dict[str, str]:
@@ -116,7 +116,7 @@ def table(writer: Writer, values: np.ndarray) -> str:
 
 def filled(template: str, values: dict[str, str]) -> str:
     """A template with every @key@ replaced."""
-    text = (TEMPLATES / template).read_text()
+    text = (TEMPLATES / template).read_text(encoding="utf-8")
     for key, value in values.items():
         text = text.replace(f"@{key}@", value)
     return text

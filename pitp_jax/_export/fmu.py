@@ -56,10 +56,10 @@ def export_fmu(
         values = _values(plan, fmi)
         write_sources(plan, inside / "sources")
         values["api"] = filled(f"fmi{fmi}.c", values)
-        (inside / "sources" / "fmu.c").write_text(filled("fmu.c", values))
-        (inside / "modelDescription.xml").write_text(filled(f"fmi{fmi}.xml", values))
+        (inside / "sources" / "fmu.c").write_text(filled("fmu.c", values), encoding="utf-8")
+        (inside / "modelDescription.xml").write_text(filled(f"fmi{fmi}.xml", values), encoding="utf-8")
         if fmi == 3:
-            (inside / "sources" / "buildDescription.xml").write_text(filled("build.xml", values))
+            (inside / "sources" / "buildDescription.xml").write_text(filled("build.xml", values), encoding="utf-8")
         _build(inside, values["id"], fmi)
         with ZipFile(stage / f"{values['id']}.fmu", "w", ZIP_DEFLATED) as archive:
             for file in sorted(p for p in inside.rglob("*") if p.is_file()):
@@ -122,9 +122,9 @@ def _write_check(plan: Plan, folder: Path, name: str) -> None:
     rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned]
     _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command"], rows)
     options = {"StartTime": 0.0, "StopTime": planning.SAMPLES * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
-    (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()))
+    (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()), encoding="utf-8")
 
 
 def _csv(file: Path, header: list[str], columns: list[np.ndarray]) -> None:
     rows = (",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True))
-    file.write_text("\n".join([",".join(header), *rows]) + "\n")
+    file.write_text("\n".join([",".join(header), *rows]) + "\n", encoding="utf-8")

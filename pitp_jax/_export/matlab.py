@@ -22,7 +22,7 @@ def export_matlab(model: Model, folder: str | Path, *, name: str = "model", rate
     with whole_folder(folder) as stage:
         for way, written, outputs in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2)):
             values = {**substitutions(plan), "functions": functions(written, outputs)}
-            (stage / f"pitp_{plan.name}_{way}.m").write_text(filled(f"{way}.m", values))
+            (stage / f"pitp_{plan.name}_{way}.m").write_text(filled(f"{way}.m", values), encoding="utf-8")
     return cost
 
 

@@ -6,7 +6,8 @@
 
 Still records (`initial_state`) are at rest or held, whichever run leaves less of the samples before the drive moves, or
 of the first 50; where neither explains them the record turns there, and moves. The direction is what these runs leave
-less with until the motion is plain of noise.
+less with until the motion is plain of noise; the other one than the model's only where it explains that motion and
+leaves a fifth of what the model's leaves: a delay of half a period turns a motion over as well.
 """
 
 from collections.abc import Sequence
@@ -26,6 +27,7 @@ from .decoder import rest_state, rollout_batch, settled_state, step
 _AHEAD = 2048  # samples, of which beginning and direction are read
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # scaled displacements among which an equilibrium is sought
 _PLAIN = 20.0  # noise floors that a motion must exceed before it tells a direction
+_HALF = 0.5  # of what rest leaves: from where a record that begins at the zero of 0 V began under a held drive instead
 _EXPLAINED = 0.2  # share of the first samples' motion that a model may miss and still explain how they begin
 
 
@@ -97,10 +99,14 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray]) -> 
 
     kinds: tuple[Begins, ...] = ("rest", "held") if record.voltage[0] != 0 else ("rest",)
     scores = {(b, d): left(b, d) for b in kinds for d in (polarity, -polarity)}
-    begins, direction = min(scores, key=lambda k: scores[k])
-    if direction != polarity and not plain.any():
-        begins, direction = min((k for k in scores if k[1] == polarity), key=lambda k: scores[k])
+    begins, direction = min((k for k in scores if k[1] == polarity), key=lambda k: scores[k])
+    turned = min((k for k in scores if k[1] != polarity), key=lambda k: scores[k])
+    explained = scores[turned] < _EXPLAINED * min(float(np.nanstd(y[:seen])), scores[begins, direction])
+    if plain.any() and explained:
+        begins, direction = turned
     at_zero = starts_at_rest(record, zero)
+    if at_zero and begins == "held" and scores["held", direction] > _HALF * scores["rest", direction]:
+        begins = "rest"
     enough = max(3 * noise, 0.002 * span, _EXPLAINED * float(np.nanstd(y[:seen])))
     if not at_zero and scores[begins, direction] > enough:
         return Beginning("moving", polarity, zero, float("inf"))

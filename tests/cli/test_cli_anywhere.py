@@ -90,4 +90,7 @@ def _text_without_encoding(call):
     if name not in ("open", "read_text", "write_text") or any(k.arg == "encoding" for k in call.keywords):
         return False
     modes = [a.value for a in call.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
-    return not any("b" in m for m in modes) and ast.unparse(call) != "open(os.devnull, 'w')"
+    return not any("b" in m for m in modes) and ast.unparse(call) not in (
+        "open(os.devnull, 'w')",
+        "archive.open(name)",  # of a zip file: bytes
+    )

@@ -9,8 +9,8 @@ from pitp_jax._commands import outputs
 
 
 def test_destinations_are_checked_before_the_work(call, bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("pitp_jax._commands.identify.read", lambda *a, **k: pytest.fail("read first"))
-    monkeypatch.setattr("pitp_jax._commands.fit.read", lambda *a, **k: pytest.fail("read first"))
+    monkeypatch.setattr("pitp_jax._commands.identify.read_records", lambda *a, **k: pytest.fail("read first"))
+    monkeypatch.setattr("pitp_jax._commands.fit.read_records", lambda *a, **k: pytest.fail("read first"))
     (tmp_path / "file").write_text("x")
     record = bench / "records" / "sweep.csv"
     for out in (tmp_path, tmp_path / "no" / "m", tmp_path / "file" / "m", record, f"{tmp_path}/"):

@@ -147,4 +147,4 @@ def test_predict_refuses_another_kind_of_output_and_warns_of_another_rate(call, 
     slow = write_record(tmp_path / "slow.csv", voltage[::2], x[::2], time=TIME[::2])
     code, _, err = call("predict", bench / "nominal", slow)
     assert code == 0
-    assert err.startswith("pitp: warning: ")
+    assert [line for line in err.splitlines() if line.startswith("pitp: warning: ")]
