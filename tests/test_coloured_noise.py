@@ -10,7 +10,7 @@ def test_an_autoregression_is_made_white():
     """AR(1) of 0.9: correlation at lag 1 of 0.9 before, none after, and the innovations' size."""
     rng = np.random.default_rng(0)
     w = 0.3 * rng.standard_normal(40_000)
-    e = lfilter([1.0], [1.0, -0.9], w)
+    e = np.asarray(lfilter([1.0], [1.0, -0.9], w))
     white = whitener(e)(e)
     assert abs(np.corrcoef(e[1:], e[:-1])[0, 1] - 0.9) < 0.01
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.02
@@ -21,7 +21,7 @@ def test_a_constant_pays_only_where_the_error_has_none():
     """BIC takes a level that is there and leaves one that slow noise merely resembles, in 19 of 20 draws at least."""
     rng, wrong = np.random.default_rng(1), 0
     for _ in range(20):
-        e = lfilter([1.0], [1.0, -0.98], rng.standard_normal(4000))
+        e = np.asarray(lfilter([1.0], [1.0, -0.98], rng.standard_normal(4000)))
         whiten = whitener(e)
         for level, pays in ((0.0, False), (60.0, True)):
             y, ones = whiten(e + level), whiten(np.ones((4000, 1)))
