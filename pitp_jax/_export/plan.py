@@ -7,7 +7,7 @@ on; a model that carries none has a sum of sines over its range of voltage.
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from shutil import rmtree
@@ -200,17 +200,20 @@ def _vector(plan: Plan) -> Vector:
 
 
 def rate_error(plan: Plan) -> float | None:
-    """What another rate than the model's costs: e_rms (%) between both over the test vector; None at its own rate."""
+    """What another rate than the model's costs: e_rms (%) over the model's own test voltage; None at its own rate.
+
+    One voltage, whatever the rate, so that the figures of several rates compare.
+    """
     own = plan.model.provenance.dt
     if abs(plan.dt / own - 1) < 1e-9:
         return None
-    t, count = np.arange(SAMPLES) * plan.dt, int(np.ceil(SAMPLES * plan.dt / own)) + 1
-    u = np.interp(np.arange(count) * own, t, plan.test.voltage)
-    own_step = steps.predict(plan.model, own)
-    (fine,) = played(own_step, u, float(plan.model.output.offset))
+    known = replace(plan, dt=own).test
+    fine = np.arange(SAMPLES) * own
+    t = np.arange(0, fine[-1], plan.dt)
+    step = steps.predict(plan.model, plan.dt)
+    (y,) = played(step, np.interp(t, fine, known.voltage), float(plan.model.output.offset))
     late, own_late = (steps.predict(plan.model, d).late * d for d in (plan.dt, own))
-    found = np.interp(t - late, np.arange(count) * own - own_late, fine)
-    return e_rms_percent(plan.test.displacement, found)
+    return e_rms_percent(y, np.interp(t - late, fine - own_late, known.displacement))
 
 
 @contextmanager
