@@ -24,9 +24,8 @@ from ._errors import BadInput, ComputationFailed
 _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of them"
 _READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
-# Commands that keep compiled programs: the short ones. In a long process with hundreds of programs XLA was once seen
-# to abort while it wrote one down, and a fit must not be lost to that.
-_KEPT = ("predict", "invert")
+# Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.
+_QUICK = ("predict", "invert", "simulate")
 _PLANTS = ("cone100", "cone122", "cone150", "roll")
 
 
@@ -51,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = vars(_parser().parse_args(argv))
         module, function = arguments.pop("runs"), arguments.pop("command")
         if not arguments.pop("no_cache", True):
-            keep_programs()
+            keep_programs(0.0 if module in _QUICK else 0.1)
         told = [name for name in arguments if name.startswith(_READING)]
         if told:
             arguments["reading"] = {name.removeprefix(_READING): arguments.pop(name) for name in told}
@@ -141,8 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     def command(name: str, text: str) -> argparse.ArgumentParser:
         made = commands.add_parser(name, help=text, description=text.capitalize() + ".", allow_abbrev=False)
         made.set_defaults(runs=name)
-        if name in _KEPT:
-            made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
+        made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
         return made
 
     demo = command("demo", "the paper's protocol on a virtual actuator: tables, figures, model")

@@ -1,9 +1,15 @@
 """Shapes and types of pitp_jax are checked while its tests run; models and data that several files use."""
 
+import os
 import pkgutil
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+
+# Programs that take long to compile are shared among the suite's processes, and kept for the next run of it.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
+os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2**31))  # with a limit, processes lock the folder
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +36,8 @@ with install_import_hook("pitp_jax", "typecheck.check"):
 def _few_mappings():
     """Compiled programs are dropped after a file, before the process runs out of memory mappings.
 
-    Linux allows 65,530; a program takes about eight, the suite's 1,900 tests in two processes 60,000, and XLA aborts
-    where it gets no more.
+    Linux allows 65,530, a program takes about eight, and XLA crashes where it gets no more (`execution_engine.cc: LLVM
+    compilation error: Cannot allocate memory`): two processes that share the suite came to that after 1,800 tests.
     """
     yield
     maps = Path("/proc/self/maps")

@@ -10,10 +10,11 @@ from platformdirs import user_cache_dir
 _LARGEST = 2**30  # bytes; beyond it the programs used longest ago go
 
 
-def keep_programs() -> None:
+def keep_programs(shortest: float) -> None:
     """Tell JAX, before it is imported, where to keep compiled programs; what the environment says already stands.
 
-    A folder for each computer: a home folder may be shared by several, and programs are for one processor.
+    A folder for each computer: a home folder may be shared by several, and programs are for one processor. Those that
+    compile in less than `shortest` seconds are not kept.
     """
     if "jax" in sys.modules or "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -26,5 +27,5 @@ def keep_programs() -> None:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_LARGEST))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(shortest))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
