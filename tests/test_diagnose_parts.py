@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 import pitp_jax._diagnose.fit as fitting
 from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case, split
-from pitp_jax._diagnose.diagnosis import _verdict
 from pitp_jax._diagnose.effect_responses import nominal_filter, responses
 from pitp_jax._diagnose.effect_selection import Attribution, _part_of_a_change
 from pitp_jax._diagnose.evaluation import Judged, sides
@@ -20,6 +19,7 @@ from pitp_jax._diagnose.noise import estimate
 from pitp_jax._diagnose.regress import singles
 from pitp_jax._diagnose.result import Gap
 from pitp_jax._diagnose.screen import screen
+from pitp_jax._diagnose.verdict import verdict
 from pitp_jax._effects import CATALOGUE, amplifier, sensor, stiffness
 from pitp_jax._record.excitation_kind import kind
 
@@ -65,7 +65,7 @@ def test_what_was_simulated_without_noise_has_the_floor_of_its_rounding(nominal)
     assert low == pytest.approx(1e-3)
     bare = Judged(Candidate((), (), (), np.ones(3), False), tuple(errors), 3e-4, 3e-4)
     gap = Gap(3e-4, 3e-4, 3e-4, low, "", None, None)
-    assert _verdict(gap, Attribution(bare, bare, (bare,), (), bare, (), (), found), 1.0) == "no_gap"
+    assert verdict(gap, Attribution(bare, bare, (bare,), (), bare, (), (), found), 1.0) == "no_gap"
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_an_actuator_that_is_struck_is_unknown(linear):
     white = rng.standard_normal((len(case.series), 2 * SAMPLES))
     gap = Gap(1.0, 1.0, 1.0, 0.95, "", None, None)
     bare = Judged(Candidate((), (), (), np.ones(3), False), (), 1.0, 1.0)
-    for errors, verdict in ((white, "no_gap"), (lfilter([1.0], ring, white), "unknown")):
+    for errors, said in ((white, "no_gap"), (lfilter([1.0], ring, white), "unknown")):
         noise = estimate(case, [1e-3 * e[SAMPLES:] for e in errors])
-        assert ("peaks at the resonance" in noise.source) == (verdict == "unknown")
-        assert _verdict(gap, Attribution(bare, bare, (), (), bare, (), (), noise), 1.0) == verdict
+        assert ("peaks at the resonance" in noise.source) == (said == "unknown")
+        assert verdict(gap, Attribution(bare, bare, (), (), bare, (), (), noise), 1.0) == said

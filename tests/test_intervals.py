@@ -8,12 +8,12 @@ from played import SAMPLES, nominal_of, play
 from scipy.signal import lfilter
 
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.diagnosis import _verdict
 from pitp_jax._diagnose.effect_selection import Attribution, bootstrap
 from pitp_jax._diagnose.evaluation import Judged
 from pitp_jax._diagnose.fit import Candidate
 from pitp_jax._diagnose.noise import Noise
 from pitp_jax._diagnose.result import Gap, _interval, closed
+from pitp_jax._diagnose.verdict import rezeroed, verdict
 from pitp_jax._effects import stiffness
 
 # rms, % of range: of the sensor's noise, of the nominal's gap, of what an effect leaves of it
@@ -63,16 +63,44 @@ def test_blocks_are_drawn_as_the_mean_of_a_record_scatters(case):
     assert np.mean(told) == pytest.approx(np.std(means), rel=0.1)
 
 
+def found(after, ties=0):
+    candidate = Candidate((stiffness.CubicStiffening,), ((0.3,),), (), np.ones(3), False)
+    best = Judged(candidate, (), after, after)
+    tied = tuple(f"effect {k}" for k in range(ties))
+    return Attribution(best, best, (best,), (), best, tied, (), Noise(1e-3, 1e-3, np.zeros((1, 2)), ""))
+
+
 @pytest.mark.parametrize(
-    ("floors", "share", "verdict"),
+    ("floors", "share", "said"),
     [
         (1.4, 0.6, "explained"), (1.4, 0.45, "unknown"), (2.0, 0.7, "unknown"), (2.0, 0.75, "explained"),
         (3.5, 0.75, "unknown"), (3.5, 0.85, "explained"),
     ],
 )  # fmt: skip
-def test_what_leaves_more_than_the_floor_must_close_its_share(floors, share, verdict):
-    candidate = Candidate((stiffness.CubicStiffening,), ((0.3,),), (), np.ones(3), False)
-    best = Judged(candidate, (), floors, floors)
-    noise = Noise(1e-3, 1e-3, np.zeros((1, 2)), "")
-    gap = Gap(10.0, floors, 10.0, 1.0, "", share, None)
-    assert _verdict(gap, Attribution(best, best, (best,), (), best, (), (), noise), 1.0) == verdict
+def test_what_leaves_more_than_the_floor_must_close_its_share(floors, share, said):
+    assert verdict(Gap(10.0, floors, 10.0, 1.0, "", share, None), found(floors), 1.0) == said
+
+
+@pytest.mark.parametrize(
+    ("after", "floor", "share", "level", "ties", "said"),
+    [
+        (10.5, 9.0, 0.95, 40.0, 0, "unknown"), (9.5, 3.0, 0.95, 40.0, 0, "explained"),  # 10 % of range
+        (5.5, 4.0, 0.78, 40.0, 0, "unknown"), (4.5, 4.0, 0.78, 40.0, 0, "explained"),  # 5 % of range
+        (2.0, 1.5, 0.9, 1.9, 0, "unknown"), (2.0, 1.5, 0.9, 2.2, 0, "explained"),  # zeros alone do as much
+        (1.0, 1.0, 1.0, 1.05, 0, "no_gap"),  # zeros leave noise
+        (1.0, 1.0, 1.0, 9.0, 4, "unknown"), (1.0, 1.0, 1.0, 9.0, 3, "explained"),  # names tied
+    ],
+)  # fmt: skip
+def test_what_is_large_or_a_zero_or_one_of_many_is_not_explained(after, floor, share, level, ties, said):
+    assert verdict(Gap(40.0, after, 40.0, floor, "", share, None), found(after, ties), 1.0, level) == said
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_zero_and_a_direction_are_taken_out_record_by_record(case, direction):
+    """Errors of a run that is right but for both leave the noise alone."""
+    noise = coloured(np.random.default_rng(4), NOISE)
+    errors = []
+    for k, s in enumerate(case.series):
+        measured = 100 * (s.run - s.error) / s.span
+        errors.append((direction - 1) * measured + noise[k] + 5 + k)
+    assert rezeroed(case, judged(np.stack(errors)), (0, 1)) == pytest.approx(np.sqrt(noise.var(1).mean()), rel=1e-6)

@@ -1,10 +1,6 @@
 """The diagnosis: where the gap lies, which effect causes it, how far it shrinks (docs/contract.md).
 
-no_gap      before <= 1.1 floor, or <= 1.4 floor where no effect closes 72 % (the floor itself is an estimate: of 50
-            draws of AR(0.9) noise one was read 14 % low and called creep, which closed 53 %)
-unknown     no gap, but the floor is more than a sensor makes; less than half closed, less than 72 % where
-            after > 1.5 floor, more than three names tied, or an effect that can be written in one way only leaves
-            more than twice what a nominal without any leaves
+records -> case -> candidates fitted and judged -> `verdict`;   again the other way round where few drives show it
 """
 
 from collections.abc import Callable, Sequence
@@ -23,20 +19,12 @@ from .effect_selection import Attribution, attribute
 from .evaluation import augmented, floor, sides
 from .hold import settled
 from .next_experiment import Experiment, separate
-from .noise import STRUCK
 from .parameter_uncertainty import doubted
-from .result import GAP, Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
+from .result import Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
 from .select_records import usable
+from .verdict import DOUBT, rezeroed, verdict
 from .where import locate
 
-_TIES = 3
-# (floors left, share that must be closed where more is left). Tuning seeds: true names of another form close 0.81 at
-# least (0.76 at 2.1 floors after a refit); a curved sensor, which no form is, 0.67. With the true name left out (seeds
-# 100 and 101) what stands in closes 0.69 to 0.89, and what of it lies below 0.8 leaves 4.9 floors at least
-_LEAVES = ((1.5, 0.72), (3.0, 0.80))
-_DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
-_ONLY = 2.0  # with the true name left out, a charge leak passed for a voltage offset (77 % closed, 4.9 floors left)
-_HALF = 0.5  # what closes less explains nothing, however high the floor
 _HELPS = 0.2  # a best candidate that closes less explains nothing, and what is tied with it neither
 
 
@@ -140,22 +128,26 @@ def diagnose(
     records, notes = usable(records)
     model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
     options = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
-    case, found, gap, verdict = _over_splits(model, records, mesh, options)
+    case, found, gap, name, level = _over_splits(model, records, mesh, options)
     _, judged = sides(case)
-    if verdict == "explained":
+    if name == "explained":
         best, model = settled(case, found.best, model)
         found = replace(found, best=doubted(case, best, model))
         gap = gap_of(case, found, found.best, gap.noise_floor or 0.0, judged)
-    effects = found.best.names if verdict == "explained" else ()
-    added = augmented(case, found.best if verdict == "explained" else found.base, model)
+    if name == "no_gap" and gap.before > DOUBT * (gap.noise_floor or 0.0):
+        notes += (
+            f"{gap.before:.2g} % of range are left, {level:.2g} % beside each record's own zero: rezero the sensor",
+        )
+    effects = found.best.names if name == "explained" else ()
+    added = augmented(case, found.best if name == "explained" else found.base, model)
     where = locate(case, [e * s.span / 100 for e, s in zip(found.base.errors, case.series, strict=True)], found.noise)
     experiment = None
-    tied = found.equivalent if verdict != "no_gap" and (gap.closed_fraction or 0.0) > _HELPS else ()
+    tied = found.equivalent if name != "no_gap" and (gap.closed_fraction or 0.0) > _HELPS else ()
     if tied:
         progress("looking for an experiment that separates the tied names")
         experiment = separate(case, found.best, found.rivals[0], found.noise)
     return Diagnosis(
-        verdict=verdict,
+        verdict=name,
         effects=effects,
         equivalent=tied,
         added=added_of(case, found.best) if effects else (),
@@ -179,6 +171,7 @@ class _Said(NamedTuple):
     found: Attribution
     gap: Gap
     verdict: str
+    rezeroed: float
 
 
 def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Said:
@@ -189,7 +182,8 @@ def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Sa
         found = attribute(case, **options)
         _, judged = sides(case)
         gap = gap_of(case, found, found.best, floor(case, found.noise, judged), judged)
-        return _Said(case, found, gap, _verdict(gap, found, case.model.provenance.misfit))
+        own, level = case.model.provenance.misfit, rezeroed(case, found.base, judged)
+        return _Said(case, found, gap, verdict(gap, found, own, level), level)
 
     first, progress = said("first"), options["progress"]
     elsewhere = first.verdict == "no_gap" and _fitted_show_it(first.case, first.found)
@@ -211,30 +205,17 @@ def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Sa
 
 def _on_one_side(s: _Said) -> bool:
     """A gap in the records that were fitted and none in those that were held out, or the other way round."""
-    held_show_it = s.gap.before > _DOUBT * (s.gap.noise_floor or 0.0)
+    held_show_it = s.gap.before > DOUBT * (s.gap.noise_floor or 0.0)
     return held_show_it != _fitted_show_it(s.case, s.found)
 
 
 def _fitted_show_it(case: Case, found: Attribution) -> bool:
     """Whether the records that were fitted show a gap."""
     fitted, _ = sides(case)
-    return found.base.train > _DOUBT * floor(case, found.noise, fitted)
+    return found.base.train > DOUBT * floor(case, found.noise, fitted)
 
 
 def _hopeless(case: Case, found: Attribution) -> bool:
     """The fitted records have a gap, and no effect takes a tenth off it: the other way round it is the same."""
     least = min(j.train for j in (*found.ranking, found.best))
     return _fitted_show_it(case, found) and least > 0.9 * found.base.train
-
-
-def _verdict(gap: Gap, found: Attribution, own: float) -> str:
-    """`own`: what the nominal left where nothing was wrong, over the noise."""
-    low = gap.noise_floor or 0.0
-    share = gap.closed_fraction or 0.0
-    if gap.before <= GAP * low or (gap.before <= _DOUBT * low and share < _LEAVES[0][1]):
-        return "unknown" if found.noise.sigma > STRUCK * found.noise.sensor else "no_gap"
-    too_much = any(gap.after > floors * low and share < least for floors, least in _LEAVES)
-    if share < _HALF or too_much or len(found.equivalent) > _TIES:
-        return "unknown"
-    no_excuse = all(f.only for f in found.best.candidate.forms)  # a parameter change has no form at all
-    return "unknown" if no_excuse and gap.after > _ONLY * own * low > 0 else "explained"
