@@ -107,6 +107,19 @@ def _plays(x, v, u, s, p):
     return [0.0 if abs(z) >= w and z * v > 0 else v for z, w in zip(s, widths, strict=True)]
 
 
+def _backlash(x, v, u, s, p):
+    """What is read is pushed along at either end of the play."""
+    return (v if (x - s[0]) * np.sign(v) >= p.width / 2 else 0.0,)
+
+
+def _store(x, v, u, s, p):
+    return ((p.k * abs(u) - s[0]) / p.tau,)
+
+
+def _farthest(x, v, u, s, p):
+    return (abs(v) if abs(x) >= s[0] and x * v > 0 else 0.0,)
+
+
 def _wen(x, v, u, s, p):
     return (v * (1 - (abs(s[0]) / p.width) ** p.sharpness) if s[0] * v > 0 else v,)
 
@@ -150,6 +163,10 @@ EQUATIONS = {
     ),
     "softening: exponential": Equation(
         ((0.5,),), {2: 3e-4}, force=lambda x, v, s, p, a, t: a[0] * ((1 - np.exp(-p.b * x)) / p.b - x)
+    ),
+    "mullins: exponential": Equation(
+        ((0.3, 0.4),), {2: 3e-4}, begin=lambda x, u, p: (abs(x),), rates=_farthest,
+        force=lambda x, v, s, p, a, t: -a[0] * p.d * (1 - np.exp(-max(s[0], abs(x)) / p.length)) * x,
     ),
     "end_stop: above": Equation(
         ((4.0, 0.6),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.kappa * max(x - p.place, 0)
@@ -243,6 +260,9 @@ EQUATIONS = {
         ((0.2, 0.1),), {2: 1e-6}, begin=lambda x, u, p: (u,), rates=lambda x, v, u, s, p: ((u - s[0]) / p.tau,),
         film=lambda u, s, p: u - p.kappa * s[0],
     ),
+    "charge_retention: one store": Equation(
+        ((0.2, 0.1),), {2: 1e-3}, begin=lambda x, u, p: (p.k * abs(u),), rates=_store, film=lambda u, s, p: u + s[0]
+    ),
     "stretch_coupling: linear": Equation(((0.3,), (-0.3,)), {2: 2e-4}, couple=lambda f, x, p: f * (1 + p.b * x)),
     "stretch_coupling: quadratic": Equation(
         ((0.3,), (-0.3,)), {2: 2e-4}, couple=lambda f, x, p: f * (1 + p.b * x / 2) ** 2
@@ -255,6 +275,16 @@ EQUATIONS = {
         ((0.7,),), {2: 1e-6}, couple=lambda f, x, p: np.tanh(p.inverse * f) / p.inverse
     ),
     "sensor_gain: share": Equation(((0.1,), (-0.1,)), {2: 2e-6}, sensor=lambda x, s, p: (1 + p.d) * x),
+    "sensor_nonlinearity: quadratic": Equation(
+        ((0.2,), (-0.2,)), {2: 5e-6}, sensor=lambda x, s, p: x + p.c2 * x**2
+    ),
+    "sensor_nonlinearity: cubic": Equation(((0.2,), (-0.2,)), {2: 5e-6}, sensor=lambda x, s, p: x + p.c3 * x**3),
+    "sensor_nonlinearity: quadratic and cubic": Equation(
+        ((0.1, -0.05), (-0.1, 0.2)), {2: 1e-5}, sensor=lambda x, s, p: x + p.c2 * x**2 + p.c3 * x**3
+    ),
+    "backlash: play": Equation(
+        ((0.3,),), {2: 1e-2}, begin=lambda x, u, p: (x,), rates=_backlash, sensor=lambda x, s, p: s[0]
+    ),
     "sensor_lag: one lag": Equation(((0.02,),), {2: 5e-4}, **_lags((1.0,), "x")),
     "sensor_lag: two lags": Equation(((0.02,),), {2: 8e-4}, **_lags((0.5, 0.5), "x")),
     "sensor_lag: second order": Equation(

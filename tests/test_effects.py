@@ -11,7 +11,17 @@ import pitp_jax as pitp
 from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._effects import CATALOGUE, amplifier, dissipation, hysteresis, key, sensor, viscoelastic
+from pitp_jax._effects import (
+    CATALOGUE,
+    amplifier,
+    dissipation,
+    hysteresis,
+    key,
+    sensor,
+    sensor_curve,
+    stiffness,
+    viscoelastic,
+)
 from pitp_jax._effects.electrode import ElectrodeRC
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -48,11 +58,12 @@ def active(form, case):
     return start.values, start
 
 
-# what no inverse knows, or no open loop can hold: the mass before the sensor, a friction that falls with speed
-HARD = ("second_mode: between film and sensor", "coulomb_friction: Stribeck")
+# what no inverse knows, or no open loop can hold: the mass before the sensor, a friction that falls with speed, a play
+# that has to be crossed at once
+HARD = ("second_mode: between film and sensor", "coulomb_friction: Stribeck", "backlash: play")
 
 
-UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and key(f) != HARD[0] and f is not amplifier.Delay]
+UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and key(f) not in HARD and f is not amplifier.Delay]
 
 
 @pytest.mark.parametrize("form", UNDONE, ids=key)
@@ -210,6 +221,36 @@ def test_a_play_remembers_where_it_was_pushed():
     for x in (2.0, 1.0):
         states = play.advance(states, 0.0, jnp.asarray(x), 0.0)
     np.testing.assert_allclose(states, [1.15, 1.4, 1.0, 0.0], atol=1e-6)
+
+
+def test_backlash_is_crossed_at_every_reversal_and_undone_between_them():
+    """A triangle by hand; a sine's x behind its reading wherever it moves on."""
+    play, states, seen = sensor_curve.Backlash(jnp.asarray(0.1)), jnp.zeros(1), []
+    for before, x in ((0.0, 1.0), (1.0, 0.6), (0.6, 0.0), (0.0, -0.1)):
+        states = play.advance(states, before, jnp.asarray(x), DT)
+        seen.append(float(play.reading(states, jnp.asarray(x))))
+    np.testing.assert_allclose(seen, [0.95, 0.65, 0.05, -0.05], atol=1e-6)
+    x, y = np.sin(2 * np.pi * TIME[:500]), [0.0]
+    for now in x[1:]:
+        y.append(float(np.clip(y[-1], now - 0.05, now + 0.05)))
+    moving = np.abs(np.gradient(y, DT)) > 4.0
+    assert moving.mean() > 0.2
+    np.testing.assert_allclose(np.asarray(play.undo(jnp.asarray(y), DT))[moving], x[moving], atol=1e-4)
+
+
+def test_a_stretched_film_stays_softer_for_the_session(linear):
+    """The first cycle differs from the second; the next record begins where the session has been."""
+    model = replace(linear(hz=HZ, dt=DT), effects=(stiffness.MullinsSoftening(jnp.asarray(0.4), jnp.asarray(0.5)),))
+    u = jnp.asarray(900 * np.abs(np.sin(2 * np.pi * 0.4 * TIME)), jnp.float32)
+    x = np.asarray(rollout(model, u, DT, rest_state(model))[:, 0])
+    far = np.abs(x).max()
+    again = np.asarray(rollout(model, u, DT, ports.resumed(model, rest_state(model), far))[:, 0])
+    assert again[200] > 1.05 * x[200]
+    np.testing.assert_allclose(again[1250:], x[1250:], atol=0.02 * far)
+    late = pitp.Record("late", TIME + 20, np.asarray(u), again * model.scales.state[0])
+    early = pitp.Record("early", TIME, np.asarray(u), x * model.scales.state[0])
+    for told, truth in zip(pitp.predict(model, [early, late]), (x, again), strict=True):
+        assert pitp.e_rms_percent(told.displacement, truth * model.scales.state[0]) < 0.1
 
 
 def test_lags_are_exact_for_a_ramp():

@@ -21,9 +21,9 @@ ROOT = Path(__file__).resolve().parents[1]
 INSIDE = (
     "stiffening softening end_stop slack creep relaxation hysteresis coulomb_friction drag electrode_rc slew_limit "
     "voltage_clip voltage_offset delay charge_leak stretch_coupling dielectric_saturation added_mass second_mode "
-    "stiffness_drift sensor_gain sensor_lag parameter_change"
+    "stiffness_drift sensor_gain sensor_lag parameter_change backlash charge_retention mullins sensor_nonlinearity"
 ).split()
-OUTSIDE = ("hum", "wander", "sensor_curve", "tremor", "impulses", "dropouts")
+OUTSIDE = ("hum", "wander", "pumping", "tremor", "impulses", "dropouts")
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,11 @@ from .outside import OUTSIDE
 
 _HOMES = {
     mechanical: ("stiffening", "softening", "end_stop", "creep", "relaxation", "hysteresis", "coulomb_friction",
-                 "drag"),
+                 "drag", "mullins", "backlash"),
     electrical: ("electrode_rc", "slew_limit", "voltage_clip", "voltage_offset", "delay", "charge_leak",
-                 "stretch_coupling", "dielectric_saturation"),
-    other: ("slack", "added_mass", "second_mode", "stiffness_drift", "sensor_gain", "sensor_lag", "parameter_change"),
+                 "charge_retention", "stretch_coupling", "dielectric_saturation"),
+    other: ("slack", "added_mass", "second_mode", "stiffness_drift", "sensor_gain", "sensor_lag",
+            "sensor_nonlinearity", "parameter_change"),
 }  # fmt: skip
 INSIDE = {name: getattr(home, name.upper()) for home, names in _HOMES.items() for name in names}
 FORMS = INSIDE | OUTSIDE

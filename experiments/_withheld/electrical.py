@@ -54,6 +54,21 @@ def _traps(p, c, u, x, v, s):
     return ((u - s[0]) / c["tau0"], (u - s[1]) / c["tau1"])
 
 
+def _store_draw(rng, stats):
+    """Two stores; |u| rounded."""
+    record = 6.283 * stats.f0 * stats.length
+    return {
+        "tau0": rng.uniform(0.03, 0.08) * record,
+        "tau1": rng.uniform(0.2, 0.4) * record,
+        "k": rng.uniform(0.3, 0.8),
+    }
+
+
+def _stores(p, c, u, x, v, s):
+    size = jnp.sqrt(u**2 + 1e-6)
+    return ((size - s[0]) / c["tau0"], (size - s[1]) / c["tau1"])
+
+
 def _sign(rng, stats):
     return {"sign": rng.choice([-1.0, 1.0])}
 
@@ -76,6 +91,10 @@ DELAY = (Form("exact", (0.02, 3.0), stiff=60.0, delay=lambda p, c: p),)
 CHARGE_LEAK = (
     Form("two_traps", (5e-3, 0.6), draw=_trap_draw, states=2, rates=_traps,
          drive=lambda p, c, u, s: u - p * (s[0] + c["k"] * s[1])),
+)  # fmt: skip
+CHARGE_RETENTION = (
+    Form("two_stores", (5e-3, 1.0), draw=_store_draw, states=2, rates=_stores,
+         drive=lambda p, c, u, s: u + p * (s[0] + c["k"] * s[1])),
 )  # fmt: skip
 
 # coupling -------------------------------------------------------------------------------------------------------------

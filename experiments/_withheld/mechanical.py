@@ -130,3 +130,29 @@ DRAG = (
          force=lambda p, c, x, v, s, t: p * v * jnp.abs(v) * (1.0 + c["e"] * v**2)),
     Form("power_1.7", (2e-3, 2.0), force=lambda p, c, x, v, s, t: p * v * jnp.abs(v) ** 0.7),
 )  # fmt: skip
+
+
+# what was stretched stays softer --------------------------------------------------------------------------------------
+def _farthest(p, c, u, x, v, s):
+    """The largest |x| so far, by a steep ratchet."""
+    return (60.0 * jnp.maximum(jnp.abs(x) - s[0], 0.0),)
+
+
+MULLINS = (
+    Form("rational", (0.02, 0.9), states=1, stiff=120.0, rates=_farthest,
+         draw=lambda rng, stats: {"r": rng.uniform(0.3, 0.8) * stats.top},
+         force=lambda p, c, x, v, s, t: -p * s[0] / (s[0] + c["r"]) * x),
+)  # fmt: skip
+
+
+# play before the sensor -----------------------------------------------------------------------------------------------
+def _pushed(p, c, u, x, v, s):
+    """A stiff spring beyond the play carries along what is read."""
+    off = x - s[0]
+    return (c["rate"] * (jnp.maximum(off - p / 2, 0.0) - jnp.maximum(-off - p / 2, 0.0)),)
+
+
+BACKLASH = (
+    Form("elastic", (5e-3, 1.5), states=1, stiff=150.0, rates=_pushed, sensor=lambda p, c, x, s: s[0],
+         draw=lambda rng, stats: {"rate": rng.uniform(40.0, 60.0)}),
+)  # fmt: skip

@@ -81,6 +81,11 @@ SENSOR_LAG = (
          draw=lambda rng, stats: {"e": rng.uniform(0.7, 1.0)}),
 )  # fmt: skip
 
+SENSOR_NONLINEARITY = (
+    Form("saturating", (0.05, 3.0), sensor=lambda p, c, x, s: jnp.tanh(p * x) / p),
+    Form("triangulating", (0.02, 0.6), sensor=lambda p, c, x, s: x / (1.0 - p * x)),
+)
+
 
 # parameters -----------------------------------------------------------------------------------------------------------
 def _shift_draw(rng, stats):

@@ -1,7 +1,7 @@
 """Disturbances and sensor faults that no name of the catalogue covers: the verdict on them must be `unknown`.
 
     hum            y + p sin(2 pi 50 t + phi), mains on the sensor          wander    y + p (random walk from 0)
-    sensor_curve   y = x + p x^2
+    pumping        force p x cos(w t), w = 0.06 to 0.2 w0: a stiffness that something outside moves
     tremor         force p z, z'' - 0.5 (1 - z^2) w z' + w^2 z = 0
     impulses       force p (sum of half sines 0.6/w0 long, at random times)
     dropouts       u (1 - p) for some 2/w0, at random times
@@ -9,6 +9,7 @@
 `tremor` swings by itself (van der Pol), at 0.45 to 0.8 of the resonance, from another phase in every record.
 """
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -33,6 +34,10 @@ def _tremor(rng, time, stats):
     return {"push": path.y[0]}
 
 
+def _pump(rng, stats):
+    return {"w": 2.0 * np.pi * stats.f0 * rng.uniform(0.06, 0.2), "phi": rng.uniform(0.0, 2.0 * np.pi)}
+
+
 def _bursts(rng, time, stats, shape, width, per_record):
     """Non-overlapping or not, `shape` over [0, 1) at random times, `width` in 1/w0."""
     seconds = width / (2.0 * np.pi * stats.f0)
@@ -55,7 +60,9 @@ def _dropouts(rng, time, stats):
 OUTSIDE = {
     "hum": (Form("mains", (1e-3, 1.0), arrays=_hum),),
     "wander": (Form("random_walk", (1e-3, 2.0), arrays=_wander),),
-    "sensor_curve": (Form("quadratic", (1e-3, 1.0), sensor=lambda p, c, x, s: x + p * x**2),),
+    "pumping": (
+        Form("cosine", (1e-2, 0.9), draw=_pump, force=lambda p, c, x, v, s, t: p * x * jnp.cos(c["w"] * t + c["phi"])),
+    ),
     "tremor": (Form("van_der_pol", (1e-3, 2.0), arrays=_tremor),),
     "impulses": (Form("half_sines", (1e-2, 30.0), arrays=_impulses),),
     "dropouts": (Form("amplifier_trips", (0.02, 1.0), arrays=_dropouts),),

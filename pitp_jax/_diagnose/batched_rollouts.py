@@ -121,7 +121,7 @@ class _Composite:
     def _start(self, s: Series) -> np.ndarray:
         x = jnp.asarray(0.0 if s.rest else s.motion[0, 0], jnp.float32)
         volts = jnp.asarray(0.0 if s.rest else s.voltage[0], jnp.float32)
-        return np.concatenate([s.start, np.asarray(ports.initial(self._model, x, volts, s.age))])
+        return np.concatenate([s.start, np.asarray(ports.initial(self._model, x, volts, s.age, s.reached))])
 
     def _lane_stages(self, lane: Lane) -> np.ndarray:
         for form, values in zip(lane.forms, lane.values, strict=True):

@@ -26,7 +26,7 @@ from .._record.record import Record
 from .._record.sets import session_clock
 from .._simulate import ports
 from .._simulate.decoder import rollout_batch
-from .._simulate.prediction import at_rate, begin
+from .._simulate.prediction import at_rate, begin, reaches
 
 Split = Literal["first", "second", "none"]
 
@@ -48,6 +48,7 @@ class Series:
         rest: starts at rest.
         start: scaled decoder state of the nominal, shape (n + K,).
         age: session clock at the first sample, s (0 where it is not known).
+        reached: largest scaled |x| of the session before (0 where that is not known).
         span: scaled peak to peak of the measurement.
     """
 
@@ -64,6 +65,7 @@ class Series:
     rest: bool
     start: np.ndarray
     age: float
+    reached: float
     span: float
 
 
@@ -119,8 +121,12 @@ def build_case(model: Model, records: Sequence[Record], *, how: Split = "first",
     runs = np.asarray(jax.vmap(lambda s: ports.readings(model, s))(states), np.float64)
     top = force_band([model.input_map.force(r.voltage) for r in records], records[0].dt)
     cut = min(max(3 * top, 3 * model.natural_frequency / (2 * np.pi)), 0.3 / records[0].dt)
+    reached = reaches(model, records) if known else [0.0] * len(records)
+    ages = [model.provenance.age(r.time[0]) if known else 0.0 for r in records]
     series = tuple(
-        _series(model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(starts[k]), cut, known)
+        _series(
+            model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(starts[k]), cut, ages[k], reached[k]
+        )
         for k, r in enumerate(records)
     )
     return Case(model, series, _surroundings(model, series, known), how, mesh)
@@ -168,7 +174,9 @@ def _by_drive(records: Sequence[Record]) -> list[list[Record]]:
     return [rs for _, rs in found] if len(found) > 1 else [[r] for r in records]
 
 
-def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, cut: float, known: bool) -> Series:
+def _series(
+    model: Model, record: Record, fitted: bool, run, spent: int, start, cut: float, age: float, reached: float
+) -> Series:
     n, scale = model.order, np.asarray(model.scales.state)
     x = model.output.to_model(record.displacement) / scale[0]
     seen = np.isfinite(x)
@@ -197,7 +205,7 @@ def _series(model: Model, record: Record, fitted: bool, run, spent: int, start, 
         record=record, fitted=fitted, voltage=film,
         force=model.input_map.force(film) / model.scales.force, motion=motion, tokens=np.asarray(tokens),
         offset=np.asarray(offset), run=run, error=error, weight=weight, rest=rest,
-        start=start[: n + model.memory.size], age=model.provenance.age(record.time[0]) if known else 0.0, span=span,
+        start=start[: n + model.memory.size], age=age, reached=reached, span=span,
     )  # fmt: skip
 
 

@@ -101,7 +101,7 @@ def _grams(case: Case, effects, rows, which, refit: bool) -> list[np.ndarray]:
     def one(s: Series) -> np.ndarray:
         columns = Columns(*(v.astype(np.float32) for v in (s.motion, s.tokens, s.offset, s.voltage, s.run)))
         late = _delayed(columns.voltage, rows, effects, delays, s.rest, case.dt)
-        start = (0.0 if s.rest else s.motion[0, 0], 0.0 if s.rest else s.voltage[0], s.age)
+        start = (0.0 if s.rest else s.motion[0, 0], 0.0 if s.rest else s.voltage[0], s.age, s.reached)
         carry = begin(rows, jax.tree.map(lambda v: v[0], columns), late[0], np.asarray(start, np.float32), nominal)
         found = []
         for first in range(0, len(s.error), CHUNK):

@@ -24,8 +24,8 @@ from .result import GAP, Gap
 TIES = 3  # a list of four and more names is no answer
 DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
 HALF = 0.5  # what closes less explains nothing, however high the floor
-# Tuning seeds: true names of another form close 0.81 at least (0.76 at 2.1 floors after a refit), a curved sensor, no form
-# of which was known, 0.67. With the true name left out (seeds 100 and 101, which are not fresh in this) what stands in
+# Tuning seeds: true names of another form close 0.81 at least (0.76 at 2.1 floors after a refit), a curved sensor, of
+# which no form was known, 0.67. With the true name left out (seeds 100 and 101, not fresh in this) what stands in
 # closes 0.69 to 0.89, and what of it lies below 0.8 leaves 4.9 floors at least
 LITTLE, ENOUGH = 1.5, 0.72
 MUCH, MOST = 3.0, 0.80

@@ -4,7 +4,18 @@ A new effect is one final class and one line here; it is then fitted, ranked, sa
 family's tests. Forces act in this order: velocity and friction see all that comes before them.
 """
 
-from . import amplifier, coupling, dissipation, electrode, hysteresis, inertia, sensor, stiffness, viscoelastic
+from . import (
+    amplifier,
+    coupling,
+    dissipation,
+    electrode,
+    hysteresis,
+    inertia,
+    sensor,
+    sensor_curve,
+    stiffness,
+    viscoelastic,
+)
 from .base import AbstractEffect
 
 CATALOGUE: tuple[type[AbstractEffect], ...] = (
@@ -14,6 +25,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     stiffness.QuadraticSoftening,
     stiffness.SaturatingSoftening,
     stiffness.ExponentialSoftening,
+    stiffness.MullinsSoftening,
     stiffness.UpperStop,
     stiffness.LowerStop,
     stiffness.BothStops,
@@ -52,12 +64,17 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     amplifier.VoltageOffset,
     amplifier.Delay,
     electrode.ChargeLeak,
+    electrode.ChargeRetention,
     coupling.StretchCoupling,
     coupling.SquaredCoupling,
     coupling.ExponentialCoupling,
     coupling.DielectricSaturation,
     coupling.TanhSaturation,
     sensor.SensorGain,
+    sensor_curve.QuadraticSensor,
+    sensor_curve.CubicSensor,
+    sensor_curve.CurvedSensor,
+    sensor_curve.Backlash,
     sensor.SensorLag,
     sensor.SensorFilter,
     sensor.SecondOrderSensor,

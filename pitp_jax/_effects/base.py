@@ -190,6 +190,10 @@ class AbstractForceEffect(AbstractEffect):
     def initial(self, x, age) -> Float[Array, " states"]:
         """States of an actuator that has been held at X; `age` of the session in s."""
 
+    def resumed(self, states, reached) -> Array:
+        """States of one that the session has stretched to |X| = `reached` before; most forget."""
+        return states
+
     @abstractmethod
     def act(self, states, now: Instant, tokens, offset) -> tuple[Array, Array]:
         """Tokens and offset of the frozen step with the effect's force in them."""
@@ -219,12 +223,15 @@ class AbstractSensorEffect(AbstractEffect):
         """The X behind a smooth reading; the reading itself where that is not known."""
 
 
-def states_of(effect: AbstractEffect, x, voltage, age) -> Float[Array, " states"]:
-    """An effect's states in an actuator held at X under `voltage` (0 where it rests), at that age of the session."""
+def states_of(effect: AbstractEffect, x, voltage, age, reached=0.0) -> Float[Array, " states"]:
+    """An effect's states in an actuator held at X under `voltage` (0 where it rests), at that age of the session.
+
+    `reached`: the largest |X| of the session before.
+    """
     if isinstance(effect, AbstractDriveEffect):
         return effect.initial(voltage)
     if isinstance(effect, AbstractForceEffect):
-        return effect.initial(x, age)
+        return effect.resumed(effect.initial(x, age), reached)
     if isinstance(effect, AbstractSensorEffect):
         return effect.initial(x)
     return nothing()

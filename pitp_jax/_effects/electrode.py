@@ -1,12 +1,15 @@
 """What the electrodes and the film do before the square (port IN): u to the film's V.
 
-electrode_rc    tau V' = u - V, once or three times in a row        charge_leak     V = u - kappa q,  q' = (u - q) / tau
+electrode_rc        tau V' = u - V, once or three times in a row
+charge_leak         V = u - kappa q,  q' = (u - q) / tau
+charge_retention    V = u + q,        q' = (k |u| - q) / tau        what stays when the drive is gone
 
 u runs linearly between samples, and lags are exact for it. A record that rests starts uncharged.
 """
 
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -100,6 +103,52 @@ class ChargeLeak(AbstractDriveEffect):
         tau = self.tau / (1 - self.kappa)
         level = first_order_lags(film / (1 - self.kappa), tau[None], dt, jnp.zeros((1,), film.dtype))[:, 0]
         return film + self.kappa * level
+
+    def passes(self, film, dt):
+        """Always."""
+        return jnp.ones(film.shape, bool)
+
+
+class ChargeRetention(AbstractDriveEffect):
+    """V = u + q, q' = (k |u| - q) / tau: charge stays in the film after the drive is gone."""
+
+    name, form, family, port, states = "charge_retention", "one store", "drive", "IN", 1
+    PARAMETERS = (Parameter("k", neutral=0.0), Parameter("tau", "s"))
+    k: Float[Array, ""]
+    tau: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """The time constants of a charge leak."""
+        return [bounded((0.1, start.values[1]), start.low, (3.0, start.high[1])) for start in ChargeLeak.starts(s)]
+
+    def initial(self, voltage):
+        """Settled at the voltage before the record."""
+        return jnp.reshape(self.k * jnp.abs(voltage), (1,))
+
+    def advance(self, states, before, after, h):
+        """Exact for u linear and of one sign."""
+        return lag_after(states, self.k * jnp.abs(before), self.k * jnp.abs(after), self.tau, h)
+
+    def film(self, states, voltage):
+        """With what is stored."""
+        return voltage + states[0]
+
+    def stored(self, q, drive, film, dt):
+        """The charge a sample on, where the film goes to `film`: q + c k |u| with u = V - q, solved for either sign."""
+        open_ = film - lag_after(q, self.k * jnp.abs(drive), 0.0, self.tau, dt)
+        gain = self.k * lag_after(0.0, 0.0, 1.0, self.tau, dt)
+        return film - open_ / jnp.where(open_ > 0, 1 + gain, 1 - gain)
+
+    def undo(self, film, dt):
+        """U = V - q along the sampled V, uncharged at first."""
+
+        def sample(before, now):
+            q = self.stored(before[0], before[1], now, dt)
+            return (q, now - q), now - q
+
+        start = (jnp.zeros_like(film[0]), film[0])
+        return jnp.append(film[0], jax.lax.scan(sample, start, film[1:])[1])
 
     def passes(self, film, dt):
         """Always."""

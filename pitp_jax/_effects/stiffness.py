@@ -2,6 +2,7 @@
 
 stiffening   k c x^3          k c x |x|^p            k x (1 / (1 - (x/L)^2) - 1)          the spring hardens
 softening   -k c x^2    k (L tanh(x/L) - x)    k ((1 - exp(-b x)) / b - x)               the spring gives way
+mullins     -k d (1 - exp(-m / L)) x,   m = max |x| so far       what was stretched is softer
 end stop     k kappa max(x - x_s, 0)   above, below, on both sides;  k kappa max(x - x_s, 0)^(3/2) (1 + lambda x')
              (Hunt and Crossley, above or on both sides)
 
@@ -168,6 +169,39 @@ def _stop_starts(s: Surroundings, far: float, parameters: int):
         bounded((kappa, share * far, *rest), (1e-2, 0.1 * far, *low), (hardest, 0.999 * far, *high))
         for kappa, share in ((3.0, 0.85), (min(15.0, hardest), 0.6), (3.0, 0.4))
     ]
+
+
+class MullinsSoftening(AbstractForceEffect):
+    """f = -k d (1 - exp(-m / L)) x, m the largest |x| so far: the first large cycle differs from the next."""
+
+    name, form, family, port, states = "mullins", "exponential", "stiffness", "K", 1
+    PARAMETERS = (Parameter("d", neutral=0.0), Parameter("length", "x", length=1))
+    d: Float[Array, ""]
+    length: Float[Array, ""]
+
+    @classmethod
+    def starts(cls, s: Surroundings):
+        """Lost within a part of the stroke, or all along it."""
+        low, high = (1e-4, 0.03 * s.reach), (0.9, 3 * s.reach)
+        return [bounded((0.2, share * s.reach), low, high) for share in (0.3, 1.0)]
+
+    def initial(self, x, age):
+        """Stretched to X."""
+        return jnp.reshape(jnp.abs(x), (1,))
+
+    def resumed(self, states, reached):
+        """As far as the session went before."""
+        return jnp.maximum(states, reached)
+
+    def act(self, states, now: Instant, tokens, offset):
+        """What is gone of the spring."""
+        x = now.state[0]
+        gone = self.d * -jnp.expm1(-jnp.maximum(states[0], jnp.abs(x)) / self.length)
+        return tokens, offset - now.coefficients[0] * gone * x
+
+    def advance(self, states, x, after, h):
+        """Exact for X monotonic within the step."""
+        return jnp.maximum(states, jnp.abs(after))
 
 
 class UpperStop(_Memoryless):

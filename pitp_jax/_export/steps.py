@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from .._effects.amplifier import Delay
 from .._effects.base import AbstractDriveEffect, AbstractSensorEffect
-from .._effects.electrode import ChargeLeak
+from .._effects.electrode import ChargeLeak, ChargeRetention
 from .._invert.realtime import film_after, memory_after
 from .._model.drive import DirectDrive
 from .._model.model import Model
@@ -166,6 +166,19 @@ def _(effect: ChargeLeak, window, level, begun, dt: float):
     pace = (open_[_BESIDE] - now) / tau
     bend = ((open_[_BESIDE + 1] - open_[_BESIDE - 1]) / (2 * dt) - pace) / tau
     return window + effect.kappa * (now + k * pace + k**2 / 2 * bend), now
+
+
+@undo.register
+def _(effect: ChargeRetention, window, level, begun, dt: float):
+    """`level`: what is stored; the drive before the first sample, where it is settled."""
+    q, film = jnp.where(begun, level, effect.k * jnp.abs(level)), window[_BESIDE]
+    before = window[_BESIDE - 1] - q
+    now = jnp.where(begun, effect.stored(q, before, film, dt), q)
+    k, drive = dt * np.arange(-_BESIDE, _BESIDE + 1.0), film - now
+    pace = (effect.k * jnp.abs(drive) - now) / effect.tau
+    slope = (window[_BESIDE + 1] - window[_BESIDE - 1]) / (2 * dt) - pace
+    bend = (effect.k * jnp.sign(drive) * slope - pace) / effect.tau
+    return window - (now + k * pace + k**2 / 2 * bend), now
 
 
 def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Float[Array, " tokens"]:

@@ -35,10 +35,20 @@ def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, 
     return found
 
 
-def initial(model: "Model", x, voltage, age) -> Float[Array, " states"]:
-    """All effects' states of an actuator held at X under `voltage` (0 where it rests), at that age of the session."""
-    parts = [jnp.zeros((0,), jnp.result_type(x)), *(states_of(e, x, voltage, age) for e in model.effects)]
+def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " states"]:
+    """All effects' states of an actuator held at X under `voltage` (0 where it rests); age and reach of the session."""
+    parts = [jnp.zeros((0,), jnp.result_type(x)), *(states_of(e, x, voltage, age, reached) for e in model.effects)]
     return jnp.concatenate([p.astype(parts[0].dtype) for p in parts])
+
+
+def resumed(model: "Model", state: Float[Array, " state"], reached) -> Float[Array, " state"]:
+    """A decoder state of an actuator that the session has stretched to |X| = `reached` before."""
+    first = model.order + model.memory.size
+    parts = [
+        e.resumed(p, reached) if isinstance(e, AbstractForceEffect) else p
+        for e, p in zip(model.effects, split(model, state[first:]), strict=True)
+    ]
+    return jnp.concatenate([state[:first], *parts])
 
 
 def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:

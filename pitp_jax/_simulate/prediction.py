@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._model.model import Model
 from .._model.programs import jit
-from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, first_known
+from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
 from . import ports
@@ -143,7 +143,18 @@ def begin(
         samples = 0 if state is not None else first_known(record) + INITIAL_SAMPLES
         found.append(_estimated(model, record, age, samples) if state is None else state)
         spent.append(min(samples, record.samples))
+    if aged and model.effects:
+        turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
+        found = [ports.resumed(model, s, far) for s, far in zip(found, reaches(model, turned), strict=True)]
     return jnp.stack(found), tuple(spent), begun
+
+
+def reaches(model: Model, records: Sequence[Record]) -> list[float]:
+    """Largest scaled |x| of the session before every record; each has its own zero and direction taken out."""
+    scale = model.scales.state[0]
+    far = [float(np.nanmax(np.abs(model.output.to_model(r.displacement)))) / scale for r in records]
+    begins = [r.time[0] for r in records]
+    return [max((f for f, b in zip(far, begins, strict=True) if b < own), default=0.0) for own in begins]
 
 
 def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:

@@ -36,6 +36,10 @@ PLAIN = {
     "stiffness_drift": "the actuator's stiffness changes as the session goes on",
     "sensor_gain": "the sensor's scale factor is off",
     "sensor_lag": "the sensor answers late",
+    "backlash": "there is play between what moves and what is measured",
+    "charge_retention": "charge stays in the film and goes on pulling when the voltage is gone",
+    "mullins": "what was stretched further before is softer since",
+    "sensor_nonlinearity": "the sensor's scale is curved",
     "parameter_change": "nothing is missing: the model's own coefficients have moved",
 }
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of what they are called here
