@@ -259,6 +259,7 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
     )
+    parser.add_argument("--seconds", type=_positive, metavar="S", help="of computing; then the best so far is told")
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
     _columns(parser)

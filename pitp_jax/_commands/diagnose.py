@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from .._diagnose.diagnosis import Diagnosis
 from .._diagnose.diagnosis import diagnose as run_diagnosis
 from .._diagnose.report.figures import FIGURES, figures
@@ -18,13 +20,14 @@ FILES = (MODEL, REPORT, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
 _ROWS = 8  # of the ranking on standard output
 
 
-def diagnose(records, nominal, refit_nominal, out, json_file, reading) -> None:
+def diagnose(records, nominal, refit_nominal, seconds, out, json_file, reading) -> None:
     """Diagnose, write what was asked for, and print the finding.
 
     Args:
         records: files and folders.
         nominal: model file, identified or trained.
         refit_nominal: whether its coefficients are fitted along with every effect.
+        seconds: of computing, or None.
         out: folder for the augmented model, the report, its figures and the next experiment, or None.
         json_file: where to write the finding for machines, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
@@ -42,7 +45,8 @@ def diagnose(records, nominal, refit_nominal, out, json_file, reading) -> None:
     check_suits(model, nominal, read_in)
     say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
     status = StatusLine()
-    found = run_diagnosis(model, read_in, refit_nominal=refit_nominal, progress=status.update)
+    limit = np.inf if seconds is None else seconds
+    found = run_diagnosis(model, read_in, refit_nominal=refit_nominal, seconds=limit, progress=status.update)
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and found.next_experiment is not None else None
     written = set()

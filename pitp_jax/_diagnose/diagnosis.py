@@ -14,6 +14,7 @@ from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import clock_start
+from .budget import Budget
 from .case import Case, Split, build_case, split
 from .effect_selection import Attribution, attribute
 from .evaluation import augmented, floor, sides
@@ -106,6 +107,7 @@ def diagnose(
     *,
     refit_nominal: bool = False,
     exclude: Sequence[str] = (),
+    seconds: float = np.inf,
     progress: Callable[[str], None] = lambda line: None,
     mesh: Mesh | None = None,
 ) -> Diagnosis:
@@ -116,6 +118,7 @@ def diagnose(
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
         exclude: names left out of the catalogue, and with electrode_rc the slew limit that has a lag.
+        seconds: of computing; then the best so far is told, and in `notes` what was not tried.
         progress: called with one line per step.
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
@@ -127,7 +130,8 @@ def diagnose(
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)
     model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
-    options = {"refit": refit_nominal, "exclude": exclude, "progress": progress}
+    budget = Budget(seconds)
+    options = {"refit": refit_nominal, "exclude": exclude, "progress": progress, "budget": budget}
     case, found, gap, name, level = _over_splits(model, records, mesh, options)
     _, judged = sides(case)
     if name == "explained":
@@ -143,7 +147,7 @@ def diagnose(
     where = locate(case, [e * s.span / 100 for e, s in zip(found.base.errors, case.series, strict=True)], found.noise)
     experiment = None
     tied = found.equivalent if name != "no_gap" and (gap.closed_fraction or 0.0) > _HELPS else ()
-    if tied:
+    if tied and budget.allows("an experiment that separates the tied names"):
         progress("looking for an experiment that separates the tied names")
         experiment = separate(case, found.best, found.rivals[0], found.noise)
     return Diagnosis(
@@ -160,7 +164,7 @@ def diagnose(
         shift=np.asarray((found.best if effects else found.base).candidate.factors),
         traces=tuple(trace_of(case, found, k) for k in range(len(case.series))),
         model=added,
-        notes=notes,
+        notes=notes + budget.notes(),
     )
 
 
@@ -185,18 +189,20 @@ def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Sa
         own, level = case.model.provenance.misfit, rezeroed(case, found.base, judged)
         return _Said(case, found, gap, verdict(gap, found, own, level), level)
 
-    first, progress = said("first"), options["progress"]
+    first, progress, budget = said("first"), options["progress"], options["budget"]
     elsewhere = first.verdict == "no_gap" and _fitted_show_it(first.case, first.found)
     if not elsewhere and first.verdict != "unknown":
         return first
     tried = [first]
     others_fitted = split(records, "first") != split(records, "second")
-    if others_fitted and (elsewhere or not _hopeless(first.case, first.found)):
+    worth = others_fitted and (elsewhere or not _hopeless(first.case, first.found))
+    if worth and budget.allows("the other half of the drives fitted"):
         progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
         tried.append(said("second"))
         if tried[1].verdict == "explained":
             return tried[1]
-    if elsewhere or any(_on_one_side(s) for s in tried):
+    one_sided = elsewhere or any(_on_one_side(s) for s in tried)
+    if one_sided and budget.allows("all drives fitted, none held out"):
         progress("once more, with nothing held out: the gap is in drives of one side alone")
         everywhere = said("none")
         return everywhere if elsewhere or everywhere.verdict == "explained" else first

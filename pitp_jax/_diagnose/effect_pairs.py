@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from .batched_rollouts import Lanes
+from .budget import Budget
 from .case import Case, build_case
 from .evaluation import Judged, augmented, floor, judge, parsimonious, sides, tried
 from .noise import Noise
@@ -42,6 +43,7 @@ def second(
     noise: Noise,
     refit: bool,
     progress,
+    budget: Budget,
 ):
     """The best pair and its rivals, if it pays, else None; screened as pairs, for one may hide the other.
 
@@ -52,12 +54,14 @@ def second(
     whole = max(base.heldout**2 - low**2, 1e-30)
     if first.heldout <= 1.15 * low or base.heldout <= 1.1 * low or first.heldout**2 - low**2 < _LEAST * whole:
         return None  # no gap, or less of it left than a second effect must remove
+    if not budget.allows("two effects at once"):
+        return None
     chosen = pairs(screening, _PAIRS)
     if not chosen:
         return None
 
     def fitted(some: list[Screened]) -> list[Judged]:
-        return tried(case, catalogue, some, refit, [], progress, first.candidate.train)
+        return tried(case, catalogue, some, refit, [], progress, first.candidate.train, budget)
 
     judged = fitted(chosen)
     done = {frozenset(j.candidate.forms) for j in judged}
@@ -65,10 +69,10 @@ def second(
     foremost = [j for j in foremost if j.train <= _NEAR * foremost[0].train]
     others = [s for j in foremost for s in pairs(screening, _FORM_PAIRS, frozenset(j.names))]
     others = [s for s in others if frozenset(s.forms) not in done]
-    if others and foremost[0].train < first.train:
+    if others and foremost[0].train < first.train and budget.allows("other forms of two effects"):
         judged += fitted(others)
     plain = _PLAIN * low < first.heldout < _HALF * base.heldout
-    if plain:
+    if plain and budget.allows("effects around the best ones"):
         progress("screening around the best effects")
         around = _around(case, catalogue, rivals, refit)
         judged += fitted(around) if around else []

@@ -13,6 +13,7 @@ import numpy as np
 
 from .._effects import CATALOGUE, REMAINDERS
 from .._effects.viscoelastic import BORDER
+from .budget import Budget
 from .case import Case, build_case
 from .effect_pairs import second
 from .evaluation import CLOSE, Judged, floor, parsimonious, sides, tried
@@ -59,8 +60,10 @@ def attribute(
     refit: bool,
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] = lambda line: None,
+    budget: Budget | None = None,
 ) -> Attribution:
     """Fit, judge and compare every effect of the catalogue but the excluded names, and what holds one as its rest."""
+    budget = budget or Budget()
     without = {*exclude, *(_WITHIN if refit else ())}
     catalogue = tuple(
         c for c in CATALOGUE if c.name not in without and not (c in REMAINDERS and REMAINDERS[c][0].name in without)
@@ -71,22 +74,23 @@ def attribute(
     screening = screen(case, catalogue, ones, refit=refit)
     screened = singles(screening)
     bare = [Candidate((), (), (), ones, False), Candidate((), (), (), ones, True)]
-    given, changed, *rivals = tried(case, catalogue, finalists(screened), refit, bare, progress)
+    given, changed, *rivals = tried(case, catalogue, finalists(screened), refit, bare, progress, budget=budget)
     base = changed if refit else given
     least = min([changed, *rivals], key=lambda r: r.train)
-    if refit and least.train > 1.15 * floor(case, noise, sides(case)[0]):
+    again = refit and least.train > 1.15 * floor(case, noise, sides(case)[0])
+    if again and budget.allows("a screening from the refitted nominal"):
         progress("screening again from the refitted nominal")
         factors = least.candidate.factors
         screening = screen(moved(case, factors), catalogue, factors, refit=True)
         screened = singles(screening)
-        rivals += tried(case, catalogue, finalists(screened), True, [], progress, least.candidate.train)
+        rivals += tried(case, catalogue, finalists(screened), True, [], progress, least.candidate.train, budget)
     if not refit and "parameter_change" not in exclude:
         rivals.append(changed)
     _, held = sides(case)
     best = _part_of_a_change(parsimonious(rivals), rivals, floor(case, noise, held), case.model.provenance.misfit)
     noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: (j.names != best.names, j.heldout)))
-    pair = second(case, catalogue, screening, best, rivals, base, noise, refit, progress)
+    pair = second(case, catalogue, screening, best, rivals, base, noise, refit, progress, budget)
     if pair:
         best, rivals = pair[0], [r for r in pair[1] if pair[0].names[1] in r.names]
     equal = equivalents(case, best, rivals, noise, held)

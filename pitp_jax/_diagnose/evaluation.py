@@ -13,6 +13,7 @@ from .._effects import CATALOGUE, REMAINDERS
 from .._effects.base import Start
 from .._model.model import Model
 from .batched_rollouts import Lanes
+from .budget import Budget
 from .case import Case
 from .fit import Candidate, fit, mean_square, residuals
 from .noise import Noise
@@ -54,7 +55,9 @@ def sides(case: Case) -> tuple[list[int], list[int]]:
     return fitted, held or fitted
 
 
-def tried(case: Case, catalogue, chosen, refit, bare, progress, beat: float = np.inf) -> list[Judged]:
+def tried(
+    case: Case, catalogue, chosen, refit, bare, progress, beat: float = np.inf, budget: Budget | None = None
+) -> list[Judged]:
     """The bare candidates and the chosen forms (or pairs of them), fitted and judged; `beat` as in `fit`."""
     chosen = _with_remainders(chosen, catalogue)
     groups: dict[frozenset[str], list] = {}
@@ -67,7 +70,7 @@ def tried(case: Case, catalogue, chosen, refit, bare, progress, beat: float = np
     def told(step: int, least: float) -> None:
         progress(f"fit: step {step}, {np.sqrt(least):.3f} %")
 
-    return judge(lanes, fit(lanes, [*bare, *alone], beat=beat, progress=told))
+    return judge(lanes, fit(lanes, [*bare, *alone], beat=beat, budget=budget, progress=told))
 
 
 def _with_remainders(chosen: Sequence[Screened], catalogue) -> list[Screened]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from .._effects.base import AbstractEffect, Parameter, Start
 from .batched_rollouts import Lane, Lanes
+from .budget import Budget
 
 _STEP = 3e-3
 _ZERO = 0.2  # farthest that a sensor's zero may be off, scaled
@@ -145,9 +146,11 @@ def fit(
     *,
     most: int = _MOST,
     beat: float = np.inf,
+    budget: Budget | None = None,
     progress: Callable[[int, float], None] = lambda step, best: None,
 ) -> list[Candidate]:
     """Every candidate at its least squares on the fitted records; `beat` is the cost of one fitted before."""
+    budget, longest = budget or Budget(), 0.0
     series = [k for k, s in enumerate(lanes.case.series) if s.fitted]
     level = stacked(lanes, [(s.weight > 0) * 100 / s.span for s in lanes.case.fitted], series)  # slope of the zero
     states = [_State(_clip(c)) for c in candidates]
@@ -156,8 +159,8 @@ def fit(
         state.cost = mean_square(lanes, rows, series)
         state.done = state.done or not np.isfinite(state.cost)
     for iteration in range(most):
-        active = [s for s in states if not s.done]
-        if not active:
+        active, before = [s for s in states if not s.done], budget.left
+        if not active or not budget.allows("the last steps of a fit", 2 * longest):  # one more, and judging
             break
         moved = [(s, k) for s in active for k in range(s.candidate.size - s.candidate.refit)]
         nearby = [nudged(s.candidate, k) for s, k in moved]
@@ -178,6 +181,7 @@ def fit(
             late = s.after(most - 1 - iteration) > _BEHIND * min(best, beat)
             s.done = s.done or (iteration >= _PATIENCE and late)
         progress(iteration + 1, best)
+        longest = max(longest, before - budget.left) if np.isfinite(before) else 0.0
     return [s.finished() for s in states]
 
 

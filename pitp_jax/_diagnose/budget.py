@@ -1,0 +1,38 @@
+"""Computing time: a diagnosis that runs out of it tells the best so far, and what it did not try."""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class Budget:
+    """Seconds from now on, and what they did not reach for.
+
+    Attributes:
+        seconds: of wall time; infinite: no limit.
+        skipped: in plain words, in order.
+    """
+
+    seconds: float = np.inf
+    skipped: list[str] = field(default_factory=list)
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def left(self) -> float:
+        """Seconds, below zero where it ran over."""
+        return self.seconds - (time.monotonic() - self.began)
+
+    def allows(self, what: str, needed: float = 0.0) -> bool:
+        """Whether so many seconds are left for `what`, which else is noted as not tried."""
+        if self.left > needed:
+            return True
+        self.skipped += [what] if what not in self.skipped else []
+        return False
+
+    def notes(self) -> tuple[str, ...]:
+        """One line, where anything was skipped."""
+        if not self.skipped:
+            return ()
+        return (f"stopped after {self.seconds:.3g} s (--seconds), not tried: {', '.join(self.skipped)}",)
