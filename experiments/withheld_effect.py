@@ -3,7 +3,7 @@
     clean (healthy) -> identify -> nominal;    real (one, two, no or an outside effect) -> diagnose -> score
 
     python experiments/withheld_effect.py [--effects NAME,...] [--kinds cone,roll] [--seeds 100,101,102]
-        [--strength 1.0] [--refit] [--noise white|ar] [--pairs] [--outside] [--none N] [--leave-one-out]
+        [--strength 1.0] [--refit] [--noise NAME] [--pairs] [--outside] [--none N] [--leave-one-out]
         [--cache DIR] [--results DIR] [--write DIR] [--table] [--smoke]
 
 The effects are written in `_withheld/`, apart from the diagnosis' own (nothing of `pitp_jax._effects` is imported), and
@@ -39,7 +39,7 @@ def arguments(smoke: bool, argv):
     parser.add_argument("--seeds", type=lambda s: [int(k) for k in s.split(",")], default=[100, 101, 102])
     parser.add_argument("--strength", type=float, default=1.0, help="of the wanted gap; 0.4 is weak")
     parser.add_argument("--refit", action="store_true", help="the nominal is identified on the real records")
-    parser.add_argument("--noise", choices=("white", "ar"), default="white", help="ar: AR(0.9)")
+    parser.add_argument("--noise", choices=tuple(protocol.NOISES), default="white", help="ar: AR(0.9)")
     parser.add_argument("--pairs", action="store_true", help="two effects at once")
     parser.add_argument("--outside", action="store_true", help="disturbances outside the catalogue, all or --effects")
     parser.add_argument(

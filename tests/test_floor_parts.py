@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from played import DT, HZ, SAMPLES, TIME, nominal_of, play
+from scipy.signal import lfilter
 
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.noise import _edges, estimate
@@ -65,6 +66,28 @@ def test_slow_residuals_are_held_to_twice_what_lies_above(case):
     frequency, level = estimate(case, [1e-3 * rng.standard_normal(SAMPLES) + 1e-4 * e for e in slow]).spectrum.T
     below = frequency < HZ / 4
     assert below.any() and level[below].max() == pytest.approx(2 * level[~below][0], rel=1e-9)
+
+
+@pytest.mark.parametrize("colour", [([20**-0.5] * 20, [1.0]), ([0.4], [1.0, -0.9])], ids=("average", "memory"))
+def test_the_floor_knows_the_colour_of_its_noise(case, colour):
+    """A moving average over 20 samples, which has zeros but no peak, and AR(0.9): read as large as they are."""
+    rng, found = np.random.default_rng(2), []
+    for _ in range(5):
+        errors = 1e-3 * lfilter(*colour, rng.standard_normal((len(case.series), 2 * SAMPLES)))[:, SAMPLES:]
+        noise = estimate(case, list(errors))
+        found.append((noise.sigma / errors.std(), noise.sigma / noise.sensor))
+    told, struck = np.mean(found, axis=0)
+    assert told == pytest.approx(1.0, abs=0.12) and struck == pytest.approx(1.0)
+
+
+def test_a_sensor_that_reads_in_steps_is_no_better_than_they_are(case):
+    """A residual of lines alone, as a slow drive between coarse steps leaves it."""
+    step, unit = 0.03, case.model.scales.state[0]
+    parts = [(s, np.round(s.record.displacement / (step * unit)) * step) for s in case.series]
+    coarse = replace(case, series=tuple(replace(s, record=replace(s.record, displacement=y * unit)) for s, y in parts))
+    found = estimate(coarse, [0.0 * s.run for s in case.series])
+    assert found.sigma == pytest.approx(step / 12**0.5, rel=1e-3) and found.source.startswith("steps")
+    assert estimate(case, [0.0 * s.run for s in case.series]).source.startswith("rounding")
 
 
 def test_the_spectrum_of_rounding_sums_to_the_floor(case):

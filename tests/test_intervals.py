@@ -7,8 +7,9 @@ import pytest
 from played import SAMPLES, nominal_of, play
 from scipy.signal import lfilter
 
+from pitp_jax._diagnose.bootstrap import means, memory
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.effect_selection import Attribution, bootstrap
+from pitp_jax._diagnose.effect_selection import Attribution
 from pitp_jax._diagnose.evaluation import Judged
 from pitp_jax._diagnose.fit import Candidate
 from pitp_jax._diagnose.noise import Noise
@@ -18,7 +19,7 @@ from pitp_jax._effects import stiffness
 
 # rms, % of range: of the sensor's noise, of the nominal's gap, of what an effect leaves of it
 NOISE, GIVEN, LEFT = 0.3, 3.0, 0.5
-DRAWS = 1000
+DRAWS = 300
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +30,10 @@ def case(linear):
     return replace(built, series=tuple(replace(s, weight=np.ones(SAMPLES), fitted=False) for s in built.series))
 
 
-def coloured(rng, size):
-    """Two records of AR(0.9) with this rms: a few samples of it say the same."""
-    white = rng.standard_normal((2, SAMPLES + 100))
-    return size * np.sqrt(1 - 0.9**2) * np.asarray(lfilter([1.0], [1.0, -0.9], white))[:, 100:]
+def coloured(rng, size, pole=0.9):
+    """Two records of an autoregression with this rms: a few samples of it say the same."""
+    white = rng.standard_normal((2, SAMPLES + 400))
+    return size * np.sqrt(1 - pole**2) * np.asarray(lfilter([1.0], [1.0, -pole], white))[:, 400:]
 
 
 def judged(errors):
@@ -40,27 +41,37 @@ def judged(errors):
     return Judged(Candidate((), (), (), np.ones(3), False), tuple(errors), rms, rms)
 
 
-def test_a_95_percent_interval_holds_the_truth_in_95_of_100_draws(case):
+@pytest.mark.parametrize("pole", [0.0, 0.9, 0.97])
+def test_a_95_percent_interval_holds_the_truth_in_95_of_100_draws(case, pole):
     rng, truth = np.random.default_rng(2), closed(np.hypot(GIVEN, NOISE), np.hypot(LEFT, NOISE), NOISE)
     held = 0
     for _ in range(DRAWS):
         noise = coloured(rng, NOISE)
         low = NOISE * (1 + 0.03 * rng.standard_normal())
-        given, after = (judged(coloured(rng, size) + noise) for size in (GIVEN, LEFT))
-        ends = _interval(case, given, after, low, (0, 1))
+        given, after = (judged(coloured(rng, size, pole) + noise) for size in (GIVEN, LEFT))
+        ends = _interval(case, given, after, low, (0, 1), 0.03)
         assert truth is not None and ends is not None
         held += ends[0] <= truth <= ends[1]
-    assert 0.89 <= held / DRAWS <= 0.97  # 0.92 with 20 blocks a record
+    assert 0.92 <= held / DRAWS <= 0.98
 
 
 def test_blocks_are_drawn_as_the_mean_of_a_record_scatters(case):
     """The bootstrap's standard deviation of a mean of squares is that over fresh draws of the records."""
-    rng, told, means = np.random.default_rng(3), [], []
+    rng, told, seen = np.random.default_rng(3), [], []
     for _ in range(200):
         errors = coloured(rng, 1.0)
-        means.append(np.mean(errors**2))
-        told.append(bootstrap(case, (0, 1), lambda k, e=errors: e[k] ** 2).std())
-    assert np.mean(told) == pytest.approx(np.std(means), rel=0.1)
+        seen.append(np.mean(errors**2))
+        told.append(means(case, (0, 1), lambda k, e=errors: e[k] ** 2).std())
+    assert np.mean(told) == pytest.approx(np.std(seen), rel=0.1)
+
+
+def test_the_memory_of_a_signal_is_its_integrated_autocorrelation():
+    """(1 + p) / (1 - p) of an autoregression, one of white noise or of a constant."""
+    rng = np.random.default_rng(5)
+    for pole in (0.0, 0.9):
+        e = np.asarray(lfilter([1.0], [1.0, -pole], rng.standard_normal(200_000)))
+        assert memory(e) == pytest.approx((1 + pole) / (1 - pole), rel=0.1)
+    assert memory(np.ones(50)) == 1.0
 
 
 def found(after, ties=0):

@@ -3,7 +3,8 @@
     F = u^2,  a_0 = U^2 / X,  a_1 = 2 zeta a_0 / w0,  a_2 = a_0 / w0^2       (zeta 0.03 to 0.12, log-uniform)
     y_measured = round((y + noise) / digit) digit,  digit = twice the pooled range / 2^16
 
-The noise is 0.3 % of range in the norm of the gap, sqrt(mean over records (std / range)^2), white or AR(0.9).
+The noise is 0.3 % of range in the norm of the gap, sqrt(mean over records (std / range)^2), of a colour of NOISES;
+coarse: nearly all of it is the digit's own.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +18,19 @@ from pitp_jax._record import waveforms
 NAMES = ("sweep", "sine0", "sine1", "sine2", "sine3", "multisine", "steps")
 SESSION = 26  # record lengths from the first sample of a session to its last
 _STARTS = (0, 5, 9, 13, 17, 21, 25)  # in record lengths: the sweep is two long
-_NOISE, _AR = 0.003, 0.9
+_NOISE, _COARSE = 0.003, 0.25
+_SETTLES = 2000  # samples until a colour has settled
+
+
+def _memory(pole: float):
+    """An autoregression's (numerator, denominator), of variance 1."""
+    return [np.sqrt(1 - pole**2)], [1.0, -pole]
+
+
+NOISES = {
+    "white": ([1.0], [1.0]), "ar": _memory(0.9), "ar98": _memory(0.98), "average": ([20**-0.5] * 20, [1.0]),
+    "coarse": ([1.0], [1.0]),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -108,10 +121,12 @@ def noise_std(outputs: list[np.ndarray]) -> float:
 def measure(outputs: list[np.ndarray], noise: str, rng: np.random.Generator) -> list[np.ndarray]:
     """Noisy readings in m of noise-free outputs in m, in whole digits of the sensor and of the file (0.1 um)."""
     std, digit, readings = noise_std(outputs), 2 * np.ptp(np.concatenate(outputs)) / 2**16, []
+    if noise == "coarse":
+        std, digit = _COARSE * std, np.sqrt(12 * (1 - _COARSE**2)) * std
+    settle = 200 if noise in ("white", "ar") else _SETTLES  # as it was drawn for the figures on record
     for y in outputs:
-        e = rng.standard_normal(len(y) + 200)
-        e = lfilter([np.sqrt(1 - _AR**2)], [1.0, -_AR], e) if noise == "ar" else e
-        readings.append(np.round(np.round((y + std * e[200:]) / digit) * digit, 7))
+        e = np.asarray(lfilter(*NOISES[noise], rng.standard_normal(len(y) + settle)))[settle:]
+        readings.append(np.round(np.round((y + std * e) / digit) * digit, 7))
     return readings
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from .._effects import CATALOGUE, REMAINDERS
 from .._effects.viscoelastic import BORDER
+from .bootstrap import means
 from .budget import Budget
 from .case import Case, build_case
 from .effect_pairs import second
@@ -28,7 +29,6 @@ _NAMES, _FORMS = 5, 12  # finalists
 # And the most floors that a nominal is granted of its own: one a twentieth off its noise left a sensor's gain 0.306 %,
 # and all three coefficients, which mended it as well, 0.292
 _WITHIN, _OWN = ("added_mass", "sensor_gain"), 2.0
-_BLOCKS, _DRAWS = 20, 400
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def equivalents(case: Case, best: Judged, rivals: Sequence[Judged], noise: Noise
     for r in _by_name(rivals):
         if set(r.names) == set(best.names) or r.candidate.size > best.candidate.size + 1:
             continue  # what takes more numbers to say the same is no rival: they win by parsimony, or not at all
-        difference = bootstrap(case, held, lambda k, r=r: r.errors[k] ** 2 - best.errors[k] ** 2)
+        difference = means(case, held, lambda k, r=r: r.errors[k] ** 2 - best.errors[k] ** 2)
         excess = max(best.heldout**2 - low**2, (0.1 * low) ** 2)
         near = r.heldout**2 - low**2 < 1.3**2 * excess and best.heldout > 1.1 * low
         if np.quantile(difference, 0.025) <= 0 or near or _same_family_border(case, best, r, low):
@@ -162,17 +162,3 @@ def _same_family_border(case: Case, best: Judged, other: Judged, low: float) -> 
         return False
     tau = list(best.candidate.values)[0][1] * case.surroundings.omega
     return abs(np.log(tau / BORDER)) < np.log(1.3) and other.heldout < 2 * max(best.heldout, low)
-
-
-def bootstrap(case: Case, which: Sequence[int], square: Callable[[int], np.ndarray], draws: int = _DRAWS) -> np.ndarray:
-    """Draws of the mean over records of the mean of `square` where it counts, by blocks within records; (draws,)."""
-    rng = np.random.default_rng(0)
-    total = np.zeros(draws)
-    for k in which:
-        counts = case.series[k].weight > 0
-        sums, sizes = (
-            np.array([b.sum() for b in np.array_split(v, _BLOCKS)]) for v in (square(k) * counts, counts.astype(float))
-        )
-        drawn = rng.integers(0, _BLOCKS, (draws, _BLOCKS))
-        total += sums[drawn].sum(1) / np.maximum(sizes[drawn].sum(1), 1.0) / len(which)
-    return total

@@ -11,13 +11,13 @@ from .._effects import CATALOGUE
 from .._effects.base import Parameter, physical_factor
 from .._model.model import Model
 from .._record.units import base_unit
+from .bootstrap import means
 from .case import Case
-from .effect_selection import Attribution, bootstrap
+from .effect_selection import Attribution
 from .evaluation import Judged
 from .regress import Screened
 
 GAP = 1.1  # times the floor: no gap up to there
-_FLOOR_DOUBT = 0.03  # relative standard deviation of the noise floor's estimate
 
 
 @dataclass(frozen=True)
@@ -85,14 +85,12 @@ def closed(before: float, after: float, low: float) -> float | None:
     return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
 
 
-def _interval(case: Case, base: Judged, after: Judged, low: float, held) -> tuple[float, float] | None:
-    """Blocks drawn anew for both errors, the floor within its own doubt."""
+def _interval(case: Case, base: Judged, after: Judged, low: float, held, doubt: float) -> tuple[float, float] | None:
+    """Blocks drawn anew for both errors, the floor within its own relative standard deviation `doubt`."""
     if base.heldout <= GAP * low or not np.isfinite(after.heldout):
         return None
-    first = bootstrap(case, held, lambda k: base.errors[k] ** 2)
-    second = bootstrap(case, held, lambda k: after.errors[k] ** 2)
-    doubt = np.random.default_rng(1).standard_normal(len(first))
-    floors = (low * (1 + _FLOOR_DOUBT * doubt)) ** 2
+    first, second = means(case, held, lambda k: np.stack([base.errors[k], after.errors[k]]) ** 2)
+    floors = (low * (1 + doubt * np.random.default_rng(1).standard_normal(len(first)))) ** 2
     draws = 1 - np.sqrt(np.maximum(second - floors, 0) / np.maximum(first - floors, 1e-12))
     here = closed(base.heldout, after.heldout, low) or 0.0
     return float(min(np.quantile(draws, 0.025), here)), float(max(np.quantile(draws, 0.975), here))
@@ -103,7 +101,8 @@ def gap_of(case: Case, found: Attribution, after: Judged, low: float, held) -> G
     return Gap(
         before=before, after=min(after.heldout, before) if before <= GAP * low else after.heldout,
         unrefitted=found.given.heldout, noise_floor=low, floor_from=found.noise.source,
-        closed_fraction=closed(before, after.heldout, low), ci95=_interval(case, found.base, after, low, held),
+        closed_fraction=closed(before, after.heldout, low), 
+        ci95=_interval(case, found.base, after, low, held, found.noise.doubt),
     )  # fmt: skip
 
 
@@ -170,7 +169,7 @@ def _fitted(case: Case, found: Attribution, j: Judged, low: float, held) -> Rank
         train=j.train,
         heldout=j.heldout,
         closed_fraction=closed(found.base.heldout, j.heldout, low),
-        ci95=_interval(case, found.base, j, low, held),
+        ci95=_interval(case, found.base, j, low, held, found.noise.doubt),
         screened=False,
     )
 
