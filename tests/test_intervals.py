@@ -97,8 +97,9 @@ def test_what_leaves_more_than_the_floor_must_close_its_share(floors, share, sai
     [
         (10.5, 9.0, 0.95, 40.0, 0, "unknown"), (9.5, 3.0, 0.95, 40.0, 0, "explained"),  # 10 % of range
         (5.5, 4.0, 0.78, 40.0, 0, "unknown"), (4.5, 4.0, 0.78, 40.0, 0, "explained"),  # 5 % of range
-        (2.0, 1.5, 0.9, 1.9, 0, "unknown"), (2.0, 1.5, 0.9, 2.2, 0, "explained"),  # zeros alone do as much
-        (1.0, 1.0, 1.0, 1.05, 0, "no_gap"),  # zeros leave noise
+        (2.0, 1.0, 0.9, 1.9, 0, "unknown"), (2.0, 1.0, 0.9, 2.2, 0, "explained"),  # zeros alone do as much
+        (1.0, 1.0, 1.0, 1.05, 0, "no_gap"), (1.25, 1.0, 0.99, 1.3, 0, "no_gap"),  # zeros leave noise
+        (1.0, 1.0, 1.0, 1.3, 0, "explained"),  # and here they do not
         (1.0, 1.0, 1.0, 9.0, 4, "unknown"), (1.0, 1.0, 1.0, 9.0, 3, "explained"),  # names tied
     ],
 )  # fmt: skip

@@ -1,7 +1,7 @@
 """When a gap is explained: the rule and its thresholds, for the diagnosis and for the page that tells of it.
 
-no_gap      before <= GAP floors, or <= DOUBT floors where no effect closes ENOUGH; or what is left once every record's
-            zero and direction are fitted is <= GAP floors
+no_gap      before, or what is left of it once every record's zero and direction are fitted, <= GAP floors; or <= DOUBT
+            floors, of which no effect closes ENOUGH
 unknown     no gap, but the floor is more than a sensor makes; less than HALF closed; less than ENOUGH where more than
             LITTLE floors are left, less than MOST where more than MUCH floors or LARGE % of range are; more than
             TOO_LARGE % of range left; no less left than by zeros and directions alone; more than TIES names tied; an
@@ -19,7 +19,7 @@ from .case import Case
 from .effect_selection import Attribution
 from .evaluation import CLOSE, Judged
 from .noise import STRUCK
-from .result import GAP, Gap
+from .result import GAP, Gap, closed
 
 TIES = 3  # a list of four and more names is no answer
 DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
@@ -37,8 +37,8 @@ def verdict(gap: Gap, found: Attribution, own: float, rezeroed: float = np.inf) 
     """`own`: what the nominal left where nothing was wrong, over the noise; `rezeroed` as below."""
     low = gap.noise_floor or 0.0
     share = gap.closed_fraction or 0.0
-    noise = gap.before <= GAP * low or (gap.before <= DOUBT * low and share < ENOUGH)
-    if noise or rezeroed <= GAP * low:
+    level = min(gap.before, rezeroed)
+    if level <= GAP * low or (level <= DOUBT * low and (closed(level, gap.after, low) or 0.0) < ENOUGH):
         return "unknown" if found.noise.sigma > STRUCK * found.noise.sensor else "no_gap"
     least = max(HALF, ENOUGH * (gap.after > LITTLE * low), MOST * (gap.after > min(MUCH * low, LARGE)))
     worse = gap.after > TOO_LARGE or CLOSE * gap.after > rezeroed
