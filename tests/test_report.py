@@ -7,9 +7,10 @@ from html.parser import HTMLParser
 
 import jax.numpy as jnp
 import numpy as np
-from diagnosis_cases import candidate
+from diagnosis_cases import candidate, no_gap, tied
 from matplotlib import rcParams
 
+from pitp_jax._diagnose import verdict as rule
 from pitp_jax._diagnose.report import figures, formatting
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._effects import stiffness
@@ -135,7 +136,20 @@ def test_unknown_names_nothing_but_says_what_was_near(unknown):
     assert "None of the catalogue" in text and "electrode_rc: closes 1 %" in text
     assert "explained by" not in text
     crowd = replace(unknown, equivalent=("delay", "sensor_lag", "slew_limit", "drag"))
-    assert "Unknown: 5 effects explain the gap alike" in read(crowd)[1]
+    assert "Unknown: 5 effects help alike, and too little" in read(crowd)[1]
+    alike = replace(crowd, gap=replace(crowd.gap, closed_fraction=0.9))
+    assert "Unknown: 5 effects explain the gap alike" in read(alike)[1]
+
+
+def test_the_page_says_what_to_do_next_and_decides_by_the_verdicts_thresholds(explained, unknown):
+    text = read(explained)[1]
+    assert "Next: predict and invert with model_augmented" in text
+    assert "Next: play and record next_experiment.csv" in read(tied(explained))[1]
+    assert "Next: predict and invert with this model" in read(no_gap(explained))[1]
+    moved = replace(no_gap(explained), notes=("1 % of range are left: rezero the sensor",))
+    assert "Next: rezero the sensor" in read(moved)[1]
+    assert "Next: look at " in read(unknown)[1]
+    assert f"within {rule.DOUBT:g} times" in text and f"more than {rule.TOO_LARGE:g} % of range" in text
 
 
 def test_a_report_is_reproducible_and_leaves_no_trace(explained):

@@ -6,8 +6,9 @@ import numpy as np
 
 from .._diagnose.diagnosis import Diagnosis
 from .._diagnose.diagnosis import diagnose as run_diagnosis
+from .._diagnose.report.answers import NEXT_CSV
 from .._diagnose.report.figures import FIGURES, figures
-from .._diagnose.report.page import NEXT_CSV, report
+from .._diagnose.report.page import report
 from .._model_file.model_file import load, save
 from .._record.writing import write_csv, write_text_atomic
 from .compatibility import check_suits

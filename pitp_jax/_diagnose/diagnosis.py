@@ -23,10 +23,8 @@ from .next_experiment import Experiment, separate
 from .parameter_uncertainty import doubted
 from .result import Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
 from .select_records import usable
-from .verdict import DOUBT, rezeroed, verdict
+from .verdict import DOUBT, HELPS, rezeroed, verdict
 from .where import locate
-
-_HELPS = 0.2  # a best candidate that closes less explains nothing, and what is tied with it neither
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,7 @@ def diagnose(
     added = augmented(case, found.best if name == "explained" else found.base, model)
     where = locate(case, [e * s.span / 100 for e, s in zip(found.base.errors, case.series, strict=True)], found.noise)
     experiment = None
-    tied = found.equivalent if name != "no_gap" and (gap.closed_fraction or 0.0) > _HELPS else ()
+    tied = found.equivalent if name != "no_gap" and (gap.closed_fraction or 0.0) > HELPS else ()
     if tied and budget.allows("an experiment that separates the tied names"):
         progress("looking for an experiment that separates the tied names")
         experiment = separate(case, found.best, found.rivals[0], found.noise)

@@ -23,6 +23,7 @@ from .result import GAP, Gap, closed
 
 TIES = 3  # a list of four and more names is no answer
 DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
+HELPS = 0.2  # a best candidate that closes less explains nothing, and what is tied with it neither
 HALF = 0.5  # what closes less explains nothing, however high the floor
 # Tuning seeds: true names of another form close 0.81 at least (0.76 at 2.1 floors after a refit), a curved sensor, of
 # which no form was known, 0.67. With the true name left out (seeds 100 and 101, not fresh in this) what stands in

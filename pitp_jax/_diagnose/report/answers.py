@@ -3,11 +3,15 @@
 import numpy as np
 
 from ..diagnosis import Diagnosis
+from ..result import GAP
+from ..verdict import ENOUGH, HELPS
 from . import html
 from .formatting import figure, gathers, interval, named, of_range, percent, plain_words
 from .gap_figure import output_unit, outside_line, refitted, time_spent, worst
 from .html import tag
 from .which import crowd, share_closed, which
+
+NEXT_CSV = "next_experiment.csv"
 
 
 def headline(d: Diagnosis) -> str:
@@ -17,7 +21,8 @@ def headline(d: Diagnosis) -> str:
             return "The model's own coefficients have changed; nothing is missing from it"
         return f"The gap is explained by {named(d.effects)}{''.join(f', or by {name}' for name in d.equivalent)}"
     if crowd(d):
-        return f"Unknown: {len(d.equivalent) + 1} effects explain the gap alike"
+        alike = "explain the gap alike" if (d.gap.closed_fraction or 0) >= ENOUGH else "help alike, and too little"
+        return f"Unknown: {len(d.equivalent) + 1} effects {alike}"
     if d.verdict == "unknown":
         return "Unknown: there is a gap, and no effect in the catalogue explains it"
     return "No gap once the model's coefficients are refitted" if _moved(d) else "No gap: the error is sensor noise"
@@ -40,7 +45,7 @@ def verdict_text(d: Diagnosis) -> str:
             f"In every recording, whatever its drive, at least {percent(line[1])} of the error is one oscillation at "
             f"{figure(line[0])} Hz: something disturbs the rig from outside (vibration, pick-up, a supply)."
         )
-    if (d.gap.closed_fraction or 0) < 0.2:
+    if (d.gap.closed_fraction or 0) < HELPS:
         return (
             f"No candidate reduces the error on {_judged_on(d)}: either something disturbs the rig "
             "from outside, or the cause has a form the catalogue does not hold."
@@ -50,9 +55,26 @@ def verdict_text(d: Diagnosis) -> str:
     )
 
 
+def next_step(d: Diagnosis) -> str:
+    """What to do about it, in one sentence."""
+    if d.verdict == "no_gap":
+        if any("rezero" in note for note in d.notes):
+            return "Next: rezero the sensor before a recording, or give each a second of rest at 0 V."
+        return "Next: predict and invert with this model; more recordings teach it nothing." if not _moved(d) else (
+            "Next: predict and invert with the refitted model."
+        )  # fmt: skip
+    if d.next_experiment is not None:
+        return f"Next: play and record {NEXT_CSV}, which tells {named(d.next_experiment.separates)} apart."
+    if d.verdict == "explained":
+        return "Next: predict and invert with model_augmented, or mend the rig and diagnose again."
+    if outside_line(d):
+        return "Next: find what hums at that frequency; no model of the actuator will."
+    return f"Next: look at {worst(d).name}, where most of it is, then record a drive of another kind beside it."
+
+
 def _moved(d: Diagnosis) -> bool:
     """Whether a refit alone closed a gap."""
-    return refitted(d) and d.gap.unrefitted > 1.1 * (d.gap.noise_floor or d.gap.before)
+    return refitted(d) and d.gap.unrefitted > GAP * (d.gap.noise_floor or d.gap.before)
 
 
 def _error_left(d: Diagnosis) -> str:

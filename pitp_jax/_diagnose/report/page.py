@@ -2,17 +2,16 @@
 
 import numpy as np
 
+from .. import verdict as rule
 from ..diagnosis import Diagnosis
 from ..result import Gap, Ranked
 from . import html
-from .answers import cards, headline, verdict_text
+from .answers import NEXT_CSV, cards, headline, next_step, verdict_text
 from .figures import figures
 from .formatting import figure, interval, percent
 from .gap_figure import left, output_unit, worst
 from .html import tag
 from .which import parameter_lines
-
-NEXT_CSV = "next_experiment.csv"
 
 
 def report(diagnosis: Diagnosis) -> str:
@@ -25,6 +24,7 @@ def report(diagnosis: Diagnosis) -> str:
         tag("p", "Diagnosis: a model beside recordings of the real actuator", "soft"),
         tag("h1", headline(diagnosis), diagnosis.verdict),
         tag("p", verdict_text(diagnosis), "lead"),
+        tag("p", next_step(diagnosis), "lead"),
         f'<div class="cards">{"".join(cards(diagnosis))}</div>',
         *_pictures(diagnosis),
         *_next(diagnosis),
@@ -135,9 +135,13 @@ def _reading(d: Diagnosis) -> list[str]:
         "is judged by how much smaller the error becomes on other recordings, which no fit saw. Closed is the share of "
         "the error above the sensor's noise that this takes away."
     )
-    verdicts = (
-        "“No gap” means that the error is within 1.1 times the noise, so there is nothing to explain; “unknown” means "
-        "that the best effect leaves too much of the gap above the noise, or that too many effects "
-        "explain it alike: then no name is given, and none should be read off the ranking."
+    verdicts = (  # the numbers of `verdict`
+        f"“No gap” means that the error is within {rule.GAP:g} times the noise, beside each recording's own zero, or "
+        f"within {rule.DOUBT:g} times where no effect closes {percent(rule.ENOUGH)} of it, since the noise is an "
+        f"estimate itself. A name is given where at least {percent(rule.HALF)} of the gap is closed, "
+        f"{percent(rule.ENOUGH)} where more than {rule.LITTLE:g} times the noise is left, {percent(rule.MOST)} above "
+        f"{rule.MUCH:g} times the noise or {rule.LARGE:g} % of range, and never where more than {rule.TOO_LARGE:g} % "
+        f"of range is left, where zeros alone do as much or more than {rule.TIES} other names do as well. Else the "
+        "verdict is “unknown”: no name is given, and none should be read off the ranking."
     )
     return [tag("h2", "How to read this"), tag("p", method), tag("p", verdicts)]
