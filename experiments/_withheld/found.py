@@ -6,8 +6,8 @@
                one_way_damper p max(-v, 0)   cogging F (1 + p sin(2 pi x / l))
                lagging_spring p x z,  tau z' = |v| - z
 
-F = u^2; brackets and corners are rounded steeply. `TERMS` names the terms of those that a library of products, signs and
-thresholds holds; the others (None) can be approximated alone. Written before the search for terms was.
+F = u^2; brackets and corners are rounded steeply. `TERMS` names the terms of those that a library of products, signs
+and thresholds holds; the others (None) can be approximated alone. Written before the search for terms was.
 """
 
 import jax.numpy as jnp
