@@ -1,32 +1,43 @@
-"""A term found in the data where no name fits: the missing force as an equation, judged as an effect is.
+"""A term found in the data where no name fits: the missing force as an equation, with units and intervals.
 
-    sparse regression -> whole free runs of the best sums (Levenberg-Marquardt) -> the fewest functions that pay
+    sum_i a_i x^(i) = F - f,   f = sum_j c_j phi_j(x, x', F, z)        (`_effects.found_term`)
 
-A function stays as long as it pays on drives the fit never saw. What is found describes, it names no cause.
+It is judged as an effect is and acts as one; it describes, and names no cause.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from .._effects.base import Start
-from .._effects.found_term import LIBRARY, NAMES, FoundTerm, held_knees
+from .._effects.found_term import LIBRARY, NAMES, FoundTerm
 from .._model.model import Model
-from .batched_rollouts import Lanes
 from .case import Case
-from .effect_selection import Attribution, bootstrap, moved
-from .evaluation import Judged, augmented, floor, judge, sides
-from .fit import Candidate, fit
+from .effect_selection import Attribution
+from .evaluation import Judged, augmented, floor, sides
+from .fit import Candidate
 from .parameter_uncertainty import doubted
 from .result import closed, gap_of, physical
-from .term_regression import Subset, numbers, subsets
+from .term_regression import Point, evaluated
+from .term_search import CLOSE, LEAST, NEAR, search
+from .where import missing_force
 
-_TRIED = ((3, 5), (4, 3))  # sums of one and two functions fitted on whole runs; of three and four
-_CLOSE = 1.05  # within this factor of the least held-out error fewer functions win
-_NEAR = 1.1  # floors: nothing is left to find
-_LEAST = 0.2  # of the gap: what closes less is not told, as with a name
-_SETTLED = 8  # iterations: regression begins near
+_BINS, _DOTS = 30, 500  # of the curve and the scatter
+
+
+class Drawn(NamedTuple):
+    """The term over its main variable ("displacement", "velocity" or "voltage", in base units).
+
+    Forces in % of the largest force of the film: `measured`, what the nominal lacks at `at`; `curve`, the term at
+    `along`, the mean of what it is at that value of the variable.
+    """
+
+    variable: str
+    at: np.ndarray
+    measured: np.ndarray
+    along: np.ndarray
+    curve: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -39,6 +50,7 @@ class Term:
         closed_fraction, ci95: as those of a gap.
         after: held-out error with it, %.
         effect: what the augmented model carries.
+        drawn: for a figure.
     """
 
     equation: str
@@ -47,6 +59,7 @@ class Term:
     ci95: tuple[float, float] | None
     after: float
     effect: FoundTerm
+    drawn: Drawn | None = None
 
     def as_json(self) -> dict:
         """As docs/contract.md has it."""
@@ -56,111 +69,77 @@ class Term:
 
 def found_term(
     case: Case, found: Attribution, model: Model, progress: Callable[[str], None] = lambda line: None
-) -> tuple[Term, Model] | None:
-    """The term and `model` with it; None where no sum of functions pays on the records held out."""
-    best = search(case, found.base, floor(case, found.noise, sides(case)[1]), progress)
-    if best is None:
+) -> tuple[Term, Judged, Model] | None:
+    """The term, what it leaves and `model` with it; None where no sum of functions pays on the records held out.
+
+    Looked for beside the nominal, and beside the best candidate of the catalogue where that closes a part of the gap.
+    """
+    low, best = floor(case, found.noise, sides(case)[1]), found.base
+    for base in (found.base, found.best):
+        known = (closed(found.base.heldout, base.heldout, low) or 0.0) >= LEAST
+        if base is not found.base and not (known and base.candidate.forms and best.heldout > NEAR * low):
+            continue
+        tried = search(case, base, low, progress)
+        best = tried if tried is not None and tried.heldout * CLOSE <= best.heldout else best
+    if best is found.base:
         return None
     best = doubted(case, best, model)
-    return told(case, found, best), augmented(case, best, model)
-
-
-def search(case: Case, base: Judged, low: float, progress=lambda line: None) -> Judged | None:
-    """The sparse sum that pays, beside a base without effects, or None; `low`: floor of the held-out records, %."""
-    start, refit = base.candidate, base.candidate.refit
-    around = moved(case, start.factors) if refit else case
-    progress("looking for an equation of the missing force")
-    by_size = subsets(around, refit)
-    lanes, rivals = Lanes(case, [(FoundTerm,)]), [base]
-    for stage, counts in enumerate(_TRIED):
-        chosen = [s for few, n in zip(by_size[2 * stage :], counts, strict=False) for s in few[:n]]
-        rivals += _fitted(lanes, [_candidate(case, s, start) for s in chosen], progress)
-        if min(r.heldout for r in rivals) <= _NEAR * low:
-            break
-    best = _fewest(rivals)
-    while _size(best) > 1:
-        rivals += _fitted(lanes, [_without(best.candidate, k) for k in _present(best.candidate)], progress)
-        fewer = _fewest(rivals)
-        if _size(fewer) >= _size(best):
-            break
-        best = fewer
-    return best if _size(best) and _pays(case, base, best, low) else None
-
-
-def _fitted(lanes: Lanes, candidates: list[Candidate], progress) -> list[Judged]:
-    def seen(step: int, least: float) -> None:
-        progress(f"term: step {step}, {np.sqrt(least):.3f} %")
-
-    done = fit(lanes, candidates, most=_SETTLED, progress=seen)
-    return [j for j in judge(lanes, done) if np.isfinite(j.heldout)]
-
-
-def _candidate(case: Case, subset: Subset, base: Candidate) -> Candidate:
-    """The regression's numbers as a start; what is not in the sum is held at zero."""
-    (wide,) = FoundTerm.starts(case.surroundings)
-    values = numbers(subset)
-    used = {NAMES.index(p.name) for p in subset.points}
-    used |= {len(NAMES) + k for k in held_knees(tuple(p.name for p in subset.points))}
-    return _held(base, np.clip(values, wide.low, wide.high), wide, used)
-
-
-def _held(base: Candidate, values, wide: Start, used: set[int]) -> Candidate:
-    """A candidate with all numbers but those used held where they are."""
-    values = tuple(map(float, values))
-    ends = [tuple(b[k] if k in used else values[k] for k in range(len(values))) for b in (wide.low, wide.high)]
-    return replace(base, forms=(FoundTerm,), values=(values,), starts=(Start(values, *ends),))
-
-
-def _present(c: Candidate) -> list[int]:
-    """Places of the functions in a sum."""
-    return [k for k in range(len(NAMES)) if c.forms and c.values[0][k] != 0]
-
-
-def _size(j: Judged) -> int:
-    return len(_present(j.candidate))
-
-
-def _without(c: Candidate, place: int) -> Candidate:
-    """The sum without one function, and the knees that only this one had."""
-    values, start = list(c.values[0]), c.starts[0]
-    values[place] = 0.0
-    left = tuple(NAMES[k] for k in _present(c) if k != place)
-    used = {NAMES.index(name) for name in left} | {len(NAMES) + k for k in held_knees(left)}
-    return _held(c, values, start, used)
-
-
-def _fewest(rivals: list[Judged]) -> Judged:
-    """The fewest functions within a few per cent of the least held-out error."""
-    least = min(r.heldout for r in rivals)
-    return min((r for r in rivals if r.heldout <= _CLOSE * least), key=lambda r: (_size(r), r.heldout))
-
-
-def _pays(case: Case, base: Judged, best: Judged, low: float) -> bool:
-    """It closes a fifth of the gap and more, and on blocks drawn anew it is better."""
-    _, held = sides(case)
-    gains = bootstrap(case, held, lambda k: base.errors[k] ** 2 - best.errors[k] ** 2)
-    return (closed(base.heldout, best.heldout, low) or 0.0) >= _LEAST and bool(np.quantile(gains, 0.025) > 0)
+    return told(case, found, best), best, augmented(case, best, model)
 
 
 def told(case: Case, found: Attribution, best: Judged) -> Term:
     """Equation and parameters in physical units, with what they close."""
     c, (_, held) = best.candidate, sides(case)
-    low = floor(case, found.noise, held)
-    effect = FoundTerm.of(c.values[0])
-    errors = np.sqrt(np.maximum(np.diag(c.covariance), 0.0)) if c.covariance.size else np.zeros(len(effect.numbers()))
+    effect = FoundTerm.of(c.values[-1])
+    before = sum(h > low for s in c.starts[:-1] for low, h in zip(s.low, s.high, strict=True))
+    errors = np.sqrt(np.maximum(np.diag(c.covariance), 0.0))[before:] if c.covariance.size else []
     names = [f"c{k + 1}" for k in range(len(effect.functions))]
     names += [p.name for p, _ in effect.numbers()[len(names) :]]
     rows = {}
-    for name, (p, value), error in zip(names, effect.numbers(), errors, strict=False):
+    for k, (name, (p, value)) in enumerate(zip(names, effect.numbers(), strict=True)):
         number, unit = physical(case.model, p, float(value))
-        spread = abs(float(error) * (number if p.positive else number / float(value)))
-        near = [number - 1.96 * spread, number + 1.96 * spread]
-        rows[name] = {"value": number, "unit": unit, "stderr": spread or None, "ci95": near if spread else None}
-    square = case.model.input_map.one_sided
-    sum_ = " + ".join(f"c{k + 1} {written(n, square)}" for k, n in enumerate(effect.functions))
-    memory = ", tau z' = x - z" if any(LIBRARY[n].knee == 3 for n in effect.functions) else ""
-    gap = gap_of(case, found, best, low, held)
-    return Term(f"missing force = {sum_}{memory}", rows, gap.closed_fraction, gap.ci95, best.heldout, effect)
+        spread = abs(float(errors[k]) * (number if p.positive else number / float(value))) if len(errors) else None
+        near = [number - 1.96 * spread, number + 1.96 * spread] if spread else None
+        rows[name] = {"value": number, "unit": unit, "stderr": spread or None, "ci95": near}
+    gap = gap_of(case, found, best, floor(case, found.noise, held), held)
+    line = equation(effect, c.forms[:-1], case.model.input_map.one_sided)
+    return Term(line, rows, gap.closed_fraction, gap.ci95, best.heldout, effect, _drawn(case, c))
+
+
+def _drawn(case: Case, c: Candidate) -> Drawn:
+    """Of the records held out; the main variable is the one that most of the term's variance goes with."""
+    values, scale, (_, held) = c.values[-1], case.model.scales.state, sides(case)
+    present = [k for k in range(len(NAMES)) if values[k] != 0]
+    points = [Point(NAMES[k], values[len(NAMES) + (LIBRARY[NAMES[k]].knee or 0)]) for k in present]
+    chosen = [case.series[k] for k in held]
+    top = max(float(np.abs(s.force).max()) for s in case.series) / 100
+    whole = np.concatenate([evaluated(s, points, case.dt) @ [values[k] for k in present] for s in chosen]) / top
+    lacks = np.concatenate([missing_force(s, c.factors) for s in chosen]) / top
+    axes = {"displacement": (0, scale[0]), "velocity": (1, scale[1])}
+    spread = {name: np.concatenate([s.motion[:, k] for s in chosen]) * by for name, (k, by) in axes.items()}
+    spread["voltage"] = np.concatenate([s.voltage for s in chosen])
+    curves = {name: _binned(v, whole) for name, v in spread.items()}
+    main = max(curves, key=lambda name: curves[name][2])
+    dots = np.linspace(0, len(whole) - 1, min(_DOTS, len(whole))).astype(int)
+    return Drawn(main, spread[main][dots], lacks[dots], *curves[main][:2])
+
+
+def _binned(at: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Middles of equal bins that hold something, the mean force in them, and the share of its variance that it is."""
+    place = np.clip(((at - at.min()) / max(np.ptp(at), 1e-30) * _BINS).astype(int), 0, _BINS - 1)
+    count = np.bincount(place, minlength=_BINS)
+    mean = np.bincount(place, force, _BINS) / np.maximum(count, 1)
+    middle = at.min() + (np.arange(_BINS) + 0.5) / _BINS * np.ptp(at)
+    share = float(np.var(mean[place]) / max(np.var(force), 1e-30))
+    return middle[count > 0], mean[count > 0], share
+
+
+def equation(effect: FoundTerm, beside: tuple, square: bool) -> str:
+    """`missing force = c1 x x' + c2 x^3`, with what stands beside it."""
+    terms = " + ".join(f"c{k + 1} {written(name, square)}" for k, name in enumerate(effect.functions))
+    memory = ", tau z' = x - z" if any(LIBRARY[name].knee == 3 for name in effect.functions) else ""
+    others = f", beside {' and '.join(f'{f.name} ({f.form})' for f in beside)}" if beside else ""
+    return f"missing force = {terms}{memory}{others}"
 
 
 def written(name: str, square: bool) -> str:
