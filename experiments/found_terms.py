@@ -54,13 +54,8 @@ def tracked(spec: Spec, case: Case, nominal, model) -> dict:
     said, (form,) = {}, [f for f in FORMS[spec.label] if f.name == facts["forms"][0]]
     for name, m in (("track before", nominal), ("track after", model)):
         plan = pitp.feedforward(m, pitp.Target(t, target))
-        ports = {
-            "u": plan.voltage[None] / kind.top,
-            "clock": np.zeros(1),
-            "push": (None,),
-            "gate": (None,),
-            "add": (None,),
-        }
+        none = dict.fromkeys(("push", "gate", "add"), (None,))
+        ports = {"u": plan.voltage[None] / kind.top, "clock": np.zeros(1)} | none
         y = integrator.outputs((form,), [facts["strengths"]], facts["constants"], plant.constants, ports)[0, 0]
         said[name] = pitp.e_rms_percent(plant.scale * y[plan.target], target)
     return said

@@ -21,7 +21,7 @@ from .result import closed
 from .term_regression import Subset, numbers, subsets
 
 _TRIED = ((3, 5), (4, 3))  # sums of one and two functions fitted on whole runs; of three and four
-CLOSE = 1.05  # within this factor of the least held-out error fewer functions win
+CLOSE, _SLIGHT = 1.05, 0.02  # of the least held-out error, and of the base's: within both together fewer functions win
 NEAR = 1.1  # floors: nothing is left to find
 LEAST = 0.2  # of the gap: what closes less is not told, as with a name
 _SETTLED = 8  # iterations: regression begins near
@@ -92,9 +92,9 @@ def _without(base: Candidate, c: Candidate, place: int) -> Candidate:
 
 
 def _fewest(rivals: list[Judged]) -> Judged:
-    """The fewest functions within a few per cent of the least held-out error."""
-    least = min(r.heldout for r in rivals)
-    return min((r for r in rivals if r.heldout <= CLOSE * least), key=lambda r: (_size(r), r.heldout))
+    """The fewest functions within a few per cent of the least held-out error, and of the base's (the first's)."""
+    most = np.hypot(CLOSE * min(r.heldout for r in rivals), _SLIGHT * rivals[0].heldout)
+    return min((r for r in rivals if r.heldout <= most), key=lambda r: (_size(r), r.heldout))
 
 
 def _pays(case: Case, base: Judged, best: Judged, low: float) -> bool:
