@@ -30,8 +30,8 @@ from pitp_jax._simulate.decoder import rest_state, rollout
 FLOOR = 0.14  # %, of the records of `play`
 
 
-def term(a=1.0, b=1.0, e=1.0, tau=1.0, **sums):
-    return FoundTerm.of([sums.get(name, 0.0) for name in NAMES] + [a, b, e, tau])
+def term(a=1.0, b=1.0, e=1.0, tau=1.0, d=1.0, **sums):
+    return FoundTerm.of([sums.get(name, 0.0) for name in NAMES] + [a, b, e, tau, d])
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,8 @@ from .effect_responses import responses
 from .regress import projected
 from .screen import nuisance
 
-_BEAM, _MOST = 40, 4  # subsets that go on from one size to the next; functions in one
+FIRST, SECOND = "max(x - a, 0)", "max(x - d, 0)"
+_BEAM, _MOST = 40, 6  # subsets that go on from one size to the next; functions in one
 _NEW = 1e-3  # of a column's energy that must be outside the span of the others
 _PLACES = 9  # of a threshold
 
@@ -68,6 +69,7 @@ def _points(case: Case) -> list[Point]:
         np.quantile(speeds, (0.3, 0.5, 0.7, 0.9)),
         np.quantile(forces, (0.3, 0.5, 0.7, 0.9)),
         np.geomspace(0.3 / s.omega, max(0.5 * s.duration, 3 / s.omega), 7),
+        s.bottom + inside[1:] * (s.top - s.bottom),
     )
     square, found = case.model.input_map.one_sided, []
     for f in LIBRARY.values():
@@ -114,13 +116,18 @@ def _grown(g: np.ndarray, points: list[Point]) -> list[list[Subset]]:
     knees = np.array([-1 if (k := LIBRARY[p.name].knee) is None else k for p in points])
     places, names = np.array([p.knee for p in points]), np.array([p.name for p in points])
     beam, found = np.zeros((1, 0), int), []
+
+    def before(rows, last):  # a second corner stands behind a first one
+        return (names[rows] == FIRST) & (places[rows] < places[last])
+
     for _ in range(_MOST):
         rows = np.concatenate([np.repeat(beam, len(points), 0), np.tile(np.arange(len(points)), len(beam))[:, None]], 1)
         last = rows[:, -1:]
         clash = (names[rows[:, :-1]] == names[last]) | (
             (knees[rows[:, :-1]] == knees[last]) & (knees[last] >= 0) & (places[rows[:, :-1]] != places[last])
         )
-        rows = np.unique(np.sort(rows[~clash.any(1)], 1), axis=0)
+        clash = clash.any(1) | ((names[last[:, 0]] == SECOND) & ~np.any(before(rows[:, :-1], last), 1))
+        rows = np.unique(np.sort(rows[~clash], 1), axis=0)
         inner = h[rows[:, :, None], rows[:, None, :]]
         apart = np.linalg.eigvalsh(inner)[:, 0] > _NEW
         rows, inner = rows[apart], inner[apart]

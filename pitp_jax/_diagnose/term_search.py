@@ -20,10 +20,11 @@ from .fit import Candidate, fit
 from .result import closed
 from .term_regression import Subset, numbers, subsets
 
-_TRIED = ((3, 5), (4, 3))  # sums of one and two functions fitted on whole runs; of three and four
+_TRIED = ((3, 5), (4, 3), (2, 2))  # sums of one and two functions fitted on whole runs; of three and four; of more
 CLOSE, _SLIGHT = 1.05, 0.02  # of the least held-out error, and of the base's: within both together fewer functions win
 NEAR = 1.1  # floors: nothing is left to find
 LEAST = 0.2  # of the gap: what closes less is not told, as with a name
+_MUCH = 0.1  # of the base's error, which sums of more than four functions are tried for
 _SETTLED = 8  # iterations: regression begins near
 
 
@@ -35,12 +36,15 @@ def search(case: Case, base: Judged, low: float, progress: Callable[[str], None]
         model = augmented(case, base, case.model)
         around = build_case(model, [s.record for s in case.series], how=case.split, mesh=case.mesh)
     progress("looking for an equation of the missing force")
-    by_size = subsets(around, start.refit)
+    by_size = _needed(subsets(around, start.refit))
     lanes, rivals = Lanes(case, [(*start.forms, FoundTerm)]), [base]
     for stage, counts in enumerate(_TRIED):
         chosen = [s for few, n in zip(by_size[2 * stage :], counts, strict=False) for s in few[:n]]
+        if not chosen:
+            break
         rivals += _fitted(lanes, [_candidate(case, s, start) for s in chosen], progress)
-        if min(r.heldout for r in rivals) <= NEAR * low:
+        left = min(r.heldout for r in rivals)
+        if left <= NEAR * low or (stage and left <= np.hypot(NEAR * low, _MUCH * base.heldout)):
             break
     best = _fewest(rivals)
     while _size(best) > 1:
@@ -50,6 +54,12 @@ def search(case: Case, base: Judged, low: float, progress: Callable[[str], None]
             break
         best = fewer
     return best if _size(best) and _pays(case, base, best, low) else None
+
+
+def _needed(by_size: list[list[Subset]]) -> list[list[Subset]]:
+    """Sums of as many functions as regression needs: free runs near a fold are too sensitive to say."""
+    least = CLOSE**2 * min(s.train for few in by_size for s in few)
+    return by_size[: 1 + next(k for k, few in enumerate(by_size) if few[0].train <= least)]
 
 
 def _fitted(lanes: Lanes, candidates: list[Candidate], progress) -> list[Judged]:

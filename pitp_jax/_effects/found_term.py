@@ -25,6 +25,7 @@ KNEES = (
     Parameter("b", "x/s", speed=1),
     Parameter("e", "V^2", force=1),
     Parameter("tau", "s"),
+    Parameter("d", "x", length=1, positive=False),
 )
 _EDGE = 0.02  # of the reach or more: what a step [x > a] is rounded over, scaled
 
@@ -119,8 +120,10 @@ _LISTED = (
     Function("x U", (1, 0, 0, 0.5), lambda q: q.x * q.u),
     Function("x' U", (0, 1, 0, 0.5), lambda q: q.v * q.u),
     Function("max(x - a, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0), 0),
+    Function("max(x - d, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[4], 0.0), 4),
     Function("max(a - x, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.knees[0] - q.x, 0.0), 0),
     Function("max(x - a, 0) x'", (1, 1, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0) * q.v, 0),
+    Function("max(x - a, 0) F", (1, 0, 0, 1), lambda q: jnp.maximum(q.x - q.knees[0], 0.0) * q.f, 0),
     Function("x' [x > a]", (0, 1, 0, 0), lambda q: _over(q) * q.v, 0),
     Function("max(|x'| - b, 0) sgn x'", (0, 1, 0, 0), lambda q: q.v - jnp.clip(q.v, -q.knees[1], q.knees[1]), 1),
     Function("max(F - e, 0)", (0, 0, 0, 1), lambda q: jnp.maximum(q.f - q.knees[2], 0.0), 2),
@@ -144,7 +147,7 @@ class FoundTerm(AbstractForceEffect):
     Attributes:
         functions: names of the functions present.
         c: their coefficients, scaled.
-        knees: those of a, b, e and tau that they have.
+        knees: those of a, b, e, tau and d that they have.
     """
 
     name, form, family, port, states = "found_term", "sum of functions", "found", "K", 1
@@ -183,7 +186,7 @@ class FoundTerm(AbstractForceEffect):
         return FoundTerm(self.functions, both[:count], both[count:])
 
     def _knees(self) -> list:
-        """All four, those that are not there at one."""
+        """All of them, those that are not there at one."""
         held = held_knees(self.functions)
         return [self.knees[held.index(k)] if k in held else jnp.ones((), self.c.dtype) for k in range(len(KNEES))]
 
@@ -198,9 +201,9 @@ class FoundTerm(AbstractForceEffect):
         force, speed = s.stiffness * s.reach, 2 * s.speed
         units = [force / (s.reach ** f.powers[0] * speed ** f.powers[1] * force ** f.powers[3]) for f in _LISTED]
         units[-1] = s.inertia / s.reach
-        knees = (0.0, s.speed, 0.5 * force, 1 / s.omega)
-        low = [*(-30 * u for u in units), s.bottom, 0.02 * s.speed, 0.02 * force, 2 * s.dt]
-        high = [*(30 * u for u in units), s.top, 5 * s.speed, 2 * force, s.duration]
+        knees = (0.0, s.speed, 0.5 * force, 1 / s.omega, s.top)
+        low = [*(-30 * u for u in units), s.bottom, 0.02 * s.speed, 0.02 * force, 2 * s.dt, s.bottom]
+        high = [*(30 * u for u in units), s.top, 5 * s.speed, 2 * force, s.duration, s.top]
         return [bounded((*[0.0] * len(units), *knees), low, high)]
 
     def initial(self, x, age):
