@@ -19,6 +19,7 @@ from pitp_jax._diagnose.evaluation import judge
 from pitp_jax._diagnose.fit import Candidate
 from pitp_jax._diagnose.report import figures
 from pitp_jax._diagnose.report.page import report
+from pitp_jax._diagnose.term import Drawn, Term
 from pitp_jax._diagnose.term_search import search
 from pitp_jax._effects.base import in_scales
 from pitp_jax._effects.found_term import KNEES, LIBRARY, NAMES, FoundTerm, Values
@@ -75,9 +76,14 @@ def test_the_model_handed_back_carries_it(nominal, described, tmp_path):
         assert after < 0.1 * before
 
 
-def test_the_page_and_its_figure_show_it(described):
+def test_the_page_and_its_figure_show_it(unknown):
+    drawn = Drawn("velocity", np.linspace(-1, 1, 50), np.zeros(50), np.array([-1.0, 1.0]), np.array([-2.0, 2.0]))
+    told = {"c1": {"value": 3.2, "unit": "s/m", "stderr": 0.1, "ci95": [3.0, 3.4]}}
+    found = Term("missing force = c1 x' V^2", told, 0.93, (0.9, 0.95), 0.5, term(**{"x' F": 0.3}), drawn)
+    described = replace(unknown, term=found)
     page = report(described)
-    assert "missing force = c1 x^3 + c2 x&#x27; V^2" in page and "term-" in page
+    assert "missing force = c1 x&#x27; V^2" in page and "closes 93" in page and "term-" in page
+    assert found.equation in str(described)
     ax = figures.found_force(described)
     assert len(ax.lines) == 2 and ax.get_ylabel() == "missing force (%)"
 
@@ -101,7 +107,7 @@ def test_a_threshold_is_found_where_it_is(nominal):
 def test_a_free_run_is_that_of_the_equation(nominal):
     """Against SciPy in physical units: products, a threshold, a memory and a mass that depends on the place."""
     sums = {"x x'": 0.2, "x' F": 0.1, "max(x - a, 0)": 0.4, "x - z": 0.3, "x x''": 0.05, "x U": -0.1}
-    model = replace(nominal, effects=(term(0.5, tau=0.3, **sums),))
+    model = replace(nominal, effects=(term(0.5, tau=0.3, **sums),), substeps=4)
     scale, a = model.scales.state, np.asarray(model.coefficients, float)
     u = 600 + 300 * np.sin(2 * np.pi * 2.1 * TIME)
 
@@ -115,7 +121,7 @@ def test_a_free_run_is_that_of_the_equation(nominal):
 
     wanted = solve_ivp(rate, (0, TIME[-1]), np.zeros(3), t_eval=TIME, rtol=1e-8, atol=1e-10, max_step=0.01).y[0]
     run = rollout(model, jnp.asarray(u, jnp.float32), float(TIME[1]), rest_state(model))[:, 0]
-    assert np.abs(np.asarray(run) - wanted).max() < 2e-3 * np.ptp(wanted)
+    assert np.abs(np.asarray(run) - wanted).max() < 1e-3 * np.ptp(wanted)
 
 
 @pytest.fixture(scope="module")

@@ -215,23 +215,29 @@ class FoundTerm(AbstractForceEffect):
         return lag_after(states, x, after, jnp.reshape(self._knees()[3], (1,)), h)
 
     def act(self, states, now: Instant, tokens, offset):
-        """The sum; what multiplies x'' joins its coefficient, friction is resolved after the rest."""
-        q = Values(now.state[0], now.velocity(tokens, offset), now.force, states[0], self._knees())
-        force, level, mass, found = jnp.zeros_like(q.x), None, None, dict(zip(self.functions, self.c, strict=True))
-        for name, c in found.items():
-            value = c * LIBRARY[name].of(q)
-            if LIBRARY[name].friction:
-                level = value if level is None else level + value
-            elif LIBRARY[name].inertial:
-                mass = value
-            else:
-                force = force + value
-        if mass is not None and tokens.shape[0] > 2:
-            tokens = tokens.at[2].add(mass)
+        """The sum, at the velocity half a step on that it makes itself; friction is resolved after the rest."""
+        v = now.velocity(tokens, offset)
+        if not isinstance(now, Known):
+            heavier, force, _ = self._parts(states, now, v, tokens)
+            v = now.velocity(heavier, offset + force)
+        tokens, force, level = self._parts(states, now, v, tokens)
         offset = offset + force
         if level is None:
             return tokens, offset
         if isinstance(now, Known):
-            return tokens, offset + level * jnp.tanh(100 * q.v)
+            return tokens, offset + level * jnp.tanh(100 * v)
         dry = resolved_friction(now, tokens, offset, jnp.abs(level))
         return tokens, offset + jnp.sign(level) * dry
+
+    def _parts(self, states, now: Instant, v, tokens):
+        """Tokens with what multiplies x'', the force but for dry friction, and the level of that (None without)."""
+        q, force, level = Values(now.state[0], v, now.force, states[0], self._knees()), jnp.zeros_like(v), None
+        for name, c in zip(self.functions, self.c, strict=True):
+            value = c * LIBRARY[name].of(q)
+            if LIBRARY[name].friction:
+                level = value if level is None else level + value
+            elif not LIBRARY[name].inertial:
+                force = force + value
+            elif tokens.shape[0] > 2:
+                tokens = tokens.at[2].add(value)
+        return tokens, force, level
