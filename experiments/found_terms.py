@@ -49,7 +49,7 @@ def tracked(spec: Spec, case: Case, nominal, model) -> dict:
     kind, facts = protocol.KINDS[spec.kind], case.facts
     plant = protocol.Healthy(kind, facts["zeta"], facts["f0_hz"], facts["scale_m"])
     t = np.arange(round(kind.length * kind.rate)) / kind.rate
-    top = 0.6 * max(y.max() for y in case.true.values())
+    top = 0.4 * plant.scale  # of the static displacement under the largest voltage
     target = 0.5 * top * (1 - np.cos(2 * np.pi * 0.5 * plant.f0 * t)) * np.minimum(1, t * plant.f0 / 4) ** 3
     said, (form,) = {}, [f for f in FORMS[spec.label] if f.name == facts["forms"][0]]
     for name, m in (("track before", nominal), ("track after", model)):

@@ -232,8 +232,8 @@ class FoundTerm(AbstractForceEffect):
     def _parts(self, states, now: Instant, v, tokens):
         """Tokens with what multiplies x'', the force but for dry friction, and the level of that (None without)."""
         q, force, level = Values(now.state[0], v, now.force, states[0], self._knees()), jnp.zeros_like(v), None
-        for name, c in zip(self.functions, self.c, strict=True):
-            value = c * LIBRARY[name].of(q)
+        for k, name in enumerate(self.functions):  # not along self.c: an iteration cannot be written as C
+            value = self.c[k] * LIBRARY[name].of(q)
             if LIBRARY[name].friction:
                 level = value if level is None else level + value
             elif not LIBRARY[name].inertial:
