@@ -152,7 +152,7 @@ def test_in_other_scales_it_is_the_same_force(nominal):
     new = (nominal.scales.state * [2.0, 3.0, 5.0], 0.7 * old[1])
     effect = term(0.4, 0.3, 0.2, 0.1, **dict.fromkeys(NAMES, 0.1))
     twice = in_scales(in_scales(effect, old, new), new, old)
-    assert np.allclose(twice.c, effect.c) and np.allclose(twice.knees, effect.knees)
+    assert isinstance(twice, FoundTerm) and np.allclose(twice.c, effect.c) and np.allclose(twice.knees, effect.knees)
     here, there = ({p.name: float(v) for p, v in e.numbers()} for e in (effect, in_scales(effect, old, new)))
     ratios = {"x": 1 / 2, "v": 1 / 3, "f": 1 / 0.7}
     for name in ("x^2 x'", "x' U", "x F^2", "max(F - e, 0)"):

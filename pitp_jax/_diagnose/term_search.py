@@ -50,7 +50,7 @@ def search(case: Case, base: Judged, low: float, progress: Callable[[str], None]
     while _size(best) > 1:
         rivals += _fitted(lanes, [_without(start, best.candidate, k) for k in _present(best.candidate)], progress)
         fewer = _fewest(rivals)
-        if _size(fewer) >= _size(best):
+        if fewer.candidate.size >= best.candidate.size:
             break
         best = fewer
     return best if _size(best) and _pays(case, base, best, low) else None
@@ -102,9 +102,9 @@ def _without(base: Candidate, c: Candidate, place: int) -> Candidate:
 
 
 def _fewest(rivals: list[Judged]) -> Judged:
-    """The fewest functions within a few per cent of the least held-out error, and of the base's (the first's)."""
+    """The fewest numbers within a few per cent of the least held-out error, and of the base's (the first's)."""
     most = np.hypot(CLOSE * min(r.heldout for r in rivals), _SLIGHT * rivals[0].heldout)
-    return min((r for r in rivals if r.heldout <= most), key=lambda r: (_size(r), r.heldout))
+    return min((r for r in rivals if r.heldout <= most), key=lambda r: (r.candidate.size, r.heldout))
 
 
 def _pays(case: Case, base: Judged, best: Judged, low: float) -> bool:
