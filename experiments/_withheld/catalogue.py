@@ -4,6 +4,7 @@ name -> forms; a case draws one form, its constants and a gap, then searches the
 """
 
 from . import electrical, mechanical, other
+from .found import FOUND
 from .outside import OUTSIDE
 
 _HOMES = {
@@ -15,7 +16,7 @@ _HOMES = {
             "sensor_nonlinearity", "parameter_change"),
 }  # fmt: skip
 INSIDE = {name: getattr(home, name.upper()) for home, names in _HOMES.items() for name in names}
-FORMS = INSIDE | OUTSIDE
+FORMS = INSIDE | OUTSIDE | FOUND
 PAIRS = (
     ("stiffening", "coulomb_friction"),
     ("creep", "voltage_clip"),

@@ -75,7 +75,7 @@ def describe(model: Model) -> dict:
 
 def _described(model: Model, effect) -> dict:
     """Name, form and numbers in physical units."""
-    told = {p.name: physical(model, p, float(getattr(effect, p.name))) for p in effect.PARAMETERS}
+    told = {p.name: physical(model, p, float(v)) for p, v in effect.numbers()}
     return {
         "effect": effect.name,
         "form": effect.form,

@@ -21,7 +21,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
-from .._effects import CATALOGUE
+from .._effects import EFFECTS
 from .._effects.amplifier import Delay
 from .._effects.base import AbstractEffect
 from .._model.model import Model
@@ -79,7 +79,7 @@ class _Composite:
     """The nominal with a group of forms, in the catalogue's order: velocity and friction see all that comes before."""
 
     def __init__(self, case: Case, forms: Forms, stages: list[np.ndarray]):
-        self.forms = tuple(f for f in CATALOGUE if f in forms)
+        self.forms = tuple(f for f in EFFECTS if f in forms)
         neutral = tuple(f.neutral() for f in self.forms)
         self._case, self._stages = case, stages
         self._model = replace(case.model, effects=(*case.model.effects, *neutral))

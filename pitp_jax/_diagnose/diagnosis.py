@@ -23,6 +23,7 @@ from .next_experiment import Experiment, separate
 from .parameter_uncertainty import doubted
 from .result import Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
 from .select_records import usable
+from .term import Term, found_term
 from .verdict import DOUBT, HELPS, rezeroed, verdict
 from .where import locate
 
@@ -41,7 +42,8 @@ class Diagnosis:
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
         traces: every record beside the nominal and the best explanation.
         notes: one line for whatever recordings were left out or cut.
-        model: the nominal with the effects added (and its coefficients refitted where asked for).
+        model: the nominal with the effects (or the term) added (and its coefficients refitted where asked for).
+        term: where no name fits, the missing force as an equation found in the data.
     """
 
     verdict: str
@@ -58,6 +60,7 @@ class Diagnosis:
     traces: tuple[Trace, ...]
     model: Model
     notes: tuple[str, ...] = ()
+    term: Term | None = None
 
     @property
     def records(self) -> dict[str, list[str]]:
@@ -81,6 +84,7 @@ class Diagnosis:
             "records": self.records,
             "coefficients_over_given": [float(v) for v in self.shift],
             "notes": list(self.notes),
+            "term": self.term.as_json() if self.term else None,
         }
 
     def __str__(self) -> str:
@@ -93,6 +97,9 @@ class Diagnosis:
         known = "unknown" if g.noise_floor is None else f"{g.noise_floor:.2f} %"
         side = "held-out" if self.heldout else "fitted"
         lines.append(f"{side} error {g.before:.2f} -> {g.after:.2f} % of range (noise floor {known}){closed}")
+        if self.term is not None:
+            share = 100 * (self.term.closed_fraction or 0.0)
+            lines.append(f"{self.term.equation}: closes {share:.0f} %, -> {self.term.after:.2f} % of range")
         if self.verdict != "no_gap":
             lines.append(self.where["summary"])
         lines += [f"note: {line}" for line in self.notes]
@@ -148,6 +155,12 @@ def diagnose(
     if tied and budget.allows("an experiment that separates the tied names"):
         progress("looking for an experiment that separates the tied names")
         experiment = separate(case, found.best, found.rivals[0], found.noise)
+    described, shown = None, found
+    wide = name == "unknown" and gap.before > DOUBT * (gap.noise_floor or 0.0)
+    if wide and budget.allows("a term found in the data"):
+        described = found_term(case, found, model, progress)
+    if described is not None:
+        shown, added = replace(found, best=described[1]), described[2]
     return Diagnosis(
         verdict=name,
         effects=effects,
@@ -160,9 +173,10 @@ def diagnose(
         fitted=tuple(s.record.name for s in case.fitted),
         heldout=tuple(s.record.name for s in case.heldout),
         shift=np.asarray((found.best if effects else found.base).candidate.factors),
-        traces=tuple(trace_of(case, found, k) for k in range(len(case.series))),
+        traces=tuple(trace_of(case, shown, k) for k in range(len(case.series))),
         model=added,
         notes=notes + budget.notes(),
+        term=described[0] if described else None,
     )
 
 

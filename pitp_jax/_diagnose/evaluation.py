@@ -6,10 +6,9 @@ chosen forms (and what a form is where its limit is out of reach) -> whole-rollo
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._effects import CATALOGUE, REMAINDERS
+from .._effects import EFFECTS, REMAINDERS
 from .._effects.base import Start
 from .._model.model import Model
 from .batched_rollouts import Lanes
@@ -112,8 +111,8 @@ def parsimonious(rivals: Sequence[Judged]) -> Judged:
 def augmented(case: Case, judged: Judged, model: Model) -> Model:
     """The nominal with a candidate's effects, its coefficients and zero, and the substeps it was fitted with."""
     c = judged.candidate
-    pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: CATALOGUE.index(fv[0]))
-    effects = tuple(f(*(jnp.asarray(v, jnp.float32) for v in values)) for f, values in pairs)
+    pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: EFFECTS.index(fv[0]))
+    effects = tuple(f.of(values) for f, values in pairs)
     substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
     output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
     return replace(

@@ -64,7 +64,7 @@ def _limits(form) -> tuple[float, float]:
     return (0.7, 1.4) if strength.positive else (-5.0, 5.0)
 
 
-def _projected(gram: np.ndarray, q: int) -> np.ndarray:
+def projected(gram: np.ndarray, q: int) -> np.ndarray:
     """The Gram matrix with the nuisance columns regressed out of everything: (e, M columns)."""
     keep = np.r_[0, np.arange(1 + q, len(gram))]
     if q == 0:
@@ -76,7 +76,7 @@ def _projected(gram: np.ndarray, q: int) -> np.ndarray:
 
 def singles(found: Screening) -> list[Screened]:
     """Every form at its best grid point, best first by the error on fitted records."""
-    g = _projected(found.fitted, found.nuisance)
+    g = projected(found.fitted, found.nuisance)
     limits = np.array([_limits(p[0]) for p in found.points])
     strength = np.clip(g[0, 1:] / np.maximum(np.diag(g)[1:], 1e-30), *limits.T)
     train = g[0, 0] - 2 * strength * g[0, 1:] + strength**2 * np.diag(g)[1:]
@@ -93,7 +93,7 @@ def pairs(found: Screening, count: int, within: frozenset[str] = frozenset()) ->
 
     One per pair of names, or, `within` two names, one per pair of their forms.
     """
-    g = _projected(found.fitted, found.nuisance)
+    g = projected(found.fitted, found.nuisance)
     low, high = np.array([_limits(p[0]) for p in found.points]).T
     b, h = g[0, 1:], g[1:, 1:]
     d = np.maximum(np.diag(h), 1e-30)

@@ -40,9 +40,9 @@ def locate(case: Case, errors: list[np.ndarray], noise: Noise) -> dict:
     return out
 
 
-def missing_force(s: Series) -> np.ndarray:
-    """Scaled F - sum_i sigma_i x^(i) - sigma_off along the measured motion."""
-    return s.force - np.einsum("ti,ti->t", s.tokens, s.motion) - s.offset
+def missing_force(s: Series, factors: float | np.ndarray = 1.0) -> np.ndarray:
+    """Scaled F - sum_i sigma_i x^(i) - sigma_off along the measured motion; `factors` on the tokens."""
+    return s.force - np.einsum("ti,ti->t", s.tokens * factors, s.motion) - s.offset
 
 
 def _quiet(case: Case, noise: Noise) -> float:

@@ -17,6 +17,7 @@ from . import (
     viscoelastic,
 )
 from .base import AbstractEffect
+from .found_term import FoundTerm
 
 CATALOGUE: tuple[type[AbstractEffect], ...] = (
     stiffness.CubicStiffening,
@@ -80,6 +81,9 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     sensor.SecondOrderSensor,
     inertia.MountedMode,
 )
+
+# All that a model may carry, in the order its forces act in; a found term is no name, so no diagnosis ranks it.
+EFFECTS: tuple[type[AbstractEffect], ...] = (*CATALOGUE, FoundTerm)
 
 # A form whose first number may be out of reach, and what it is then, with the numbers that stay: fitted beside it, so
 # that a name is not won by a limit that nothing touches.

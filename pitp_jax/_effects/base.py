@@ -37,7 +37,7 @@ class Parameter:
     length: float = 0
     speed: int = 0
     acceleration: int = 0
-    force: int = 0
+    force: float = 0
     positive: bool = True
     neutral: float | None = None
     linear: bool = True
@@ -145,6 +145,19 @@ class AbstractEffect(eqx.Module):
     def neutral(cls):
         """The effect that is not there."""
         return cls(*(jnp.asarray(1.0 if p.neutral is None else p.neutral, jnp.float32) for p in cls.PARAMETERS))
+
+    @classmethod
+    def of(cls, values):
+        """The effect with these numbers, in the order of PARAMETERS."""
+        return cls(*(jnp.asarray(v, jnp.float32) for v in values))
+
+    def numbers(self) -> list[tuple[Parameter, Array]]:
+        """Its numbers, and what each of them is."""
+        return [(p, getattr(self, p.name)) for p in self.PARAMETERS]
+
+    def times(self, factors):
+        """The effect with each of its numbers times a factor."""
+        return type(self)(*(v * f for (_, v), f in zip(self.numbers(), factors, strict=True)))
 
 
 class AbstractDriveEffect(AbstractEffect):
@@ -267,8 +280,7 @@ def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float
 
 def in_scales(effect: AbstractEffect, old: tuple, new: tuple) -> AbstractEffect:
     """The same effect in a model of other scales (state, force)."""
-    ratios = [physical_factor(p, *old) / physical_factor(p, *new) for p in effect.PARAMETERS]
-    return type(effect)(*(getattr(effect, p.name) * r for p, r in zip(effect.PARAMETERS, ratios, strict=True)))
+    return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 
 
 def bounded(values, low, high) -> Start:

@@ -14,6 +14,14 @@ from jaxtyping import Array, Float
 from .base import AbstractForceEffect, Instant, Known, Parameter, Surroundings, bounded, nothing
 
 
+def resolved_friction(now: Instant, tokens, offset, level):
+    """What stops the motion within the step, up to a level."""
+    if now.state.shape[0] == 2:
+        rest = tokens[2] * (now.state[1] / (now.h * now.rates[1]) + now.highest(tokens, offset))
+        return jnp.clip(rest, -level, level)
+    return level * jnp.tanh(100.0 * now.velocity(tokens, offset))
+
+
 class _Friction(AbstractForceEffect):
     """What stops the motion, up to a level."""
 
@@ -26,13 +34,6 @@ class _Friction(AbstractForceEffect):
     def advance(self, states, x, after, h):
         """None."""
         return states
-
-    def _force(self, now: Instant, tokens, offset, level):
-        n = now.state.shape[0]
-        if n == 2:
-            rest = tokens[2] * (now.state[1] / (now.h * now.rates[1]) + now.highest(tokens, offset))
-            return jnp.clip(rest, -level, level)
-        return level * jnp.tanh(100.0 * now.velocity(tokens, offset))
 
 
 class CoulombFriction(_Friction):
@@ -50,7 +51,7 @@ class CoulombFriction(_Friction):
 
     def act(self, states, now: Instant, tokens, offset):
         """Stick or slip."""
-        return tokens, offset + self._force(now, tokens, offset, self.level)
+        return tokens, offset + resolved_friction(now, tokens, offset, self.level)
 
 
 class SmoothFriction(_Friction):
@@ -106,7 +107,7 @@ class StribeckFriction(_Friction):
         """Stick or slip."""
         speed = now.state[1] / self.speed if len(now.state) > 1 else 0.0
         level = self.level * (1 + self.rise * jnp.exp(-(speed**2)))
-        return tokens, offset + self._force(now, tokens, offset, level)
+        return tokens, offset + resolved_friction(now, tokens, offset, level)
 
 
 class _Drag(AbstractForceEffect):

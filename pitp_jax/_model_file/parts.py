@@ -19,6 +19,8 @@ import numpy as np
 
 from .._effects import CATALOGUE
 from .._effects import key as form_key
+from .._effects.found_term import NAMES as LISTED
+from .._effects.found_term import FoundTerm
 from .._errors import BadInput
 from .._model.drive import DirectDrive, ElectrodeLag
 from .._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
@@ -101,7 +103,13 @@ DRIVES = {
     "direct": Part(DirectDrive, _nothing, DirectDrive),
     "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
 }
-EFFECTS = {form_key(cls): Part(cls, _nothing, cls.neutral) for cls in CATALOGUE}
+EFFECTS = {form_key(cls): Part(cls, _nothing, cls.neutral) for cls in CATALOGUE} | {
+    form_key(FoundTerm): Part(
+        FoundTerm,
+        lambda e: {f"function{k}": LISTED.index(name) for k, name in enumerate(e.functions)},
+        lambda **k: FoundTerm.of_functions(tuple(LISTED[int(place)] for place in k.values())),
+    )
+}
 
 
 def describe(model: Model) -> dict:

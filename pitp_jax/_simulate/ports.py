@@ -21,9 +21,12 @@ from .._effects.base import (
     Wanted,
     states_of,
 )
+from .._effects.found_term import FoundTerm
 
 if TYPE_CHECKING:
     from .._model.model import Model
+
+_NEWTON, _STEEP = 4, 0.05  # steps to the force of a term that depends on it; least share of a newton that arrives
 
 
 def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, " own"]]:
@@ -139,9 +142,17 @@ def needed(
     n = model.order
     rates = jnp.asarray(model.scales.rates, row.dtype)
     blunt = 0.1 / (rates[0] if n == 1 else jnp.sqrt(rates[0] * rates[-1]))
-    now = Wanted(row[:n], model.coefficients, rates, jnp.zeros_like(row[0]), blunt, row[n])
-    tokens, offset = acted(model, parts, now, *model.tokens(features))
-    force = tokens @ row + offset
+    still, zero = model.tokens(features), jnp.zeros_like(row[0])
+
+    def needs(force):
+        now = Wanted(row[:n], model.coefficients, rates, force, blunt, row[n])
+        tokens, offset = acted(model, parts, now, *still)
+        return tokens @ row + offset
+
+    force = needs(zero)
+    for _ in range(_NEWTON if any(isinstance(e, FoundTerm) and e.driven for e in model.effects) else 0):
+        value, slope = jax.jvp(needs, (force,), (jnp.ones_like(zero),))
+        force = force + (value - force) / jnp.maximum(1 - slope, _STEEP)
     for effect in reversed(model.effects):
         if isinstance(effect, AbstractCouplingEffect):
             force = effect.uncouple(force, row[0])

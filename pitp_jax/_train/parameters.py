@@ -36,7 +36,7 @@ def _parts(model: Model) -> tuple:
 
 def _logarithmic(model: Model) -> np.ndarray:
     """Which of the effects' numbers are fitted by their logarithm."""
-    return np.array([p.positive for e in model.effects for p in e.PARAMETERS], bool)
+    return np.array([p.positive for e in model.effects for p, _ in e.numbers()], bool)
 
 
 def _stored(model: Model, numbers, xp):

@@ -16,7 +16,7 @@ from pitp_jax._model_file import model_file
 from pitp_jax.cli import main
 
 TAU = 0.02  # s: the electrode's lag that the nominal does not know
-KEYS = {"verdict", "effects", "equivalent", "gap", "ranking", "where", "next_experiment", "records"}
+KEYS = {"verdict", "effects", "equivalent", "gap", "ranking", "where", "next_experiment", "records", "term"}
 GAP = {"before", "after", "unrefitted", "noise_floor", "floor_from", "closed_fraction", "ci95"}
 RANKED = {"effect", "family", "form", "parameters", "train", "heldout", "closed_fraction", "ci95"}
 WHERE = {"cells", "frequency", "displacement", "velocity", "voltage", "time", "records", "harmonics", "summary"}

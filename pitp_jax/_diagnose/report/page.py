@@ -41,7 +41,7 @@ def _pictures(d: Diagnosis) -> list[str]:
     """The figures but the next experiment's, under their headings."""
     drawn = figures(d)
     shown = {name: html.picture(name, drawn[name], caption) for name, caption in _captions(d).items() if name in drawn}
-    rooms = {"The gap at a glance": ("gap", "ranking"), "Where it lies": ("where", "shares", "force")}
+    rooms = {"The gap at a glance": ("gap", "ranking", "term"), "Where it lies": ("where", "shares", "force")}
     parts = []
     for heading, names in rooms.items():
         there = "".join(shown[name] for name in names if name in shown)
@@ -54,6 +54,8 @@ def _captions(d: Diagnosis) -> dict[str, str]:
     side = "held out: no fit saw it" if d.heldout else "no recording was held out"
     return {
         "gap": f"{name} ({side}), the stretch where the model is furthest off; below, model less measurement.",
+        "term": "The force that the records held out lack (dots) and the equation found for it (line: its mean), in % "
+        "of the largest force of the film.",
         "where": "Share of the missing force by drive frequency and amplitude; outlined where it stands out.",
         "shares": "Share of the model's error by recording (held-out ones darker), by the error's own frequency, and "
         "by part of a recording.",

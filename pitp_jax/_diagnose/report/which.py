@@ -31,10 +31,22 @@ def which(d: Diagnosis) -> str:
             return html.card("Which", "None", tag("p", "No effect takes off more than the noise allows to see."))
         text = "The model's own coefficients over those given:"
         return html.card("Which", "Only its own coefficients", tag("p", text), html.bullets(_shift(d)))
+    term = _term(d)
     if crowd(d):
-        return html.card("Which", "Too many to say", tag("p", f"Tied: {named([d.ranking[0].effect, *d.equivalent])}."))
+        tied = tag("p", f"Tied: {named([d.ranking[0].effect, *d.equivalent])}.")
+        return html.card("Which", "Too many to say", tied, term)
     nearest = [f"{r.effect}: closes {share_closed(r.closed_fraction)}" for r in d.ranking if not r.screened]
-    return html.card("Which", "None of the catalogue", tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST]))
+    return html.card("Which", "None of the catalogue", term, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST]))
+
+
+def _term(d: Diagnosis) -> str:
+    """The equation found in the data, with its numbers."""
+    if d.term is None:
+        return ""
+    share = share_closed(d.term.closed_fraction)
+    line = f"The missing force as an equation found in the data (a description, no cause) closes {share} of the gap:"
+    numbers = [_line(d, name, told) for name, told in d.term.parameters.items()]
+    return tag("p", line) + tag("p", d.term.equation) + html.bullets(numbers)
 
 
 def _rivals(d: Diagnosis) -> str:
