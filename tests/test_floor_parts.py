@@ -7,7 +7,7 @@ import pytest
 from played import DT, HZ, SAMPLES, TIME, nominal_of, play
 
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.noise import _edges, estimate
+from pitp_jax._diagnose.noise import band_edges, estimate
 from pitp_jax._diagnose.repeatability import _period
 from pitp_jax._diagnose.steady_tone import steady_tone
 
@@ -69,5 +69,5 @@ def test_slow_residuals_are_held_to_twice_what_lies_above(case):
 
 def test_the_spectrum_of_rounding_sums_to_the_floor(case):
     found = estimate(case, [0.0 * s.run for s in case.series])
-    edges = _edges(int(0.6 * SAMPLES), DT)
+    edges = band_edges(int(0.6 * SAMPLES), DT)
     assert np.sum(found.spectrum[:, 1] * np.diff(edges)) == pytest.approx(found.sigma**2, rel=1e-9)

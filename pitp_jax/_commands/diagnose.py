@@ -11,7 +11,7 @@ from .._record.writing import write_csv, write_text_atomic
 from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
-from .recordings import is_square, read_records
+from .recordings import is_square, read_records, warn
 
 MODEL, REPORT = "model_augmented", "report.html"
 FILES = (MODEL, REPORT, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
@@ -40,6 +40,7 @@ def diagnose(records, nominal, refit_nominal, out, json_file, reading) -> None:
     if out is not None:
         check_folder(out, FILES, inputs=[*sources, *([json_file] if json_file else [])])
     check_suits(model, nominal, read_in)
+    warn(read_in)
     say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
     status = StatusLine()
     found = run_diagnosis(model, read_in, refit_nominal=refit_nominal, progress=status.update)

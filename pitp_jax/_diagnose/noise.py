@@ -57,8 +57,8 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     dt, long = case.dt, max(len(e) for e in errors) / _SHORT
     counted = [(e, s.weight > 0) for e, s in zip(errors, case.series, strict=True) if len(e) >= long]
     fewest = min(len(e) for e, _ in counted)
-    edges = _edges(int(0.6 * fewest), dt)
-    levels = np.array([_levels(e, seen, dt, edges) for e, seen in counted])
+    edges = band_edges(int(0.6 * fewest), dt)
+    levels = np.array([band_levels(e, seen, dt, edges) for e, seen in counted])
     bins = np.maximum(np.diff(edges) * 0.6 * fewest * dt, 4.0)
     spread = 2.0 / np.sqrt(bins)  # relative standard deviation of one record's quartile
     low = 0.67 if len(levels) > 3 else 1.0  # how many of them the quartile (the least of few) lies below the mean
@@ -94,7 +94,7 @@ def _without_peak(frequency: np.ndarray, level: np.ndarray, resonance: float) ->
     return np.concatenate([np.minimum(level[near], above.min(1)), level[~near]])
 
 
-def _edges(samples: int, dt: float) -> np.ndarray:
+def band_edges(samples: int, dt: float) -> np.ndarray:
     """Bands of at least 24 bins and a fifth of their frequency."""
     width, top = _BINS / (samples * dt), 0.5 / dt
     edges = [0.0]
@@ -104,7 +104,7 @@ def _edges(samples: int, dt: float) -> np.ndarray:
     return np.array(edges)
 
 
-def _levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
+def band_levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
     """One-sided density of every band (per Hz)."""
     tail = error[int(0.4 * len(error)) :]
     seen = counts[int(0.4 * len(error)) :]
