@@ -20,7 +20,7 @@ from .._record.record import Record
 from .._record.sets import RATE_TOLERANCE, check_records
 from .._record.units import base_unit, from_base
 from .coverage import Coverage, coverage
-from .one_record import Facts, coloured_noise, facts, moves
+from .one_record import Facts, coloured_noise, facts, masked, moves
 from .repeats import Repeat, cycles, find_repeats
 from .set_advice import set_advice
 from .set_fit import SetFit, fit_set
@@ -137,7 +137,7 @@ def checked(records: Sequence[Record], model: Model | None, refused: Mapping[str
     check_records(records, empty=bool(refused))
     if model is not None:
         check_model(model)
-    records = _named(records)
+    records = [masked(r) for r in _named(records)]
     own = {r.name: facts(r) for r in records}
     unit = base_unit(model.provenance.displacement_unit) if model is not None else None
     apart = _apart(records, unit)

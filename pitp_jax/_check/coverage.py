@@ -2,8 +2,8 @@
 
     windows of 16 periods of the resonance:  lines that hold 80 % of the force's energy,  amplitude sqrt(2) std(u)
 
-A point is (frequency of the force, amplitude of the voltage). A gap is an interval beside the resonance, f0/3 to 2 f0,
-that is more than half as wide as its lower end and holds no point above half the largest amplitude.
+A point is (frequency of the force, amplitude of the voltage). A gap is an interval beside the resonance (f0/3 to
+1.5 f0) that is more than half as wide as its lower end and holds no point above half the largest amplitude.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from .._record.record import Record
 
 _PERIODS, _ENERGY, _LEAK = 16, 0.8, 0.3
 _STILL = 0.02  # of the largest amplitude: a window that is no excitation
-_RATIO, _BELOW, _ABOVE = 1.5, 1 / 3, 2.0
+_RATIO, _BELOW, _ABOVE = 1.5, 1 / 3, 1.5
 _HALF = 0.5
 
 

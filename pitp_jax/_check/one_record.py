@@ -6,7 +6,7 @@ P(lowest quarter of those bands) > 4 P(highest quarter), goes on below them at t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,18 +50,23 @@ class Facts:
     problems: tuple[str, ...]
 
 
+def masked(record: Record) -> Record:
+    """The record with its sensor's faults masked and counted, as the reader does; as it is where there are none."""
+    found, seen = mask_faults(record.displacement, record.voltage), record.recognised
+    if not (found.outliers or found.clipped):
+        return record
+    counts = {key: int(seen.get(key, 0)) + getattr(found, key) for key in ("outliers", "clipped")}
+    return replace(record, displacement=found.displacement, recognised={**seen, **counts})
+
+
 def facts(record: Record) -> Facts:
-    """Drive, faults and noise of one record."""
+    """Drive, faults and noise of one record, as `masked` gives it."""
     seen, unit = record.recognised, record.displacement_unit
-    masked = mask_faults(record.displacement, record.voltage)
-    outliers, clipped, lost = (
-        int(seen.get(key, 0)) + found
-        for key, found in (("outliers", masked.outliers), ("clipped", masked.clipped), ("lost", 0))
-    )
+    outliers, clipped, lost = (int(seen.get(key, 0)) for key in ("outliers", "clipped", "lost"))
     jitter = float(seen.get("jitter", _jitter(record)))
     changes = bool(np.ptp(record.voltage) > 0)
     band = drive_band(record) if changes else None
-    noise = noise_std(masked.displacement)
+    noise = noise_std(record.displacement)
     problems = [
         f"{count} {what}"
         for count, what in (

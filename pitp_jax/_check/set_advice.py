@@ -48,7 +48,7 @@ def set_advice(
         lines.append("no linear model could be fitted quietly: beginnings, zeros and directions are not known")
     if fitted is not None and fitted.input_map == "linear":
         lines.append("a force proportional to the voltage explains these better than its square: --input-map linear")
-    lines += _zeros(rows, used)
+    lines += _zeros(rows, used, fitted)
     if cover is not None:
         lines += cover.advice()
         per = 1 / (cover.resonance * used[0].dt)
@@ -64,26 +64,22 @@ def set_advice(
     return lines
 
 
-def _zeros(rows: Mapping, used: Sequence[Record]) -> list[str]:
-    """Whether the sensor was moved between records."""
-    spans = {r.name: float(np.ptp(r.displacement[r.observed])) for r in used}
-    known = {n: row for n, row in rows.items() if row.zero is not None and row.zero_stderr is not None and n in spans}
+def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list[str]:
+    """Whether the sensor was moved between records; what a linear fit leaves of one blurs its zero."""
+    known = [r for r in used if rows[r.name].zero is not None and rows[r.name].zero_stderr is not None]
     if len(known) < 2:
         return []
-    values = np.array([row.zero for row in known.values()])
-    middle = float(np.median(values))
-    factor = {r.name: _per_base(r) for r in used}
-    far = [
-        n for n, row in known.items()
-        if abs(row.zero - middle) > _STDERRS * row.zero_stderr + _SMALL * spans[n] * factor[n]
-    ]  # fmt: skip
-    if not far:
-        return []
-    unit = next(iter(known.values())).unit
+    resting = [rows[r.name].zero for r in known if rows[r.name].begins == "rest"]
+    zeros = np.array([rows[r.name].zero for r in known])
+    middle, far = float(np.median(resting or zeros)), False
+    for r, zero in zip(known, zeros, strict=True):
+        row, y = rows[r.name], r.displacement[r.observed] * _per_base(r)
+        blur = fitted.records[r.name].left * y.std() if fitted is not None and row.begins != "rest" else 0.0
+        far = far or abs(zero - middle) > _STDERRS * row.zero_stderr + _SMALL * np.ptp(y) + blur
     return [
-        f"the sensor's zero differs between records, from {values.min():.3g} to {values.max():.3g} {unit} (most: "
-        f"{middle:.3g}): each gets its own, and nothing is to be done"
-    ]
+        f"the sensor's zero differs between records, from {zeros.min():.3g} to {zeros.max():.3g} "
+        f"{known[0].displacement_unit} (most: {middle:.3g}): each gets its own, and nothing is to be done"
+    ] if far else []  # fmt: skip
 
 
 def _per_base(record: Record) -> float:

@@ -16,13 +16,15 @@ from .._identify.beginnings import find_beginnings
 from .._identify.linear_ode import coast, logs_from_roots, respond
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, project
-from .._record.initial_state import Beginning
+from .._record.initial_state import Beginning, is_still, rest_level, starts_at_rest
 from .._record.preprocess import force_band
 from .._record.record import Record
 
 _PER_PERIOD = 40  # samples of the force band's period that are kept of a record
 _MOST = 300_000  # samples in all
 _ROUNDS = 3
+_NONE = 1e-3  # of the largest drive is none
+_HALVED = 6  # records, from which halves are tried
 _FEWEST = 3  # records, of which one can differ from most
 _SPREADS, _GAIN, _LEFT = 5.0, np.log(2.0), 0.3  # robust deviations; the least change of gain and share left that count
 _UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
@@ -80,30 +82,64 @@ def fit_set(records: Sequence[Record]) -> SetFit | None:
 
 
 def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
-    """Rounds of: fit those that belong, look at all."""
+    """The common poles that suit most records: of all, or of a half, then of those that belong."""
     try:
         step, small = _thinned(records, input_map)
-        out: set[int] = set()
-        for _ in range(_ROUNDS):
-            kept = [r for k, r in enumerate(small) if k not in out]
-            begun, roots = find_beginnings(kept, "linear")
-            if roots is None:
-                return None
-            logs, rest = logs_from_roots(roots), iter(begun)
-            alone = [(find_beginnings([r], "linear")[0][0] if k in out else next(rest)) for k, r in enumerate(small)]
-            rows = _relative([_beside(r, logs, b, step) for r, b in zip(small, alone, strict=True)])
-            now = {k for k, row in enumerate(rows) if row.strange}
-            if now == out or len(small) < _FEWEST:
+        every = set(range(len(small)))
+        best = _beside_poles_of(every, records, small, step)
+        if best is None:
+            return None
+        if len(small) >= _HALVED and _doubtful(best[1]):
+            halves = [_beside_poles_of(set(list(every)[k::2]), records, small, step) for k in (0, 1)]
+            best = min([best, *(h for h in halves if h is not None)], key=lambda b: _usual(b[1]))
+        kept = every
+        for _ in range(_ROUNDS if len(small) >= _FEWEST else 0):
+            belong = {k for k, row in enumerate(best[1]) if not row.strange}
+            if len(belong) < 2 / 3 * len(every):  # the records disagree: none can be called the stranger
+                best = best[0], [replace(row, strange="") for row in best[1]]
+            if len(belong) < 2 / 3 * len(every) or belong == kept:
                 break
-            if len(now) > len(small) / 3:  # the records disagree: none can be called the stranger
-                rows = [replace(row, strange="") for row in rows]
-                break
-            out = now
+            kept, best = belong, _beside_poles_of(belong, records, small, step) or best
     except (BadInput, ComputationFailed, np.linalg.LinAlgError):
         return None
-    natural = float(np.exp(logs[1] / 2) / (2 * np.pi))
-    left = float(np.median([row.left for row in rows]))
-    return SetFit(natural, left, input_map, dict(zip([r.name for r in records], rows, strict=True)))
+    natural, rows = float(np.exp(best[0][1] / 2) / (2 * np.pi)), best[1]
+    return SetFit(natural, _usual(rows), input_map, dict(zip([r.name for r in records], rows, strict=True)))
+
+
+def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
+    """Poles (`linear_ode`) of some records, and every record beside them."""
+    begun, roots = find_beginnings([small[k] for k in sorted(kept)], "linear")
+    if roots is None:
+        return None
+    logs, found = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
+    resting = [b.zero for b in begun if b.begins == "rest"]
+    beginnings = [_plausible(r, found.get(k), resting) for k, r in enumerate(records)]
+    return logs, _relative([_beside(r, logs, b, step) for r, b in zip(small, beginnings, strict=True)])
+
+
+def _usual(rows: Sequence[Beside]) -> float:
+    return float(np.median([row.left for row in rows]))
+
+
+def _doubtful(rows: Sequence[Beside]) -> bool:
+    """Whether one record may have bent the poles of all."""
+    directions = {row.beginning.direction for row in rows if row.tells}
+    return len(directions) > 1 or any(row.strange or row.left > _LEFT for row in rows)
+
+
+def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float]) -> Beginning:
+    """What a linear model takes for motion may be its own error; None: by the first samples alone.
+
+    A record that stands still at 0 V, or at the zero of those at rest, begins at rest too.
+    """
+    drive = np.abs(record.voltage)
+    if (begun is not None and begun.begins != "moving") or not is_still(record):
+        return begun or Beginning("moving", 1.0, float(np.nanmedian(record.displacement)), float("inf"))
+    level, stderr = rest_level(record)
+    no_drive = drive[0] <= _NONE * drive.max()
+    if no_drive or (resting and starts_at_rest(record, float(np.median(resting)))):
+        return Beginning("rest", 1.0, level, 1.5 * stderr)
+    return begun or Beginning("held", 1.0, float("nan"), float("inf"))
 
 
 def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
@@ -148,13 +184,15 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
     if not np.isfinite(gains).any():
         return [replace(row, gain=float("nan")) for row in rows]
     logs = np.log(gains / np.nanmedian(gains))
-    usual = np.median([row.left for row in rows])
+    usual = float(np.median([row.left for row in rows]))
     far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), _GAIN)
     spread = 1.4826 * np.median([abs(np.log(row.left / usual)) for row in rows])
     found = []
     for row, log, off in zip(rows, logs, far, strict=True):
-        poor = row.left > _LEFT and np.log(row.left / usual) > max(_SPREADS * spread, np.log(3.0))
-        found.append(replace(row, gain=float(np.exp(log)), strange=_strange(row, float(np.exp(log)), off, poor, usual)))
+        poor = bool(row.left > _LEFT and np.log(row.left / usual) > max(_SPREADS * spread, np.log(3.0)))
+        found.append(
+            replace(row, gain=float(np.exp(log)), strange=_strange(row, float(np.exp(log)), bool(off), poor, usual))
+        )
     return found
 
 
