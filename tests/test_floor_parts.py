@@ -55,7 +55,7 @@ def test_no_hum(tones, drives, noise):
 def test_the_period_of_a_drive_is_read_between_the_lines_of_its_spectrum(case, samples):
     s = case.series[0]
     drive = 500 + 300 * np.sin(2 * np.pi * np.arange(SAMPLES) / samples)
-    assert _period(replace(s, record=replace(s.record, voltage=drive))) == pytest.approx(samples, rel=3e-3)
+    assert _period(replace(s.record, voltage=drive)) == pytest.approx(samples, rel=3e-3)
 
 
 def test_slow_residuals_are_held_to_twice_what_lies_above(case):
