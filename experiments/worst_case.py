@@ -47,7 +47,7 @@ def ascend(model, voltage: np.ndarray, dt: float, steps: int, low: float, high: 
     start = pitp.rest_state(model)
 
     def loudness(u):
-        return jnp.log(jnp.mean(pitp.rollout(model, u, dt, start)[:, 0] ** 4) + 1e-12)
+        return jnp.log(jnp.mean(pitp.rollout_scaled(model, u, dt, start)[:, 0] ** 4) + 1e-12)
 
     optimiser = optax.adam(0.05 * (high - low))
 

@@ -1,3 +1,6 @@
+from ._check import Check as Check
+from ._check import CheckedRecord as CheckedRecord
+from ._check import check as check
 from ._diagnose import Diagnosis as Diagnosis
 from ._diagnose import diagnose as diagnose
 from ._errors import BadInput as BadInput
@@ -27,11 +30,13 @@ from ._plant import plant as plant
 from ._plant import record as record
 from ._plant import simulate as simulate
 from ._plant import stepper as stepper
+from ._record import Drive as Drive
 from ._record import Record as Record
 from ._record import Target as Target
 from ._record import excitation as excitation
 from ._record import read as read
 from ._record import read_target as read_target
+from ._record import read_voltage as read_voltage
 from ._sharding import records_mesh as records_mesh
 from ._sharding import sharded_inverse as sharded_inverse
 from ._sharding import sharded_rollout as sharded_rollout
@@ -39,6 +44,7 @@ from ._simulate import Prediction as Prediction
 from ._simulate import predict as predict
 from ._simulate import rest_state as rest_state
 from ._simulate import rollout as rollout
+from ._simulate import rollout_scaled as rollout_scaled
 from ._train import Band as Band
 from ._train import Ensemble as Ensemble
 from ._train import Settings as Settings

@@ -28,6 +28,13 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
 
     Returns:
         the error; inf where a counted prediction is not finite, nan where no sample counts.
+
+    Raises:
+        IndexError: shapes that differ.
+
+    Example:
+        >>> pitp.rmse(np.array([1.0, 2.0]), np.array([1.0, 4.0]))
+        1.4142135623730951
     """
     counted = _counted(measured, mask)
     error = np.asarray(predicted, dtype=np.float64)[counted]
@@ -44,6 +51,19 @@ def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     """Relative RMS error in percent of the measured range, eq. 15.
 
     Normaliser: max x_e - min x_e over the counted samples. nan where that is zero. Arguments as for `rmse`.
+
+    Args:
+        predicted, measured, mask: as for `rmse`.
+
+    Returns:
+        the percentage.
+
+    Raises:
+        IndexError: shapes that differ.
+
+    Example:
+        >>> pitp.e_rms_percent(np.array([1.0, 2.0]), np.array([0.0, 2.0]))  # 100 sqrt(1/2) / 2
+        35.35533905932738
     """
     values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
     return _percent(rmse(predicted, measured, mask), float(np.ptp(values)) if values.size else 0.0)
@@ -55,6 +75,19 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     Normaliser: population standard deviation (ddof = 0) of x_e over the counted samples, so predicting the
         mean scores 100. nan
     where that is zero. Arguments as for `rmse`.
+
+    Args:
+        predicted, measured, mask: as for `rmse`.
+
+    Returns:
+        the percentage; 100 is as good as predicting the mean.
+
+    Raises:
+        IndexError: shapes that differ.
+
+    Example:
+        >>> pitp.nrmse_percent(np.zeros(4), np.array([1.0, -1.0, 1.0, -1.0]))
+        100.0
     """
     values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
     return _percent(rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0)
@@ -83,6 +116,14 @@ def rmhe_percent(
     Returns:
         the percentage; nan where fewer than three samples count, the reference stands still or the
         measurement does.
+
+    Raises:
+        IndexError: shapes that differ.
+
+    Example:
+        >>> phase = np.linspace(0, 2 * np.pi, 1000)
+        >>> round(pitp.rmhe_percent(np.sin(phase), np.sin(phase - 0.1)), 1)  # 100 sin 0.1
+        10.0
     """
     cycle = slice(None if samples_per_cycle is None else -int(samples_per_cycle), None)
     counted = _counted(measured, mask)[cycle]

@@ -26,7 +26,18 @@ _AXIS = "records"
 
 
 def records_mesh(devices: Sequence | None = None) -> Mesh:
-    """A line of devices, by default all of all processes."""
+    """A line of devices, by default all of all processes.
+
+    Args:
+        devices: in order; None takes all of all processes.
+
+    Returns:
+        a mesh with one axis, the records.
+
+    Example:
+        >>> pitp.records_mesh(jax.devices()[:1]).size
+        1
+    """
     return Mesh(np.asarray(jax.devices() if devices is None else devices), (_AXIS,))
 
 
@@ -88,7 +99,23 @@ def sharded_rollout(
     start: Float[np.ndarray, "records state"],
     mesh: Mesh,
 ) -> Float[np.ndarray, "records time state"]:
-    """Scaled states of this process's records under their voltages (V), as `decoder.rollout_batch`."""
+    """Scaled states of this process's records under their voltages (V), as `decoder.rollout_batch`.
+
+    Args:
+        model: the same in every process.
+        voltage: this process's, V, shape (records, T).
+        dt: sampling interval, s.
+        start: scaled initial states, shape (records, n + K).
+        mesh: of `records_mesh`.
+
+    Returns:
+        scaled states, shape (records, T, n + K).
+
+    Example:
+        >>> mesh, start = pitp.records_mesh(jax.devices()[:1]), pitp.rest_state(model)[None]
+        >>> pitp.sharded_rollout(model, np.zeros((1, 64)), 1e-3, np.asarray(start), mesh).shape
+        (1, 64, 2)
+    """
     dtype = model.coefficients.dtype
     batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
     return local_rows(over_records(_Rollout(float(dt)), mesh, model, batch), len(voltage))
@@ -97,7 +124,22 @@ def sharded_rollout(
 def sharded_inverse(
     model: Model, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
 ) -> Float[np.ndarray, "records time"]:
-    """Drive voltage before limits (V) for this process's displacements from rest (model coordinates, m): eq. 13."""
+    """Drive voltage before limits (V) for this process's displacements from rest (model coordinates, m): eq. 13.
+
+    Args:
+        model: the same in every process, without effects.
+        displacement: this process's, m, shape (records, T).
+        dt: sampling interval, s.
+        mesh: of `records_mesh`.
+
+    Returns:
+        voltages, shape (records, T).
+
+    Example:
+        >>> mesh = pitp.records_mesh(jax.devices()[:1])
+        >>> pitp.sharded_inverse(model, np.full((1, 64), 1e-3), 1e-3, mesh).shape
+        (1, 64)
+    """
     rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
     batch = spread((rows.astype(model.coefficients.dtype),), mesh)
     return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

@@ -25,7 +25,7 @@ _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of th
 _READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.
-_QUICK = ("predict", "invert", "simulate")
+_QUICK = ("predict", "invert", "check", "simulate")
 _PLANTS = ("cone100", "cone122", "cone150", "roll")
 
 
@@ -147,9 +147,11 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--plant", choices=_PLANTS, default="cone100", help="virtual actuator (default cone100)")
     demo.add_argument("--out", default="demo", metavar="DIR", help="folder to write to (default ./demo)")
     demo.add_argument("--quick", action="store_true", help="fewer and shorter records: a minute or two")
+    _check_arguments(command("check", "what was read, how each record begins, and whether the set is enough"))
     _identify_arguments(command("identify", "fit a linear model of the right order to records"))
     _fit_arguments(command("fit", "train a model on records, from an identified one"))
     _predict_arguments(command("predict", "run a model under the voltage of records and score it"))
+    _simulate_arguments(command("simulate", "what a model does under voltages without a measurement"))
     _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
     _diagnose_arguments(command("diagnose", "where a model and records disagree, which missing effect causes it"))
     _export_arguments(command("export", "a model and its inverse as C, as an FMU or as MATLAB functions, for the rig"))
@@ -159,12 +161,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:
-    """What `pitp.read` (or `read_target`) can be told about the columns of files."""
+def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False) -> None:
+    """What `pitp.read` (or `read_target`, or `read_voltage`) can be told about the columns of files."""
     group = parser.add_argument_group("columns of the files", "by default names and units in the headers decide")
     stems = {"time": "s|ms|us|ns|min", "input": "V|kV|mV", "output": "m|mm|um|cm|nm|V|mV"}
     for stem, units in stems.items():
-        if target and stem == "input":
+        if stem == ("input" if target else "output" if drive else ""):
             continue
         group.add_argument(
             f"--{stem}-column", dest=f"{_READING}{stem}_column", metavar="NAME", help=f"exact header of the {stem}"
@@ -187,13 +189,30 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False) -> None:
             metavar="HZ",
             help="samples per second of files without time",
         )
-    group.add_argument(
-        "--output-scale",
-        dest=f"{_READING}output_scale",
-        type=_number,
-        metavar="S",
-        help="m per V of the output (a laser of 2 mm per V: 0.002)",
-    )
+    if not drive:
+        group.add_argument(
+            "--output-scale",
+            dest=f"{_READING}output_scale",
+            type=_number,
+            metavar="S",
+            help="m per V of the output (a laser of 2 mm per V: 0.002)",
+        )
+
+
+def _check_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--model", metavar="MODEL", help="also say which records this model does not explain")
+    parser.add_argument("--out", metavar="DIR", help="write every record as understood, and a page, here")
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
+    _columns(parser)
+
+
+def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="identified or trained model")
+    parser.add_argument("voltages", nargs="+", metavar="VOLTAGE", help="files of time and voltage, and folders of them")
+    parser.add_argument("--out", metavar="DIR", help="write one CSV per drive here")
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the ranges for machines")
+    _columns(parser, drive=True)
 
 
 def _identify_arguments(parser: argparse.ArgumentParser) -> None:

@@ -60,7 +60,7 @@ def main(place):
         predicted=predicted,
         moving=pitp.predict(model, [later])[0].displacement,
         nominal=pitp.predict(nominal, [record])[0].displacement,
-        rolled=rig(pitp.rollout(model, jnp.asarray(record.voltage), step, start[0])),
+        rolled=rig(pitp.rollout_scaled(model, jnp.asarray(record.voltage), step, start[0])),
         sharded=rig(pitp.sharded_rollout(model, record.voltage[None], step, start, mesh)[0]),
         self_check=pitp.feedforward(model, pitp.Target(TIME, predicted)).self_check_e_rms_percent,
         dtypes=dtypes((model, found.model)),

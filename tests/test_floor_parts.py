@@ -8,7 +8,7 @@ from played import DT, HZ, SAMPLES, TIME, nominal_of, play
 from scipy.signal import lfilter
 
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.noise import _edges, estimate
+from pitp_jax._diagnose.noise import band_edges, estimate
 from pitp_jax._diagnose.repeatability import _period
 from pitp_jax._diagnose.steady_tone import steady_tone
 
@@ -56,7 +56,7 @@ def test_no_hum(tones, drives, noise):
 def test_the_period_of_a_drive_is_read_between_the_lines_of_its_spectrum(case, samples):
     s = case.series[0]
     drive = 500 + 300 * np.sin(2 * np.pi * np.arange(SAMPLES) / samples)
-    assert _period(replace(s, record=replace(s.record, voltage=drive))) == pytest.approx(samples, rel=3e-3)
+    assert _period(replace(s.record, voltage=drive)) == pytest.approx(samples, rel=3e-3)
 
 
 def test_slow_residuals_are_held_to_twice_what_lies_above(case):
@@ -92,5 +92,5 @@ def test_a_sensor_that_reads_in_steps_is_no_better_than_they_are(case):
 
 def test_the_spectrum_of_rounding_sums_to_the_floor(case):
     found = estimate(case, [0.0 * s.run for s in case.series])
-    edges = _edges(int(0.6 * SAMPLES), DT)
+    edges = band_edges(int(0.6 * SAMPLES), DT)
     assert np.sum(found.spectrum[:, 1] * np.diff(edges)) == pytest.approx(found.sigma**2, rel=1e-9)

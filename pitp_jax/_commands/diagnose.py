@@ -14,7 +14,7 @@ from .._record.writing import write_csv, write_text_atomic
 from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
-from .recordings import is_square, read_records
+from .recordings import is_square, read_records, warn
 
 MODEL, REPORT = "model_augmented", "report.html"
 FILES = (MODEL, REPORT, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
@@ -44,6 +44,7 @@ def diagnose(records, nominal, refit_nominal, seconds, out, json_file, reading) 
     if out is not None:
         check_folder(out, FILES, inputs=[*sources, *([json_file] if json_file else [])])
     check_suits(model, nominal, read_in)
+    warn(read_in)
     say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
     status = StatusLine()
     limit = np.inf if seconds is None else seconds

@@ -14,7 +14,7 @@ from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
 from .outputs import check_files
-from .recordings import is_square, read_records
+from .recordings import is_square, read_records, warn
 from .reports import describe, in_words, listed, print_history
 
 
@@ -40,6 +40,7 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, reading) -
     start = _given(nominal, order, input_map) if nominal else None
     read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
     check_files(out, inputs=[r.source for r in read_in])
+    warn(read_in)
     if start is None:
         start = _identified(read_in, order or "auto", input_map or "square")
     check_suits(start, nominal or "the identified model", read_in)

@@ -3,12 +3,11 @@
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
 from .._model_file.model_file import save
-from .._record.initial_state import Beginning
 from .._record.units import from_base
 from .console import number, print_table, say
 from .outputs import check_files, staged_files, write_json
-from .recordings import read_records
-from .reports import describe, listed, print_model
+from .recordings import read_records, warn
+from .reports import describe, print_beginnings, print_model
 
 
 def identify(records, out, order, input_map, learn, json_file, reading) -> None:
@@ -29,6 +28,7 @@ def identify(records, out, order, input_map, learn, json_file, reading) -> None:
     check_files(out, json_file, inputs=records)
     read_in = read_records(records, reading, square=input_map == "square")
     check_files(out, json_file, inputs=[r.source for r in read_in])
+    warn(read_in)
     found = run_identify(read_in, order=order, input_map=input_map, learn=learn, progress=say)
     told = describe(found.model)
     with staged_files(out, json_file) as (out_stage, json_stage):
@@ -42,23 +42,6 @@ def identify(records, out, order, input_map, learn, json_file, reading) -> None:
     if found.chosen.delay:
         print(f"delay: {number(1e3 * found.chosen.delay, 3)} +- {number(1e3 * found.chosen.delay_stderr, 2)} ms")
     print_beginnings(found.beginnings, unit)
-
-
-def print_beginnings(beginnings: dict[str, Beginning], unit: str) -> None:
-    """What begins otherwise than at rest, and the zeros and directions that differ from those of most records."""
-    for kind, line in (
-        ("held", "begin settled at a held drive: {}"),
-        ("moving", "start moving: {}; their initial states were estimated"),
-    ):
-        if names := [name for name, b in beginnings.items() if b.begins == kind]:
-            print(line.format(listed(names)))
-    if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
-        print(f"read against the motion (sensor reversed): {listed(reversed_ones)}")
-    if len({b.group for b in beginnings.values()}) > 1:
-        rows = [(name, *(number(from_base(v, unit, "displacement"), 4) for v in (b.zero, b.stderr)))
-                for name, b in beginnings.items()]  # fmt: skip
-        print("the sensor's zero differs among the records:")
-        print_table(("record", f"zero ({unit})", "+-"), rows)
 
 
 def print_orders(found: Identification, unit: str) -> None:

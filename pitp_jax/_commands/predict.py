@@ -10,6 +10,7 @@ import numpy as np
 from .._errors import ComputationFailed
 from .._metrics import e_rms_percent, nrmse_percent, rmse
 from .._model_file.model_file import load
+from .._record.initial_state import Beginning
 from .._record.record import Record
 from .._record.units import from_base
 from .._record.writing import write_csv
@@ -19,6 +20,7 @@ from .compatibility import check_suits
 from .console import number, print_table
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
 from .recordings import is_square, read_records
+from .reports import print_sensors
 
 
 def predict(model, records, out, json_file, reading) -> None:
@@ -55,6 +57,7 @@ def predict(model, records, out, json_file, reading) -> None:
                 for record, prediction, file in zip(read_in, predictions, files, strict=True):
                     _write_record(stage / file, record, prediction)
     _print_scores(result, predictions)
+    print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
     if all(row["diverged"] for row in scores.values()):
         raise ComputationFailed(
             f"{model} diverged on every record; check units and columns, or train on more such records"
@@ -116,6 +119,20 @@ def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, columns)
+
+
+def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> dict[str, Beginning]:
+    """Zeros and directions; one group of zeros where none is farther from their middle than it may be.
+
+    A zero may be off by 4 standard errors and 0.2 % of the record's range; one that was not read says nothing.
+    """
+    known = [p.zero for p in predictions if math.isfinite(p.zero_stderr)]
+    middle, found = float(np.median(known)) if known else 0.0, {}
+    for record, p in zip(records, predictions, strict=True):
+        may = 4 * p.zero_stderr + 0.002 * float(np.nanmax(record.displacement) - np.nanmin(record.displacement))
+        apart = math.isfinite(may) and abs(p.zero - middle) > may
+        found[p.name] = Beginning(p.begins, p.direction, p.zero, p.zero_stderr, int(apart))
+    return found
 
 
 def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:

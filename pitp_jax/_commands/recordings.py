@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from .._check.one_record import quick_problems
 from .._model.input_map import SquareInput
 from .._model.model import Model
 from .._record.plausible import monitor_warning
@@ -28,6 +29,12 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[
     if warning:
         say(f"warning: {warning}")
     return records
+
+
+def warn(records: Sequence[Record]) -> None:
+    """The cheap part of `pitp check` on standard error, for commands that fit."""
+    for line in quick_problems(records):
+        say(f"warning: {line}")
 
 
 def recognised(records: Sequence[Record]) -> list[str]:

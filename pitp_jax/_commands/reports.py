@@ -7,7 +7,8 @@ import numpy as np
 
 from .._diagnose.result import physical
 from .._model.model import Model
-from .._record.units import base_unit
+from .._record.initial_state import Beginning
+from .._record.units import base_unit, from_base
 from .console import number, print_table
 
 
@@ -136,6 +137,30 @@ def _short(value) -> str:
     if isinstance(value, (list, tuple)):
         return " to ".join(map(_short, value))
     return number(value) if isinstance(value, float) else str(value)
+
+
+def print_beginnings(beginnings: dict[str, Beginning], unit: str) -> None:
+    """What begins otherwise than at rest, and the zeros and directions that differ from those of most records."""
+    for kind, line in (
+        ("held", "begin settled at a held drive: {}"),
+        ("moving", "start moving: {}; their initial states were estimated"),
+    ):
+        if names := [name for name, b in beginnings.items() if b.begins == kind]:
+            print(line.format(listed(names)))
+    print_sensors(beginnings, unit)
+
+
+def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
+    """Which records were read against the motion, and their zeros where these differ."""
+    if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
+        print(f"read against the motion (sensor reversed): {listed(reversed_ones)}")
+    if len({b.group for b in beginnings.values()}) > 1:
+        rows = [
+            (name, *(number(from_base(v, unit, "displacement") if math.isfinite(v) else None, 4) for v in numbers))
+            for name, numbers in ((name, (b.zero, b.stderr)) for name, b in beginnings.items())
+        ]
+        print("the sensor's zero differs among the records:")
+        print_table(("record", f"zero ({unit})", "+-"), rows)
 
 
 def listed(names, most: int = 4) -> str:

@@ -87,6 +87,10 @@ class Diagnosis:
             "term": self.term.as_json() if self.term else None,
         }
 
+    def __repr__(self) -> str:
+        """Its first three lines."""
+        return "\n".join(["Diagnosis, " + str(self).splitlines()[0], *str(self).splitlines()[1:3]])
+
     def __str__(self) -> str:
         """A few lines for the terminal."""
         g = self.gap
@@ -127,9 +131,16 @@ def diagnose(
         progress: called with one line per step.
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
+    Returns:
+        verdict, effects, gap, ranking, and the model with the effects added.
+
     Raises:
         BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one; a
             mesh over several processes.
+
+    Example:
+        >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
+        verdict: no_gap ...
     """
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")

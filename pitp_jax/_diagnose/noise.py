@@ -73,7 +73,7 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     dt, long = case.dt, max(len(e) for e in errors) / _SHORT
     counted = [(e, s.weight > 0) for e, s in zip(errors, case.series, strict=True) if len(e) >= long]
     fewest = min(len(e) for e, _ in counted)
-    edges = _edges(int(0.6 * fewest), dt)
+    edges = band_edges(int(0.6 * fewest), dt)
     powers = [_power(e, seen, dt) for e, seen in counted]
     colour = _colour(powers)
     levels = np.array([_levels(*p, edges, colour) for p in powers])
@@ -128,7 +128,7 @@ def _digit(s: Series) -> float:
     return float(np.median(np.diff(values))) if 1 < len(values) < _COARSE * np.count_nonzero(s.weight) else 0.0
 
 
-def _edges(samples: int, dt: float) -> np.ndarray:
+def band_edges(samples: int, dt: float) -> np.ndarray:
     """Bands of at least 24 bins and a fifth of their frequency."""
     width, top = _BINS / (samples * dt), 0.5 / dt
     edges = [0.0]
@@ -146,6 +146,12 @@ def _power(error: np.ndarray, counts: np.ndarray, dt: float) -> tuple[np.ndarray
     window = np.hanning(len(tail)) * seen
     power = 2 * dt * np.abs(np.fft.rfft(tail * window)) ** 2 / max(np.sum(window**2), 1e-30)
     return np.fft.rfftfreq(len(tail), dt)[2:], power[2:]
+
+
+def band_levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
+    """One-sided density (per Hz) of every band in one record's residual."""
+    power = _power(error, counts, dt)
+    return _levels(*power, edges, _colour([power]))
 
 
 def _colour(powers) -> Callable[[np.ndarray], np.ndarray]:

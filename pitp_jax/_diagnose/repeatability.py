@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._record.excitation_kind import spectrum
-from .case import Case, Series
+from .._record.record import Record
+from .case import Case
 
 _PERIODS = 8  # up to so many apart
 _SAME = 0.03  # of the drive's standard deviation
@@ -22,31 +23,31 @@ _MOVING = 0.1  # of the record's largest standard deviation over a window
 
 def scatter(case: Case, errors: Sequence[np.ndarray]) -> float | None:
     """Standard deviation of what does not repeat (scaled displacement), middle of the records; None if none repeats."""
-    found = [_scatter(s, e) for s, e in zip(case.series, errors, strict=True)]
+    found = [repeat_scatter(s.record, e, s.weight > 0) for s, e in zip(case.series, errors, strict=True)]
     found = [v for v in found if v is not None]
     return float(np.sqrt(np.median(found))) if found else None
 
 
-def _scatter(s: Series, error: np.ndarray) -> float | None:
-    """Its square in one record: the largest over the lags that repeat the drive best."""
-    u = s.record.voltage
-    period = _period(s)
+def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> float | None:
+    """Its square in one record: the largest over the lags that repeat the drive best; None where none does."""
+    u = record.voltage
+    period = _period(record)
     if not 8 <= period <= len(u) / (2 * _FEWEST):
         return None
     lags = {round(k * period) + d for k in range(1, _PERIODS + 1) for d in (-2, -1, 0, 1, 2)}
-    rows = [_at(u, error, s.weight > 0, lag, int(np.ceil(2 * period))) for lag in sorted(lags)]
+    rows = [_at(u, error, counts, lag, int(np.ceil(2 * period))) for lag in sorted(lags)]
     rows = [row for row in rows if row is not None]
     best = min((apart for apart, _ in rows), default=np.inf)
     return max((level for apart, level in rows if apart <= 1.5 * best), default=None)
 
 
-def _period(s: Series) -> float:
+def _period(record: Record) -> float:
     """Of the drive's strongest line, in samples; by the parabola through its logarithm."""
-    size = spectrum(s.record)
+    size = spectrum(record)
     k = int(np.argmax(size[1:-1])) + 1
     a, b, c = np.log(np.maximum(size[k - 1 : k + 2], 1e-300))
     shift = 0.5 * (a - c) / min(a - 2 * b + c, -1e-12)
-    return s.record.samples / (k + float(np.clip(shift, -0.5, 0.5)))
+    return record.samples / (k + float(np.clip(shift, -0.5, 0.5)))
 
 
 def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:

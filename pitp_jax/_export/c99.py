@@ -34,6 +34,9 @@ def export_c(
 
     Raises:
         BadInput: with nothing written.
+
+    Example:
+        >>> pitp.export_c(model, folder / "c")  # doctest: +SKIP
     """
     plan = planning.plan(model, name, rate, precision)
     cost = rate_error(plan)

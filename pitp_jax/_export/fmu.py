@@ -44,7 +44,18 @@ def export_fmu(
 ) -> float | None:  # fmt: skip
     """Write `pitp_<name>.fmu` (sources, and a binary where this machine is Linux and has a C compiler) into a folder.
 
-    Arguments, result and errors are those of `export_c`; `fmi` is 2 or 3.
+    Args:
+        model: as for `export_c`; folder, name, rate and precision likewise.
+        fmi: version of the interface, 2 or 3.
+
+    Returns:
+        what another rate than the model's costs, e_rms in %; None at its own rate.
+
+    Raises:
+        BadInput: with nothing written.
+
+    Example:
+        >>> pitp.export_fmu(model, folder / "fmu", fmi=3)  # doctest: +SKIP
     """
     if fmi not in _MISSING:
         raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")

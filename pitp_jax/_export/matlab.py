@@ -15,7 +15,17 @@ from .writing import Writer
 def export_matlab(model: Model, folder: str | Path, *, name: str = "model", rate: float | None = None) -> float | None:
     """Write a model and its inverse as two MATLAB functions into a new folder, in double precision.
 
-    Arguments, result and errors are those of `export_c`.
+    Args:
+        model: as for `export_c`; folder, name and rate likewise.
+
+    Returns:
+        what another rate than the model's costs, e_rms in %; None at its own rate.
+
+    Raises:
+        BadInput: with nothing written.
+
+    Example:
+        >>> pitp.export_matlab(model, folder / "matlab")  # doctest: +SKIP
     """
     plan = planning.plan(model, name, rate, "double")
     cost = rate_error(plan)

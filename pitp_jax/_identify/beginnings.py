@@ -194,10 +194,15 @@ def _with_zeros(
             break
         pool.pop(worst)
     group = len(groups)
-    found |= {k: Beginning(*kinds[k], mean, 0.0, group, True) for k in pool}
+    together = sum(w for _, w, _ in pool.values())
+    found |= {k: Beginning(*kinds[k], mean, _stderr(together), group, True) for k in pool}
     apart = [k for k in own if k not in pool]
-    found |= {k: Beginning(*kinds[k], own[k][0], 0.0, group + 1 + j, True) for j, k in enumerate(apart)}
+    found |= {k: Beginning(*kinds[k], own[k][0], _stderr(own[k][1]), group + 1 + j, True) for j, k in enumerate(apart)}
     return [found[k] for k in range(len(records))]
+
+
+def _stderr(weight: float) -> float:
+    return float(1 / np.sqrt(max(weight, 1e-300)))
 
 
 def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> bool:

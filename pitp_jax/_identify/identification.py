@@ -42,6 +42,7 @@ from .output_error import (
 ORDERS = tuple(range(1, 7))
 # Other holds than foh, and the share of its error each has to beat: a wrong one costs little, a right one more later
 _HOLDS: dict[Hold, float] = {"zoh": 0.98, "bandlimited": 0.997}
+_BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _DELAYS = (0.5, 1.5, 4.0)  # samples, from which a delay is sought
 _NO_WORSE = 1.001  # an order holds every lower one, so its cost is no higher unless the search stopped short
 
@@ -60,6 +61,16 @@ class Identification:
     chosen: OrderFit
     orders: tuple[OrderFit, ...]
     beginnings: dict[str, Beginning]
+
+    def __repr__(self) -> str:
+        """Two lines: the order taken and what it leaves; how the records begin."""
+        c, kinds = self.chosen, [b.begins for b in self.beginnings.values()]
+        begin = ", ".join(f"{kinds.count(kind)} {word}" for kind, word in _BEGIN.items() if kind in kinds)
+        natural = ", ".join(f"{f:.4g}" for f in c.natural_hz)
+        return (
+            f"Identification: order {c.order} of {', '.join(str(o.order) for o in self.orders)}, natural {natural} Hz, "
+            f"{c.rms:.3g} left (rms, base unit)\n  {len(kinds)} record(s): {begin}"
+        )
 
     @property
     def rest(self) -> dict[str, bool]:
@@ -87,9 +98,17 @@ def identify(
         learn: ("delay",) to fit a pure delay between drive and motion as well; the model carries it as an effect.
         progress: called with one line per finished order.
 
+    Returns:
+        the model, every order compared, and how every record begins.
+
     Raises:
         BadInput: unknown order or input map, no variation in voltage or displacement.
         ComputationFailed: the asked order cannot be identified from these records.
+
+    Example:
+        >>> found = pitp.identify(records, order=2)
+        >>> found.model.order, found.beginnings["sweep"].begins
+        (2, 'rest')
     """
     if input_map not in INPUT_MAPS:
         raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")

@@ -69,8 +69,16 @@ def feedforward(
         max_displacement: m from the displacement at 0 V, either way, for the membrane's sake; default none.
         shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone, cut at the limits.
 
+    Returns:
+        the voltage on its own clock, with what was cut and how well the model itself follows it.
+
     Raises:
         BadInput: a limit that is not positive, or a target of fewer samples than the model's order needs.
+
+    Example:
+        >>> plan = pitp.feedforward(model, target, shots=0)
+        >>> plan.self_check_e_rms_percent < 1
+        True
     """
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement)
     model = at_rate(model, target.dt)

@@ -54,8 +54,17 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
         model: identified or trained, without effects.
         dt: sampling interval, s.
 
+    Returns:
+        the step: [x, ..., x^(n)] in, a voltage out.
+
     Raises:
         BadInput: the model has effects, or dt is not positive.
+
+    Example:
+        >>> step = pitp.inverse_step(model, dt=1e-3)
+        >>> carry, volts = step.run(step.carry, np.array([1e-3, 0, 0], np.float32))
+        >>> round(float(volts))  # 1 mm at 1 kV
+        1000
     """
     _refuse(model, dt)
     memories, scale = model.memory.size, np.asarray(model.scales.state, np.float32)
@@ -79,9 +88,22 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
 def decoder_step(model: Model, dt: float) -> CompiledStep:
     """Displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
 
+    Args:
+        model: identified or trained, without effects.
+        dt: sampling interval, s.
+
+    Returns:
+        the step: a voltage in, a displacement out.
+
     Raises:
         BadInput: the model has effects, dt is not positive, or the voltage between samples is read from later ones
             (hold "bandlimited").
+
+    Example:
+        >>> step = pitp.decoder_step(model, dt=1e-3)
+        >>> carry, x = step.run(step.carry, np.array([1000.0], np.float32))
+        >>> 0 < float(x) < 1e-6  # m, one sample after rest
+        True
     """
     _refuse(model, dt)
     if model.hold == "bandlimited":
@@ -101,7 +123,17 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
 
 
 def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """The `run` of a `CompiledStep` from its bytes, compiled for this machine before it returns."""
+    """The `run` of a `CompiledStep` from its bytes, compiled for this machine before it returns.
+
+    Args:
+        exported: what `CompiledStep.exported.serialize()` gave.
+
+    Returns:
+        fn(carry, input) -> (carry, output), compiled.
+
+    Example:
+        >>> run = pitp.restore_step(pitp.decoder_step(model, 1e-3).exported.serialize())  # doctest: +SKIP
+    """
     return _compile(export.deserialize(bytearray(exported)))
 
 

@@ -50,9 +50,17 @@ def invert_stream(
         dt: sampling interval, s.
         window: samples per pass, 16 at least; memory in use is proportional to it.
 
+    Returns:
+        pieces of the answer, in order, as soon as they are known.
+
     Raises:
         BadInput: the model has effects, dt is not positive or the window too small; on the way, a sample is missing or
             all blocks together are too short for its order.
+
+    Example:
+        >>> pieces = pitp.invert_stream(model, np.split(target.displacement, 4), target.dt)
+        >>> sum(len(piece.voltage) for piece in pieces) == len(target.displacement)
+        True
     """
     if model.effects:
         raise BadInput("streaming inverts eq. 13 alone, without the model's effects: use `feedforward`")

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._errors import BadInput
 from .._record.long_record import LongRecord
 from .._record.record import Record
 from .._record.sets import ABSOLUTE
@@ -158,6 +159,19 @@ class Model(eqx.Module):
     drive: AbstractDrive = DirectDrive()
     effects: tuple = ()
 
+    def __repr__(self) -> str:
+        """Two lines: what it is, and its first coefficients."""
+        kind = "identified" if isinstance(self.encoder, ConstantEncoder) else f"trained ({type(self.encoder).__name__})"
+        parts = [f"{self.memory.size} memory states"] if self.memory.size else []
+        parts += [effect.name for effect in self.effects]
+        told = f"Model: {kind}, order {self.order}, input map {self.input_map.name}"
+        try:
+            numbers = ", ".join(f"a{i} {a:.4g}" for i, a in enumerate(self.physical_coefficients))
+            hertz = f"; {self.natural_frequency / (2 * np.pi):.4g} Hz"
+        except Exception:  # under a transformation the coefficients are no numbers
+            numbers, hertz = "traced coefficients", ""
+        return f"{told}{''.join(f', {p}' for p in parts)}\n  {numbers}{hertz}"
+
     @property
     def order(self) -> int:
         """ODE order n."""
@@ -197,6 +211,19 @@ class Model(eqx.Module):
         """The model whose nominal coefficients are these factors times its own, shape (n + 1,)."""
         coefficients = np.asarray(self.coefficients, np.float64) * factors
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
+
+
+def check_model(model: object) -> None:
+    """Refuse what is no model, and say where one is.
+
+    Raises:
+        BadInput: saying what was given, and what to give.
+    """
+    if not isinstance(model, Model):
+        inside = isinstance(getattr(model, "model", None), Model)
+        kind = type(model).__name__
+        remedy = f"give its .model (the {kind} holds one)" if inside else "give pitp.load(FILE) or identify(...).model"
+        raise BadInput(f"a {kind} is no model: {remedy}")
 
 
 def linear_model(

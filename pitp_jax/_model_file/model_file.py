@@ -43,6 +43,9 @@ def save(path: str | os.PathLike, model: Model) -> None:
 
     Raises:
         BadInput: a part this format has no name for (an own encoder, an effect), or an unwritable file.
+
+    Example:
+        >>> pitp.save(folder / "model.pitp", model)
     """
     header = describe(model)
     skeleton = _skeleton(header)
@@ -72,8 +75,16 @@ def load(path: str | os.PathLike) -> Model:
     Args:
         path: a file that `save` wrote.
 
+    Returns:
+        the model, equal to the one that was saved.
+
     Raises:
         BadInput: missing, a folder, not a model file, from a newer version, or damaged in any bit.
+
+    Example:
+        >>> pitp.save(folder / "model.pitp", model)
+        >>> pitp.load(folder / "model.pitp").order
+        2
     """
     rest = _checked_bytes(path)
     path = cleaned(path)

@@ -71,8 +71,15 @@ def plant(name: str) -> Plant:
     Args:
         name: `cone100`, `cone122`, `cone150` (acrylic, under 100, 122, 150 g) or `roll` (silicone).
 
+    Returns:
+        its parameters.
+
     Raises:
         ValueError: no such plant; the message lists those there are.
+
+    Example:
+        >>> pitp.plant("roll").rate_hz
+        5000.0
     """
     if name not in _PLANTS:
         raise ValueError(f"no virtual actuator {name!r}; there are {', '.join(_PLANTS)}")
@@ -95,6 +102,11 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     Raises:
         ValueError: shapes that do not fit, non-uniform time, unknown hold or method.
         ComputationFailed: the motion left the range of the spring.
+
+    Example:
+        >>> time = np.arange(100) / 1000
+        >>> bool(pitp.simulate(pitp.plant("cone100"), time, np.zeros(100)).max() < 1e-9)
+        True
     """
     time, voltage = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
     dt = _interval(time, voltage)
@@ -130,6 +142,14 @@ def record(
 
     Returns:
         The record, in V and m.
+
+    Raises:
+        ValueError, ComputationFailed: as `simulate`.
+
+    Example:
+        >>> time = np.arange(100) / 1000
+        >>> pitp.record(pitp.plant("cone100"), "step", time, 2000 * (time > 0), seed=0).samples
+        100
     """
     displacement = simulate(plant, time, voltage, hold=hold)
     if noise:
@@ -151,6 +171,13 @@ def stepper(plant: Plant, *, hold: str = "foh"):
         `(step, state)`: the pure function `step(state, u0, u1) -> (state, x)`, which advances one sample from
         the voltage u0 to u1 (V) and gives the displacement x (m) at its end, and the state at rest. `step`
         may be jitted, scanned and vmapped; it works in the precision of the state.
+
+    Raises:
+        ValueError: unknown hold.
+
+    Example:
+        >>> step, state = pitp.stepper(pitp.plant("cone100"))
+        >>> state, x = step(state, 0.0, 100.0)
     """
     _one_of("hold", hold, _HOLDS)
     dt = 1.0 / plant.rate_hz

@@ -1,9 +1,9 @@
 """Recordings: files in, `Record`s out, checked, in V, m and s (or V and V), NumPy and float64 throughout.
 
-Verbs: `read` (files and folders to records), `read_target` (a wanted motion). A record is one excitation of one
-actuator, sampled uniformly; missing output samples are nan. `preprocess` filters and differentiates it (paper, eqs. 8
-and 9), `initial_state` says how it begins, `excitation` makes the drives of the paper's protocol, and `writing` puts
-files down whole or not at all.
+Verbs: `read` (files and folders to records), `read_target` (a wanted motion), `read_voltage` (a drive alone). A record
+is one excitation of one actuator, sampled uniformly; missing output samples are nan. `preprocess` filters and
+differentiates it (paper, eqs. 8 and 9), `initial_state` says how it begins, `excitation` makes the drives of the
+paper's protocol, and `writing` puts files down whole or not at all.
 """
 
 from . import excitation as excitation
@@ -11,3 +11,5 @@ from .reading import Target as Target
 from .reading import read as read
 from .reading import read_target as read_target
 from .record import Record as Record
+from .voltage_file import Drive as Drive
+from .voltage_file import read_voltage as read_voltage

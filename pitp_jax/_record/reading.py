@@ -8,9 +8,10 @@ parent folder goes in front (`clean/sine0`). What every file lacks is told in on
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -102,22 +103,44 @@ def read(
     options = ReadOptions(
         time_column, input_column, output_column, time_unit, input_unit, output_unit, input_scale, output_scale, rate
     )
-    files = _files(paths)
-    names = _names(files)
-    records: list[Record] = []
-    refusals: list[str] = []
-    for file, name in zip(files, names, strict=True):
-        try:
-            records.extend(_read_one(file, name, options))
-        except BadInput as error:
-            refusals.append(str(error))
-    if refusals:
-        raise BadInput(_together(refusals, len(files)))
+    found, refused = _attempted(paths, options)
+    if refused:
+        raise BadInput(together(list(refused.values()), len(refused) + len(found)))
+    records = [record for pieces in found.values() for record in pieces]
     check_set(records)
     return tuple(records)
 
 
-def _together(refusals: list[str], files: int) -> str:
+def read_each(
+    paths: Sequence[str | os.PathLike], reading: Mapping[str, Any]
+) -> tuple[tuple[Record, ...], dict[str, str]]:
+    """Whatever can be read, of any rates and kinds; and the refusal of every other file by its record's name.
+
+    Args:
+        paths: files and folders.
+        reading: keyword arguments of `read`.
+
+    Raises:
+        BadInput: no such file or folder, two records of one name, or options that no file could be read with.
+    """
+    found, refused = _attempted(paths, ReadOptions(**reading))
+    return tuple(record for pieces in found.values() for record in pieces), refused
+
+
+def _attempted(paths, options: ReadOptions) -> tuple[dict[str, list[Record]], dict[str, str]]:
+    """Records and refusals by name."""
+    files = files_of(paths)
+    found: dict[str, list[Record]] = {}
+    refused: dict[str, str] = {}
+    for file, name in zip(files, names_of(files), strict=True):
+        try:
+            found[name] = _read_one(file, name, options)
+        except BadInput as error:
+            refused[name] = str(error)
+    return found, refused
+
+
+def together(refusals: list[str], files: int) -> str:
     """All refusals in one line, alike ones once."""
     if len(refusals) == 1:
         return refusals[0]
@@ -153,6 +176,10 @@ def read_target(
 
     Raises:
         BadInput: as for a record, and where a sample is missing.
+
+    Example:
+        >>> pitp.read_target(folder / "target.csv").displacement_unit
+        'mm'
     """
     path = _existing(path)
     if path.is_dir():
@@ -160,7 +187,7 @@ def read_target(
     options = ReadOptions(time_column, None, output_column, time_unit, None, output_unit, None, output_scale)
     table = open_table(path)
     chosen = choose_columns(table, options, ("time", "displacement"))
-    time, wanted = _load(table, chosen, options)
+    time, wanted = load_columns(table, chosen, options)
     columns = chosen["time"].name, chosen["displacement"].name
     idle = np.zeros_like(time)
     check_samples(time, idle, wanted, table.source, (columns[0], "voltage", columns[1]), table.place)
@@ -179,7 +206,7 @@ def _existing(path: str | os.PathLike) -> Path:
     return path
 
 
-def _files(paths: Sequence[str | os.PathLike]) -> list[Path]:
+def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
     """The record files behind files and folders, in order."""
     if not paths:
         raise BadInput("no records given; name at least one file or folder")
@@ -210,7 +237,7 @@ def _is_record(file: Path) -> bool:
     return os.path.isfile(file) and not file.name.startswith((".", "~$")) and bool(suffix) and not note
 
 
-def _names(files: Sequence[Path]) -> list[str]:
+def names_of(files: Sequence[Path]) -> list[str]:
     """One unique name per file."""
     names = [cleaned(split_suffix(file.name)[0]) for file in files]
     count = Counter(names)
@@ -230,7 +257,7 @@ def _names(files: Sequence[Path]) -> list[str]:
     return full
 
 
-def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> list[np.ndarray]:
+def load_columns(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> list[np.ndarray]:
     """The chosen columns in base units, scaled; a time of --rate where there is none."""
     places = [choice.place for choice in chosen.values() if choice.place is not None]
     values = dict(zip(places, table.load(places), strict=True))
@@ -258,7 +285,7 @@ def _read_one(path: Path, name: str, options: ReadOptions) -> list[Record]:
     table = open_table(path)
     chosen = choose_columns(table, options, ("time", "voltage", "displacement"))
     columns = chosen["time"].name, chosen["voltage"].name, chosen["displacement"].name
-    time, voltage, displacement = _load(table, chosen, options)
+    time, voltage, displacement = load_columns(table, chosen, options)
     check_samples(time, voltage, displacement, table.source, columns, table.place, uniform=False)
     unit = _shown_unit(chosen["displacement"], options)
     refuse_implausible(voltage, displacement, base_unit(unit), table.source, columns[1:], table.place)
@@ -276,7 +303,7 @@ def _read_one(path: Path, name: str, options: ReadOptions) -> list[Record]:
         remarks.append(f"{name}: split at its gaps into {len(found.pieces)}{short}")
     seen = {
         "file": table.form,
-        **{OPTIONS[quantity]: str(choice) + _scaled(quantity, options) for quantity, choice in chosen.items()},
+        **{OPTIONS[quantity]: str(choice) + scaled(quantity, options) for quantity, choice in chosen.items()},
         "jitter": found.jitter,
         "lost": lost,
         "outliers": masked.outliers,
@@ -294,7 +321,7 @@ def _read_one(path: Path, name: str, options: ReadOptions) -> list[Record]:
     ]  # fmt: skip
 
 
-def _scaled(quantity: str, options: ReadOptions) -> str:
+def scaled(quantity: str, options: ReadOptions) -> str:
     scale = options.scale(quantity)
     return "" if scale is None else f" times {scale:g}"
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .checks import check_samples
+from .units import from_base
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,17 @@ class Record:
         for name in ("time", "voltage", "displacement"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
         check_samples(self.time, self.voltage, self.displacement, self.source or f"record {self.name!r}")
+
+    def __repr__(self) -> str:
+        """One line: length, rate, ranges in the file's units."""
+        unit, seen = self.displacement_unit, self.displacement[self.observed]
+        volts = [from_base(float(v), self.voltage_unit, "voltage") for v in (self.voltage.min(), self.voltage.max())]
+        output = [from_base(float(v), unit, "displacement") for v in (seen.min(), seen.max())]
+        lost = f", {self.missing} missing" if self.missing else ""
+        return (
+            f"Record({self.name!r}: {self.samples} samples at {1 / self.dt:.6g} Hz, {volts[0]:.4g} to {volts[1]:.4g} "
+            f"{self.voltage_unit}, {output[0]:.4g} to {output[1]:.4g} {unit}{lost})"
+        )
 
     @property
     def dt(self) -> float:

@@ -1,6 +1,7 @@
 """Sets of records: what they must share (rate, kind of output), when their session began, which are alike in length."""
 
 from collections.abc import Sequence
+from os import PathLike
 
 import numpy as np
 
@@ -12,16 +13,33 @@ RATE_TOLERANCE = 1e-3  # relative difference of dt within one set
 ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the session
 
 
+def check_records(records: object, *, empty: bool = False) -> None:
+    """Refuse what is no list of records; `empty`: whether none is fine.
+
+    Raises:
+        BadInput: saying what was given, and what to give.
+    """
+    if isinstance(records, Record):
+        raise BadInput(f"{_place(records)}: give a list of records, also where there is only one")
+    if isinstance(records, (str, PathLike)):
+        raise BadInput(f"{str(records)!r} is no list of records: give pitp.read({str(records)!r})")
+    if not isinstance(records, Sequence):
+        raise BadInput(f"a {type(records).__name__} is no list of records: give what pitp.read returns")
+    for record in records:
+        if not isinstance(record, Record):
+            raise BadInput(f"a {type(record).__name__} among the records is no record: give what pitp.read returns")
+    if not records and not empty:
+        raise BadInput("no records: give at least one record")
+
+
 def check_set(records: Sequence[Record] | Record) -> None:
     """Refuse what is no set of records, or mixes sampling rates or kinds of output.
 
     Raises:
         BadInput: with the record that does not fit.
     """
-    if isinstance(records, Record):
-        raise BadInput(f"{_place(records)}: give a list of records, also where there is only one")
-    if not records:
-        raise BadInput("no records: give at least one record")
+    check_records(records)
+    assert not isinstance(records, Record)
     first = records[0]
     for record in records[1:]:
         if abs(record.dt / first.dt - 1.0) > RATE_TOLERANCE:

@@ -2,11 +2,13 @@
 
     x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4, tokens frozen over half a step ahead
 
-Verbs: `rollout` (one voltage, scaled states), `predict` (whole sets of records, in the rig's units). `batched_rollout`
-and `parallel_in_time` are the same map made faster, over records and over time; `ports` says where effects act.
+Verbs: `rollout` (a voltage, in the rig's units), `predict` (whole sets of records, likewise), `rollout_scaled` (states
+in the model's coordinates, pure and differentiable). `batched_rollout` and `parallel_in_time` are the same map made
+faster, over records and over time; `ports` says where effects act.
 """
 
 from .decoder import rest_state as rest_state
-from .decoder import rollout as rollout
+from .decoder import rollout as rollout_scaled  # noqa: F401
 from .prediction import Prediction as Prediction
 from .prediction import predict as predict
+from .voltage_only import rollout as rollout

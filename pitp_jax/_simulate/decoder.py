@@ -145,7 +145,19 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
 
 
 def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:
-    """The scaled state of an actuator that has been at rest for ever, at an age of the session in s."""
+    """The scaled state of an actuator that has been at rest for ever, at an age of the session in s.
+
+    Args:
+        model: any.
+        age: of the session at the first sample, s.
+
+    Returns:
+        state, then memory, then effects' states; scaled.
+
+    Example:
+        >>> pitp.rest_state(model).shape
+        (2,)
+    """
     zero = jnp.zeros((), model.coefficients.dtype)
     return settled_state(model, jnp.zeros(model.order, zero.dtype), zero, zero, age)
 
@@ -161,6 +173,20 @@ def rollout(
     """Scaled states at every sample under a drive voltage u, row 0 = `start`; for one record, vmap for more.
 
     A start at x = 0 without motion is rest: the film is uncharged. Any other start has it settled at u(0).
+
+    Args:
+        model: any.
+        voltage: V, shape (T,).
+        dt: sampling interval, s; steps are the model's `substeps` a sample.
+        start: scaled, as `rest_state` gives it.
+
+    Returns:
+        scaled states (state, memory, effects), shape (T, n + K).
+
+    Example:
+        >>> states = pitp.rollout_scaled(model, jnp.ones(64), 1e-3, pitp.rest_state(model))
+        >>> states.shape
+        (64, 2)
     """
     rest, voltage = ~jnp.any(start[: model.order]), jnp.asarray(voltage, start.dtype)
     dt = float(dt) if isinstance(dt, np.generic) else dt  # a float64 of numpy's would make one of everything

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._model.model import Model
+from .._model.model import Model, check_model
 from .._model.programs import jit
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from .._record.record import Record
@@ -94,13 +94,36 @@ class Prediction:
     zero_stderr: float = 0.0
     direction: float = 1.0
 
+    def __repr__(self) -> str:
+        """One line: what it predicts, and how the record was taken to begin."""
+        seen = self.displacement[np.isfinite(self.displacement)]
+        range_ = f"{seen.min():.4g} to {seen.max():.4g}" if len(seen) else "nothing"
+        state = "diverged" if self.diverged else f"{100 * self.outside_training_share:.3g} % outside the trained region"
+        return (
+            f"Prediction({self.name!r}: {range_} over {len(self.displacement)} samples, begins {self.begins}, zero "
+            f"{self.zero:.4g}, direction {self.direction:+g}, {state})"
+        )
+
 
 def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     """Free run of the model under every record's voltage, batched; records may have any lengths, one sampling rate.
 
+    Args:
+        model: identified, trained, or with effects.
+        records: as `pitp.read` gives them.
+
+    Returns:
+        one run per record, in the order given, in the rig's coordinates (m or V).
+
     Raises:
-        BadInput: no records, or of several rates.
+        BadInput: no records, of several rates, or something else than a model and records.
+
+    Example:
+        >>> run = pitp.predict(model, records)[0]
+        >>> run.displacement.shape == records[0].displacement.shape
+        True
     """
+    check_model(model)
     check_set(records)
     model = at_rate(model, records[0].dt)
     found, aged = {}, session_clock(records)

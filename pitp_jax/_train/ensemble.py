@@ -72,8 +72,20 @@ class Band:
 def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
     """Train `members` models from keys split off `key`; `options` as for `train`.
 
+    Args:
+        nominal, records: as for `train`.
+        members: models, at least 2.
+        key: JAX key.
+        **options: as for `train`.
+
+    Returns:
+        models, and the error that their spread does not show.
+
     Raises:
         ValueError: fewer than 2 members.
+
+    Example:
+        >>> ensemble = pitp.train_ensemble(model, records, members=2, key=jax.random.key(0))  # doctest: +SKIP
     """
     _enough(members)
     check_set(records)
@@ -87,8 +99,20 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
     """Mean and band of every record, all members at once; `level` is the share of samples the band should cover.
 
+    Args:
+        ensemble: of `train_ensemble`.
+        records: of one sampling rate.
+        level: share of samples the band should cover.
+
+    Returns:
+        mean and half width per record.
+
     Raises:
         ValueError: a level that is no share between 0 and 1.
+
+    Example:
+        >>> pitp.predict_band(pitp.Ensemble((model, model), error=0.01), records)[0].half_width.shape
+        (2000,)
     """
     if not 0 < level < 1:
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")

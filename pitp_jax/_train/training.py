@@ -83,11 +83,17 @@ def train(
         mesh: devices of this process that share the free runs, by records (`records_mesh`); default one device.
         key: JAX key; the same key, records and machine give the same model.
 
+    Returns:
+        the model, losses per stage, and notes.
+
     Raises:
         BadInput: unknown preset, records of several rates, none that moves, a mesh over several processes, or no
             usable sample left after filtering.
         ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
+
+    Example:
+        >>> trained = pitp.train(model, records, key=jax.random.key(0)).model  # doctest: +SKIP
     """
     settings = preset_of(preset) if settings is None else settings
     check_set(records)

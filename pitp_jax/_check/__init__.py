@@ -1,0 +1,12 @@
+"""Check: what was read, how each record begins, and whether the set is enough to identify and train on.
+
+    records (+ model) -> per record: beginning, zero, direction, noise, faults, drive
+                      -> over the set: coverage beside the resonance, repeats, records that do not belong, advice
+
+Verb: `check`. Without a model a linear one of order 2 is fitted quietly (`set_fit`); `one_record.quick_problems`
+needs none.
+"""
+
+from .check import Check as Check
+from .check import CheckedRecord as CheckedRecord
+from .check import check as check

@@ -1,0 +1,231 @@
+"""The check: every record as it was understood, the set they make, and plain advice.
+
+    faults, drive, noise (one_record) -> beginning, zero, direction, strangers (set_fit, or the model given)
+                                      -> coverage, repeats -> advice
+
+A record that cannot be used is told and left out of what concerns the set: its problem never hides the others.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from .._model.model import Model, check_model
+from .._record.initial_state import Beginning
+from .._record.plausible import monitor_warning
+from .._record.record import Record
+from .._record.sets import RATE_TOLERANCE, check_records
+from .._record.units import base_unit, from_base
+from .coverage import Coverage, coverage
+from .one_record import Facts, coloured_noise, facts, masked, moves
+from .repeats import Repeat, cycles, find_repeats
+from .set_advice import set_advice
+from .set_fit import SetFit, fit_set
+from .with_model import Explained, beside_model
+
+_FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
+
+
+@dataclass(frozen=True)
+class CheckedRecord:
+    """What is known of one record; None where it cannot be known.
+
+    Attributes:
+        samples, rate_hz, missing, outliers, jitter: as read; jitter in samples.
+        recognised: what the reader saw in the file: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
+        begins: "rest", "held" or "moving".
+        zero, zero_stderr, noise: in `unit`, the record's own.
+        direction: 1 or -1.
+        noise_colour: "white" or "coloured".
+        excitation: "sweep", "sine", "steps", "broadband" or "none".
+        band_hz: of the drive.
+        e_rms_percent: what the model given leaves.
+        problems: a sentence each.
+    """
+
+    samples: int | None = None
+    rate_hz: float | None = None
+    recognised: Mapping[str, Any] = field(default_factory=dict)
+    begins: str | None = None
+    zero: float | None = None
+    zero_stderr: float | None = None
+    unit: str | None = None
+    direction: int | None = None
+    noise: float | None = None
+    noise_colour: str | None = None
+    missing: int | None = None
+    outliers: int | None = None
+    jitter: float | None = None
+    excitation: str | None = None
+    band_hz: tuple[float, float] | None = None
+    e_rms_percent: float | None = None
+    problems: tuple[str, ...] = ()
+
+    def as_json(self) -> dict:
+        """The dict of docs/contract.md."""
+        told = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit")}
+        zero = {"value": self.zero, "stderr": self.zero_stderr, "unit": self.unit}
+        return told | {"zero": zero, "recognised": dict(self.recognised), "problems": list(self.problems)}
+
+
+@dataclass(frozen=True)
+class Check:
+    """What `check` found.
+
+    Attributes:
+        records: by name; one that could not be read holds its refusal as a problem.
+        advice: on the set, a sentence each, what matters most first.
+        resonance_hz: by the model given, or the quiet linear fit; None where nothing could be fitted.
+        input_map: whether the force was taken as the square of the voltage or as the voltage.
+        coverage: excited frequencies and amplitudes.
+        repeats: drives that were played more than once.
+        understood: the records themselves, as read.
+    """
+
+    records: dict[str, CheckedRecord]
+    advice: tuple[str, ...]
+    resonance_hz: float | None
+    input_map: str
+    coverage: Coverage | None
+    repeats: tuple[Repeat, ...]
+    understood: tuple[Record, ...]
+
+    @property
+    def problems(self) -> dict[str, tuple[str, ...]]:
+        """Records with problems."""
+        return {name: row.problems for name, row in self.records.items() if row.problems}
+
+    def as_json(self) -> dict:
+        """The dict of docs/contract.md."""
+        return {"records": {name: row.as_json() for name, row in self.records.items()}, "advice": list(self.advice)}
+
+    def __repr__(self) -> str:
+        few = ", ".join(list(self.problems)[:3]) + (", ..." if len(self.problems) > 3 else "")
+        at = "" if self.resonance_hz is None else f", resonance near {self.resonance_hz:.3g} Hz"
+        named = f" ({few})" if few else ""
+        lines = [f"Check of {len(self.records)} record(s){at}: {len(self.problems)} with problems{named}"]
+        return "\n".join(lines + [f"  {line}" for line in self.advice[:3]])
+
+
+def check(records: Sequence[Record], model: Model | None = None) -> Check:
+    """What was read, how each record begins, and whether the set is enough.
+
+    Args:
+        records: as `pitp.read` gives them; those of another sampling rate than most, or of another kind of output, are
+            told and left out of what concerns the set.
+        model: of the same actuator; None fits a linear one quietly.
+
+    Returns:
+        records by name, advice, coverage and repeats.
+
+    Raises:
+        BadInput: no records, or something else than records or a model.
+
+    Example:
+        >>> found = pitp.check(records)
+        >>> found.records["sweep"].begins, found.records["sweep"].problems
+        ('rest', ())
+    """
+    return checked(records, model, {})
+
+
+def checked(records: Sequence[Record], model: Model | None, refused: Mapping[str, str]) -> Check:
+    """As `check`, beside files that could not be read (name: refusal)."""
+    check_records(records, empty=bool(refused))
+    if model is not None:
+        check_model(model)
+    records = [masked(r) for r in _named(records)]
+    own = {r.name: facts(r) for r in records}
+    unit = base_unit(model.provenance.displacement_unit) if model is not None else None
+    apart = _apart(records, unit)
+    used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
+    fitted = fit_set(used) if used and model is None else None
+    beside = beside_model(model, used) if used and model is not None else {}
+    resonance = model.natural_frequency / (2 * np.pi) if model is not None else fitted.natural_hz if fitted else None
+    input_map = model.input_map.name if model is not None else fitted.input_map if fitted else "square"
+    rows = {r.name: _row(r, own[r.name], fitted, beside.get(r.name)) for r in records}
+    rows = {name: _with(row, [apart[name]] if name in apart else []) for name, row in _reversed(rows).items()}
+    cover = coverage(used, input_map, resonance) if used and resonance else None
+    repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
+    advice = set_advice(rows, used, cover, repeats, cycles(used), model is not None, fitted)
+    monitor = monitor_warning(used) if used and input_map == "square" else None
+    lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
+    told = ([monitor] if monitor else []) + advice
+    return Check(rows | lost, tuple(told), resonance, input_map, cover, tuple(repeats), tuple(records))
+
+
+def _named(records: Sequence[Record]) -> list[Record]:
+    """Records of one name told apart."""
+    count, seen, found = Counter(r.name for r in records), Counter(), []
+    for r in records:
+        seen[r.name] += 1
+        found.append(r if count[r.name] == 1 else replace(r, name=f"{r.name} ({seen[r.name]})"))
+    return found
+
+
+def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
+    """Records that cannot be in one set with most others: of another rate or kind of output."""
+    if not records:
+        return {}
+    rates = [round(np.log(r.dt) / RATE_TOLERANCE / 2) for r in records]
+    most = Counter(rates).most_common(1)[0][0]
+    dt = next(r.dt for r, rate in zip(records, rates, strict=True) if rate == most)
+    kind = unit or Counter(base_unit(r.displacement_unit) for r in records).most_common(1)[0][0]
+    found = {}
+    for r in records:
+        if abs(r.dt / dt - 1) > RATE_TOLERANCE:
+            found[r.name] = f"sampled at {1 / r.dt:.6g} Hz, most others at {1 / dt:.6g} Hz: give it in another call"
+        elif base_unit(r.displacement_unit) != kind:
+            found[r.name] = (
+                f"its output is in {r.displacement_unit}, that of the others in {kind}: choose --output-column"
+            )
+    return found
+
+
+def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | None) -> CheckedRecord:
+    """One record with what the fit or the model says of it."""
+    unit, problems = record.displacement_unit, list(own.problems)
+    begun: Beginning | None = None
+    noise, colour, direction, e_rms = own.noise, None, None, None
+    if fitted is not None and record.name in fitted.records:
+        row = fitted.records[record.name]
+        top = own.band_hz[1] * (2 if fitted.input_map == "square" else 1) if own.band_hz else 0.0
+        coloured = coloured_noise(row.error, row.seen, record.dt * row.step, top, fitted.natural_hz)
+        noise, colour = (noise, "white") if coloured is None else (coloured, "coloured")
+        begun, direction = row.beginning, int(row.beginning.direction) if row.tells else None
+        problems += [row.strange] if row.strange else []
+    if beside is not None:
+        begun, e_rms = beside.beginning, beside.e_rms_percent
+        direction, colour = int(begun.direction), beside.colour
+        noise = beside.coloured if beside.coloured is not None else noise
+        problems += [beside.problem] if beside.problem else []
+    shown = [from_base(v, unit, "displacement") for v in (begun.zero, begun.stderr)] if begun else [None, None]
+    known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
+    told = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
+    return CheckedRecord(
+        samples=record.samples, rate_hz=1 / record.dt, recognised=told, begins=begun.begins if begun else None,
+        zero=known[0], zero_stderr=known[1], unit=unit, direction=direction,
+        noise=float(from_base(noise, unit, "displacement")), noise_colour=colour, missing=record.missing,
+        outliers=own.outliers, jitter=own.jitter, excitation=own.excitation, band_hz=own.band_hz, e_rms_percent=e_rms,
+        problems=tuple(problems),
+    )  # fmt: skip
+
+
+def _reversed(rows: dict[str, CheckedRecord]) -> dict[str, CheckedRecord]:
+    """The same, those read against the direction of most told."""
+    known = Counter(row.direction for row in rows.values() if row.direction is not None)
+    if len(known) < 2:
+        return rows
+    most = known.most_common(1)[0][0]
+    line = "its sensor reads against the direction of most others"
+    return {
+        name: _with(row, [line] if row.direction is not None and row.direction != most else [])
+        for name, row in rows.items()
+    }
+
+
+def _with(row: CheckedRecord, problems: Sequence[str]) -> CheckedRecord:
+    return replace(row, problems=(*row.problems, *problems)) if problems else row

@@ -1,0 +1,101 @@
+"""Which force frequencies were excited at which amplitude, and what is missing beside the resonance.
+
+    windows of 16 periods of the resonance:  lines that hold 80 % of the force's energy,  amplitude sqrt(2) std(u)
+
+A point is (frequency of the force, amplitude of the voltage). A gap is an interval beside the resonance (f0/3 to
+1.5 f0) that is more than half as wide as its lower end and holds no point above half the largest amplitude.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._model.input_map import INPUT_MAPS
+from .._record.record import Record
+
+_PERIODS, _ENERGY, _LEAK = 16, 0.8, 0.3
+_STILL = 0.02  # of the largest amplitude: a window that is no excitation
+_RATIO, _BELOW, _ABOVE = 1.5, 1 / 3, 1.5
+_HALF = 0.5
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Excited points and gaps.
+
+    Attributes:
+        resonance: in Hz.
+        points: force frequency (Hz), voltage amplitude (V), seconds; shape (points, 3).
+        gaps: intervals in Hz beside the resonance without a point above half the largest amplitude.
+        largest: amplitude, V.
+        doubled: whether the force runs at twice the drive's frequency (a squared drive without bias).
+    """
+
+    resonance: float
+    points: np.ndarray
+    gaps: tuple[tuple[float, float], ...]
+    largest: float
+    doubled: bool
+
+    def advice(self) -> list[str]:
+        """A sentence for every gap, and one where the amplitude beside the resonance never changes."""
+        lines, f0 = [], self.resonance
+        for low, high in self.gaps:
+            by = f" (drive at {low / 2:.2g} to {high / 2:.2g} Hz, without bias)" if self.doubled else ""
+            lines.append(
+                f"nothing between {low:.2g} and {high:.2g} Hz above half the amplitude ({self.largest / 2:.3g} V), "
+                f"beside the resonance at {f0:.2g} Hz: take a slow sweep, or sines at {low * 0.67 + high * 0.33:.2g} "
+                f"and {low * 0.33 + high * 0.67:.2g} Hz, of {0.8 * self.largest:.3g} V{by}"
+            )
+        near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
+        if len(near) and near.min() > 0.7 * near.max():
+            lines.append(
+                f"all drives beside the resonance at {f0:.2g} Hz have nearly one amplitude ({near.max():.3g} V): add "
+                f"some of {near.max() / 2:.3g} V, or what depends on the amplitude cannot be learned"
+            )
+        return lines
+
+
+def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Coverage | None:
+    """Coverage of a set; None where nothing is excited.
+
+    Args:
+        records: of one sampling rate.
+        input_map: "square" or "linear".
+        resonance: in Hz.
+    """
+    found = [p for r in records for p in _points(r, input_map, resonance)]
+    if not found:
+        return None
+    points = np.array(found)
+    largest = float(points[:, 1].max())
+    points = points[points[:, 1] > _STILL * largest]
+    doubled = input_map == "square" and all(abs(r.voltage.mean()) < 0.1 * r.voltage.std() for r in records)
+    strong = np.unique(points[points[:, 1] >= _HALF * largest, 0])
+    return Coverage(resonance, points, tuple(_gaps(strong, resonance)), largest, doubled)
+
+
+def _points(record: Record, input_map: str, resonance: float) -> list[tuple[float, float, float]]:
+    size = int(min(max(_PERIODS / (resonance * record.dt), 64), record.samples))
+    force, window, found = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
+    for first in range(0, record.samples - size + 1, max(size // 2, 1)):
+        part = np.asarray(force[first : first + size], np.float64)
+        power = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] ** 2
+        amplitude = float(np.sqrt(2) * record.voltage[first : first + size].std())
+        if not power.sum() > 0:
+            continue
+        order = np.argsort(power)[::-1]
+        many = int(np.searchsorted(np.cumsum(power[order]), _ENERGY * power.sum())) + 1
+        beside = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
+        lines = [k for k in order[:many] if power[k] >= _LEAK * beside[k]]
+        found += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]
+    return found
+
+
+def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
+    """Intervals between neighbours, and what is left to the ends of the range beside the resonance."""
+    low, high = _BELOW * resonance, _ABOVE * resonance
+    ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
+    pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [(float(a), float(b)) for a, b in pairs if b > _RATIO * a]

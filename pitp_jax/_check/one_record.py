@@ -1,0 +1,159 @@
+"""One record by itself: its drive, the faults of its sensor and clock, its noise, and what is wrong with it.
+
+band     frequencies between which 98 % of the drive's energy about its mean lies
+noise    white: 5th difference (`noise_std`);  coloured: what the residual holds far above drive and resonance,
+P(lowest quarter of those bands) > 4 P(highest quarter), goes on below them at that density
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .._diagnose.noise import band_edges, band_levels
+from .._record.checks import TIME_TOLERANCE
+from .._record.excitation_kind import kind, loudest
+from .._record.initial_state import in_motion, noise_std
+from .._record.outliers import mask_faults
+from .._record.plausible import doubts
+from .._record.record import Record
+from .._record.units import base_unit, from_base
+
+_TAIL = 0.01  # of the drive's energy that lies below and above its band
+_FEW_PER_PERIOD = 8  # samples of the fastest drive's period, below which what happens between them matters
+_ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; from there on the spectrum is the sensor's
+_COLOURED, _FEWEST_BANDS = 4.0, 8
+_UNIT = 300.0  # times: more than a resonance and its roll-off make of one actuator's reach
+_MUCH = 0.05  # share of missing samples that is worth a word
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What one record shows without any model.
+
+    Attributes:
+        excitation: "sweep", "sine", "steps", "broadband", or "none" where the drive never changes.
+        band_hz: lowest and highest frequency of the drive; None where it never changes.
+        noise: standard deviation of white sensor noise, output's base unit.
+        outliers, clipped, lost: samples masked by the reader or found here.
+        jitter: largest distance of a time from the uniform grid, in samples.
+        problems: one sentence each.
+    """
+
+    excitation: str
+    band_hz: tuple[float, float] | None
+    noise: float
+    outliers: int
+    clipped: int
+    lost: int
+    jitter: float
+    problems: tuple[str, ...]
+
+
+def masked(record: Record) -> Record:
+    """The record with its sensor's faults masked and counted, as the reader does; as it is where there are none."""
+    found, seen = mask_faults(record.displacement, record.voltage), record.recognised
+    if not (found.outliers or found.clipped):
+        return record
+    counts = {key: int(seen.get(key, 0)) + getattr(found, key) for key in ("outliers", "clipped")}
+    return replace(record, displacement=found.displacement, recognised={**seen, **counts})
+
+
+def facts(record: Record) -> Facts:
+    """Drive, faults and noise of one record, as `masked` gives it."""
+    seen, unit = record.recognised, record.displacement_unit
+    outliers, clipped, lost = (int(seen.get(key, 0)) for key in ("outliers", "clipped", "lost"))
+    jitter = float(seen.get("jitter", _jitter(record)))
+    changes = bool(np.ptp(record.voltage) > 0)
+    band = drive_band(record) if changes else None
+    noise = noise_std(record.displacement)
+    problems = [
+        f"{count} {what}"
+        for count, what in (
+            (outliers, "outliers (spikes or dropouts) of its output are masked: look at the sensor"),
+            (clipped, "samples stand at the sensor's limit and are masked: move the sensor or widen its range"),
+            (lost, "lost samples are filled in, their output missing"),
+        )
+        if count
+    ]
+    if jitter > TIME_TOLERANCE:
+        problems.append(f"its clock jitters by up to {jitter:.2g} of a sample")
+    problems += doubts(record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
+    return Facts(kind(record) if changes else "none", band, noise, outliers, clipped, lost, jitter, tuple(problems))
+
+
+def drive_problems(record: Record, noise: float, band: tuple[float, float] | None) -> list[str]:
+    """What no reader tells: too much is missing, nothing is excited, nothing moves, or it is sampled too coarsely."""
+    problems = []
+    if record.missing > _MUCH * record.samples:
+        problems.append(f"{100 * record.missing / record.samples:.0f} % of its output is missing")
+    if band is None:
+        problems.append("its drive never changes: it tells nothing but noise and drift")
+    elif not moves(record):
+        spread = from_base(noise, record.displacement_unit, "displacement")
+        problems.append(
+            f"does not move beyond its noise of {spread:.2g} {record.displacement_unit}: look at sensor and amplifier"
+        )
+    if band and (per := 1 / (band[1] * record.dt)) < _FEW_PER_PERIOD:
+        problems.append(f"only {per:.1f} samples a period of its fastest drive: sample at {8 * band[1]:.3g} Hz or more")
+    return problems
+
+
+def quick_problems(records: Sequence[Record]) -> list[str]:
+    """What is wrong with records that no reader told and no fit need find: a line each, for commands that fit."""
+    lines, reach = [], []
+    for r in records:
+        band = drive_band(r) if np.ptp(r.voltage) > 0 else None
+        lines += [f"{r.name}: {line}" for line in drive_problems(r, noise_std(r.displacement), band)]
+        reach.append(float(np.nanstd(r.displacement)) / max(float(r.voltage.std()), 1e-300))
+    usual = float(np.median(reach))
+    return lines + [
+        f"{r.name}: moves {x / usual:.2g} times as far per volt as most others: is its unit right?"
+        for r, x in zip(records, reach, strict=True)
+        if usual > 0 and x > 0 and abs(np.log(x / usual)) > np.log(_UNIT)
+    ]
+
+
+def moves(record: Record) -> bool:
+    """Whether its output moves beyond its noise."""
+    try:
+        return not in_motion([record])[1]
+    except ValueError:
+        return False
+
+
+def drive_band(record: Record) -> tuple[float, float]:
+    """Frequencies in Hz between which 98 % of the drive's energy about its mean lies; a sine's are equal."""
+    if kind(record) == "sine":
+        line = loudest(record)
+        return line, line
+    total = np.cumsum(np.abs(np.fft.rfft(record.voltage - record.voltage.mean()))[1:] ** 2)
+    low, high = (int(np.searchsorted(total, share * total[-1])) + 1 for share in (_TAIL, 1 - _TAIL))
+    return low / (record.samples * record.dt), high / (record.samples * record.dt)
+
+
+def coloured_noise(left: np.ndarray, seen: np.ndarray, dt: float, top: float, resonance: float) -> float | None:
+    """Standard deviation of coloured noise in what a model left of a record; None where it is white or not to tell.
+
+    Args:
+        left: residual, shape (T,), 0 where not `seen`.
+        seen: True where the output was measured, shape (T,).
+        dt: sampling interval, s.
+        top: the fastest drive's force, Hz.
+        resonance: of the actuator, Hz.
+    """
+    edges = band_edges(int(0.6 * len(left)), dt)
+    levels = band_levels(left, seen, dt, edges)
+    own = edges[:-1] > max(_ABOVE_DRIVE * top, _ABOVE_RESONANCE * resonance)
+    quarter = int(own.sum()) // 4
+    if own.sum() < _FEWEST_BANDS or not levels[own][-quarter:].any():
+        return None
+    low, high = levels[own][:quarter].mean(), levels[own][-quarter:].mean()
+    if low < _COLOURED * high:
+        return None
+    return float(np.sqrt(levels[own] @ np.diff(edges)[own] + low * edges[:-1][own][0]))
+
+
+def _jitter(record: Record) -> float:
+    off = (record.time - record.time[0]) / record.dt - np.arange(record.samples)
+    return float(np.abs(off).max())

@@ -1,0 +1,107 @@
+"""The check as one self-contained page: advice, records, coverage, and every record's output under its drive."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .._diagnose.report import html
+from .._diagnose.report.formatting import figure, with_error
+from .._diagnose.report.html import tag
+from .._plot.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
+from .._record.record import Record
+from .._record.units import from_base
+from .check import Check, CheckedRecord
+
+_DRAWN = 24  # records; more make no page that anybody reads
+
+
+def page(found: Check) -> str:
+    """A self-contained HTML page.
+
+    Args:
+        found: what `check` found.
+    """
+    many, wrong = len(found.records), len(found.problems)
+    title = f"{many} record{'s' if many != 1 else ''}, {wrong or 'none'} with problems"
+    parts = [
+        tag("p", "Check: what was read, and whether it is enough", "soft"),
+        tag("h1", title, "unknown" if wrong else "explained"),
+        html.bullets(found.advice),
+        tag("h2", "Problems of single records") if wrong else "",
+        html.bullets([f"{name}: {line}" for name, lines in found.problems.items() for line in lines]),
+        tag("h2", "Records"),
+        *_table(found),
+        *_coverage(found),
+        *_pictures(found),
+    ]
+    return html.page(title, parts)
+
+
+def _table(found: Check) -> list[str]:
+    header = (
+        "record", "drive", "band (Hz)", "samples", "rate (Hz)", "begins", "zero", "direction", "noise", "missing",
+        "outliers", "read as",
+    )  # fmt: skip
+    rows = [("named" if row.problems else "", (name, *_cells(row))) for name, row in found.records.items()]
+    note = "Bold: with problems. measured = direction × displacement + zero; a dash where it cannot be known."
+    return [tag("p", note, "soft"), html.table(header, rows, {1: "left", 5: "left", 11: "long"})]
+
+
+def _cells(row: CheckedRecord) -> Sequence[str]:
+    band = "–" if row.band_hz is None else " to ".join(dict.fromkeys(figure(f, 3) for f in row.band_hz))
+    zero = "–" if row.zero is None else with_error(row.zero, row.zero_stderr, row.unit or "")
+    noise = "–" if row.noise is None else f"{figure(row.noise, 2)} {row.unit} {row.noise_colour or ''}"
+    read = "; ".join(str(row.recognised[k]) for k in ("file", "input", "output") if k in row.recognised)
+    counts = (row.missing, row.outliers)
+    return (
+        row.excitation or "–", band, "–" if row.samples is None else str(row.samples), figure(row.rate_hz),
+        row.begins or "–", zero, "–" if row.direction is None else f"{row.direction:+d}", noise.strip(),
+        *("–" if n is None else str(n) for n in counts), read,
+    )  # fmt: skip
+
+
+def _coverage(found: Check) -> list[str]:
+    c = found.coverage
+    if c is None:
+        return []
+    ax = own_axes(None, 1, (5.6, 2.8))[0]
+    for low, high in c.gaps:
+        ax.axvspan(low, high, 0.5, 1.0, color="#e69f00", alpha=0.35, lw=0)
+    ax.scatter(c.points[:, 0], c.points[:, 1], s=6, color=PREDICTED, lw=0)
+    ax.axvline(c.resonance, color="#000000", lw=0.8, ls="--")
+    ax.set(xscale="log", ylim=(0, 1.05 * c.largest))
+    finish(np.array([ax]), "frequency of the force (Hz)", ["amplitude of the drive (V)"])
+    caption = "What was excited, window by window; dashed: the resonance; shaded: nothing above half the amplitude."
+    return [tag("h2", "Coverage"), f'<div class="figures">{_picture("coverage", ax.figure, caption)}</div>']
+
+
+def _picture(name: str, drawn, caption: str) -> str:
+    assert isinstance(drawn, Figure)
+    return html.picture(name, drawn, caption)
+
+
+def _pictures(found: Check) -> list[str]:
+    """Every record's output and drive."""
+    shown = [
+        _picture(f"r{k}", _drawn(r), f"{r.name}: {found.records[r.name].excitation}, {_begins(found.records[r.name])}")
+        for k, r in enumerate(found.understood[:_DRAWN])
+    ]
+    left = len(found.understood) - len(shown)
+    more = [tag("p", f"and {left} more, which the CSV files hold", "soft")] if left > 0 else []
+    return [tag("h2", "As they were read"), f'<div class="figures">{"".join(shown)}</div>', *more] if shown else []
+
+
+def _begins(row: CheckedRecord) -> str:
+    words = {"rest": "begins at rest", "held": "begins settled at a held drive", "moving": "starts moving"}
+    return words.get(row.begins or "", "its beginning is not known")
+
+
+def _drawn(record: Record) -> Figure:
+    upper, lower = own_axes(None, 2, (5.6, 2.6), [2, 1])
+    unit, time = record.displacement_unit, record.time - record.time[0]
+    line(upper, time, from_base(record.displacement, unit, "displacement"), color=MEASURED, lw=1.0)
+    drive, label = volts(record.voltage)
+    line(lower, time, drive, color=DRIVE, lw=1.0)
+    finish(np.array([upper, lower]), "time (s)", [f"output ({unit})", label])
+    return upper.figure

@@ -1,0 +1,64 @@
+"""Drives that were played twice, and how far apart the rig's answers are: what no model can be asked to explain.
+
+sigma^2 = mean (y_a - y_b - mean difference)^2 / 2       where  |u_a - u_b| < 1 % of its range
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._diagnose.repeatability import repeat_scatter
+from .._record.record import Record
+
+_SAME = 0.01  # of the drive's range
+_MOST = 400  # records, of which all pairs are looked at
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Records of one drive: their names, and the standard deviation of what they do not share (base unit)."""
+
+    names: tuple[str, ...]
+    sigma: float
+    percent: float  # of their range
+
+
+def find_repeats(records: Sequence[Record], directions: Mapping[str, float]) -> list[Repeat]:
+    """Groups of records whose drive is the same; each record in one group at most."""
+    left, found = list(records[:_MOST]), []
+    while left:
+        first = left.pop(0)
+        same = [r for r in left if _same(first, r)]
+        left = [r for r in left if not any(r is s for s in same)]
+        if same:
+            found.append(_repeat([first, *same], directions))
+    return found
+
+
+def _same(a: Record, b: Record) -> bool:
+    if a.samples != b.samples or abs(a.dt / b.dt - 1) > 1e-3 or not np.ptp(a.voltage) > 0:
+        return False
+    return bool(np.abs(a.voltage - b.voltage).max() < _SAME * np.ptp(a.voltage))
+
+
+def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repeat:
+    y = np.stack([directions.get(r.name, 1.0) * r.displacement for r in records])
+    seen = np.isfinite(y).all(0)
+    if seen.sum() < 2:
+        return Repeat(tuple(r.name for r in records), float("nan"), float("nan"))
+    y = y[:, seen] - y[:, seen].mean(1, keepdims=True)
+    sigma = float(np.sqrt(np.mean(y.var(0, ddof=1))))
+    span = float(np.median(np.ptp(y, axis=1)))
+    return Repeat(tuple(r.name for r in records), sigma, 100 * sigma / span if span > 0 else float("nan"))
+
+
+def cycles(records: Sequence[Record]) -> dict[str, float]:
+    """Per record whose drive repeats itself: what its cycles do not share, % of range, creep included."""
+    found = {}
+    for r in records:
+        y = np.where(r.observed, r.displacement, 0.0)
+        square, span = repeat_scatter(r, y, r.observed), float(np.ptp(r.displacement[r.observed]))
+        if square is not None and span > 0:
+            found[r.name] = 100 * float(np.sqrt(square)) / span
+    return found

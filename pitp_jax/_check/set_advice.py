@@ -1,0 +1,113 @@
+"""Advice on a set of records: a sentence each, with numbers, what matters most first."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .._record.record import Record
+from .._record.units import OUTPUT_UNITS
+from .coverage import Coverage
+from .repeats import Repeat
+from .set_fit import SetFit
+
+_PER_PERIOD = 20.0  # samples of the resonance's period for RK4 and a readable second derivative
+_STDERRS = 4.0  # from which two zeros differ, and 0.2 % of range
+_SMALL = 0.002
+
+
+def set_advice(
+    rows: Mapping, used: Sequence[Record], cover: Coverage | None, repeats: Sequence[Repeat],
+    cycles: Mapping[str, float], modelled: bool, fitted: SetFit | None,
+) -> list[str]:  # fmt: skip
+    """What to do about the set.
+
+    Args:
+        rows: checked records by name.
+        used: records that move under a drive, of one rate.
+        cover: excited frequencies and amplitudes.
+        repeats: drives that were played more than once.
+        cycles: what the cycles of a record's drive do not share, % of range.
+        modelled: whether a model was given.
+        fitted: the quiet linear fit.
+    """
+    if not used:
+        return ["no record moves under a drive: nothing can be identified from these; look at sensor and amplifier"]
+    lines = []
+    poor = [name for name, row in rows.items() if any("does not explain" in p for p in row.problems)]
+    if poor:
+        lines.append(
+            f"the model does not explain {len(poor)} of {len(used)} records ({_some(poor)}): `pitp diagnose` says why"
+        )
+    strange = [n for n, row in rows.items() if any("belong" in p or "as far as" in p for p in row.problems)]
+    if strange:
+        lines.append(f"{_some(strange)} may not belong to this set: look at them, or leave them out")
+    turned = [n for n, row in rows.items() if any("against the direction" in p for p in row.problems)]
+    if turned:
+        lines.append(f"the sensor is reversed in {_some(turned)}: taken into account, but look at its sign")
+    if not modelled and fitted is None:
+        lines.append("no linear model could be fitted quietly: beginnings, zeros and directions are not known")
+    if fitted is not None and fitted.input_map == "linear":
+        lines.append("a force proportional to the voltage explains these better than its square: --input-map linear")
+    lines += _zeros(rows, used, fitted)
+    if cover is not None:
+        lines += cover.advice()
+        per = 1 / (cover.resonance * used[0].dt)
+        if per < _PER_PERIOD:
+            lines.append(
+                f"{per:.1f} samples a period of the resonance at {cover.resonance:.3g} Hz are few: sample at "
+                f"{_PER_PERIOD * cover.resonance:.3g} Hz or more"
+            )
+    begins = {rows[r.name].begins for r in used} - {None}
+    if begins and "rest" not in begins:
+        lines.append("no record begins at rest at 0 V: start one there, or the displacement at 0 V is a guess")
+    lines += _floor(repeats, cycles)
+    return lines
+
+
+def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list[str]:
+    """Whether the sensor was moved between records; what a linear fit leaves of one blurs its zero."""
+    known = [r for r in used if rows[r.name].zero is not None and rows[r.name].zero_stderr is not None]
+    if len(known) < 2:
+        return []
+    resting = [rows[r.name].zero for r in known if rows[r.name].begins == "rest"]
+    zeros = np.array([rows[r.name].zero for r in known])
+    middle, far = float(np.median(resting or zeros)), False
+    for r, zero in zip(known, zeros, strict=True):
+        row, y = rows[r.name], r.displacement[r.observed] * _per_base(r)
+        blur = fitted.records[r.name].left * y.std() if fitted is not None and row.begins != "rest" else 0.0
+        far = far or abs(zero - middle) > _STDERRS * row.zero_stderr + _SMALL * np.ptp(y) + blur
+    return [
+        f"the sensor's zero differs between records, from {zeros.min():.3g} to {zeros.max():.3g} "
+        f"{known[0].displacement_unit} (most: {middle:.3g}): each gets its own, and nothing is to be done"
+    ] if far else []  # fmt: skip
+
+
+def _per_base(record: Record) -> float:
+    """The record's own unit per base unit of its output."""
+    return 1 / OUTPUT_UNITS[record.displacement_unit]
+
+
+def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
+    """What repeats say of the floor; or that there are none."""
+    known = [r for r in repeats if np.isfinite(r.percent)]
+    if known:
+        worst = max(known, key=lambda r: r.percent)
+        return [
+            f"drives played twice agree to {np.median([r.percent for r in known]):.2g} % of range"
+            + (
+                f" (worst {worst.percent:.2g} %: {_some(worst.names)})"
+                if len(known) > 1
+                else f" ({_some(worst.names)})"
+            )
+            + ": no model can be asked for less"
+        ]
+    if cycles:
+        return [
+            f"cycles of one record agree to {np.median(list(cycles.values())):.2g} % of range; play one drive a second "
+            "time to know what the rig repeats from record to record"
+        ]
+    return ["no drive was played twice: repeat one record to know what the rig itself repeats"]
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -1,0 +1,211 @@
+"""All records beside one linear model of order 2: how each begins, its zero and direction, and whether it belongs.
+
+    F = map(u),   y_r = g_r x(t) + zero_r (+ a free response where it starts moving),    x: unit static gain
+
+The poles are common, the gain g_r a record's own. A record does not belong where |log g_r| is far from the others' or
+where the common poles leave far more of it than of the others; it is then left out and the rest fitted again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .._errors import BadInput, ComputationFailed
+from .._identify.beginnings import find_beginnings
+from .._identify.linear_ode import coast, logs_from_roots, respond
+from .._model.input_map import INPUT_MAPS
+from .._numerics.coloured_noise import block_means, project
+from .._record.initial_state import Beginning, is_still, rest_level, starts_at_rest
+from .._record.preprocess import force_band
+from .._record.record import Record
+
+_PER_PERIOD = 40  # samples of the force band's period that are kept of a record
+_MOST = 300_000  # samples in all
+_ROUNDS = 3
+_NONE = 1e-3  # of the largest drive is none
+_HALVED = 6  # records, from which halves are tried
+_FEWEST = 3  # records, of which one can differ from most
+_SPREADS, _GAIN, _LEFT = 5.0, np.log(2.0), 0.3  # robust deviations; the least change of gain and share left that count
+_UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
+_TELLS = 4.0  # standard errors of its own gain, from which a record tells a direction
+
+
+@dataclass(frozen=True)
+class Beside:
+    """One record beside the set's linear model.
+
+    Attributes:
+        beginning: as `identify` would find it, with the rig's direction.
+        gain: its own over the median of the set's; nan where there is none.
+        left: share of its standard deviation that the model leaves, gain and zero fitted.
+        tells: whether it tells a direction.
+        strange: why it does not belong, or empty.
+        error: what the model leaves, at every `step`-th sample; 0 where not `seen`.
+        seen: where the output was measured.
+        step: samples averaged into one.
+    """
+
+    beginning: Beginning
+    gain: float
+    left: float
+    tells: bool
+    error: np.ndarray
+    seen: np.ndarray
+    step: int
+    strange: str = ""
+
+
+@dataclass(frozen=True)
+class SetFit:
+    """The common model: natural frequency in Hz, share left (median), input map, and every record beside it by name."""
+
+    natural_hz: float
+    left: float
+    input_map: str
+    records: dict[str, Beside]
+
+
+def fit_set(records: Sequence[Record]) -> SetFit | None:
+    """Fit the records that move together; None where nothing can be fitted.
+
+    The force is the square of the voltage unless a linear one leaves less than half.
+    """
+    best = None
+    for name in ("square", "linear"):
+        found = _fitted(records, name)
+        if found is not None and (best is None or found.left < 0.5 * best.left):
+            best = found
+        if best is not None and best.left < 0.2:
+            break
+    return best
+
+
+def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
+    """The common poles that suit most records: of all, or of a half, then of those that belong."""
+    try:
+        step, small = _thinned(records, input_map)
+        every = set(range(len(small)))
+        best = _beside_poles_of(every, records, small, step)
+        if best is None:
+            return None
+        if len(small) >= _HALVED and _doubtful(best[1]):
+            halves = [_beside_poles_of(set(list(every)[k::2]), records, small, step) for k in (0, 1)]
+            best = min([best, *(h for h in halves if h is not None)], key=lambda b: _usual(b[1]))
+        kept = every
+        for _ in range(_ROUNDS if len(small) >= _FEWEST else 0):
+            belong = {k for k, row in enumerate(best[1]) if not row.strange}
+            if len(belong) < 2 / 3 * len(every):  # the records disagree: none can be called the stranger
+                best = best[0], [replace(row, strange="") for row in best[1]]
+            if len(belong) < 2 / 3 * len(every) or belong == kept:
+                break
+            kept, best = belong, _beside_poles_of(belong, records, small, step) or best
+    except (BadInput, ComputationFailed, np.linalg.LinAlgError):
+        return None
+    natural, rows = float(np.exp(best[0][1] / 2) / (2 * np.pi)), best[1]
+    return SetFit(natural, _usual(rows), input_map, dict(zip([r.name for r in records], rows, strict=True)))
+
+
+def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
+    """Poles (`linear_ode`) of some records, and every record beside them."""
+    begun, roots = find_beginnings([small[k] for k in sorted(kept)], "linear")
+    if roots is None:
+        return None
+    logs, found = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
+    resting = [b.zero for b in begun if b.begins == "rest"]
+    beginnings = [_plausible(r, found.get(k), resting) for k, r in enumerate(records)]
+    return logs, _relative([_beside(r, logs, b, step) for r, b in zip(small, beginnings, strict=True)])
+
+
+def _usual(rows: Sequence[Beside]) -> float:
+    return float(np.median([row.left for row in rows]))
+
+
+def _doubtful(rows: Sequence[Beside]) -> bool:
+    """Whether one record may have bent the poles of all."""
+    directions = {row.beginning.direction for row in rows if row.tells}
+    return len(directions) > 1 or any(row.strange or row.left > _LEFT for row in rows)
+
+
+def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float]) -> Beginning:
+    """What a linear model takes for motion may be its own error; None: by the first samples alone.
+
+    A record that stands still at 0 V, or at the zero of those at rest, begins at rest too.
+    """
+    drive = np.abs(record.voltage)
+    if (begun is not None and begun.begins != "moving") or not is_still(record):
+        return begun or Beginning("moving", 1.0, float(np.nanmedian(record.displacement)), float("inf"))
+    level, stderr = rest_level(record)
+    no_drive = drive[0] <= _NONE * drive.max()
+    if no_drive or (resting and starts_at_rest(record, float(np.median(resting)))):
+        return Beginning("rest", 1.0, level, 1.5 * stderr)
+    return begun or Beginning("held", 1.0, float("nan"), float("inf"))
+
+
+def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
+    """Force and output as means over blocks: a linear system keeps their relation."""
+    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    dt, total = records[0].dt, sum(r.samples for r in records)
+    fine = int(1 / (_PER_PERIOD * force_band(forces, dt) * dt))
+    step = max(1, min(max(fine, -(-total // _MOST)), min(r.samples for r in records) // 64))
+    small = []
+    for r, force in zip(records, forces, strict=True):
+        y, share = block_means(np.where(r.observed, r.displacement, 0.0), r.observed.astype(float), step)
+        f, _ = block_means(force, np.ones(len(force)), step)
+        f[0] = force[0]  # a drive that begins at 0 V is held there too, and at rest
+        time = r.time[0] + step * r.dt * np.arange(len(y))
+        small.append(Record(r.name, time, f, np.where(share > 0.5, y, np.nan), source=r.source))
+    return step, small
+
+
+def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:
+    """Own gain and zero by least squares; the direction is the gain's sign."""
+    dt, force, seen = record.dt, record.voltage, record.observed
+    driven, _ = respond(logs, force, step=dt, square=False, hold="foh")
+    held, _, free = coast(logs, np.array([force[0], 0.0]), record.samples, step=dt)
+    columns = [np.ones(len(driven)), driven + (held if begun.begins == "held" else 0.0)]
+    stacked = np.column_stack([*columns, free] if begun.begins == "moving" else columns)[seen]
+    y = record.displacement[seen]
+    factors, error = project(y, stacked)
+    level = np.sqrt(np.sum(error**2) / max(len(y) - stacked.shape[1], 1))
+    size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+    inverse = np.linalg.pinv((stacked / size).T @ (stacked / size))
+    known = level * np.sqrt(max(inverse[1, 1], 0.0)) / size[1]
+    left, whole = float(error.std() / max(y.std(), 1e-300)), np.zeros(record.samples)
+    whole[seen] = error
+    direction = 1.0 if factors[1] >= 0 else -1.0
+    tells = bool(abs(factors[1]) > _TELLS * known and left < 0.9)
+    return Beside(replace(begun, direction=direction), float(factors[1]), left, tells, whole, seen, step)
+
+
+def _relative(rows: Sequence[Beside]) -> list[Beside]:
+    """Gains over the median of those that tell one, and what is strange about each."""
+    gains = np.array([abs(row.gain) if row.tells else np.nan for row in rows])
+    if not np.isfinite(gains).any():
+        return [replace(row, gain=float("nan")) for row in rows]
+    logs = np.log(gains / np.nanmedian(gains))
+    usual = float(np.median([row.left for row in rows]))
+    far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), _GAIN)
+    spread = 1.4826 * np.median([abs(np.log(row.left / usual)) for row in rows])
+    found = []
+    for row, log, off in zip(rows, logs, far, strict=True):
+        poor = bool(row.left > _LEFT and np.log(row.left / usual) > max(_SPREADS * spread, np.log(3.0)))
+        found.append(
+            replace(row, gain=float(np.exp(log)), strange=_strange(row, float(np.exp(log)), bool(off), poor, usual))
+        )
+    return found
+
+
+def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> str:
+    """Why a record does not belong; empty where it does."""
+    if off and not poor:
+        near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
+        if abs(np.log(gain / near)) < 0.3:
+            return f"moves {gain:.3g} times as far as the others under its drive: is its unit or scale wrong?"
+        return f"moves {gain:.2g} times as far as the others under its drive: another actuator, preload or scale?"
+    if poor:
+        return (
+            f"does not belong: one linear model leaves {100 * row.left:.0f} % of it and {100 * usual:.0f} % of most "
+            "others (another actuator, another input, or a broken sensor?)"
+        )
+    return ""

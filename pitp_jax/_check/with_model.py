@@ -1,0 +1,61 @@
+"""Records beside the model given: how each begins, and which of them it does not explain.
+
+    e_rms > 3 max(what the model left of its own records, median of these)  and > 1 % of range,   or > 20 % of range
+
+What it left of its own records is known of an identified model (`misfit` noise deviations). Noise of a record is no
+fault of the model: twice the noise is always allowed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._metrics import e_rms_percent
+from .._model.model import Model
+from .._record.initial_state import Beginning, noise_std
+from .._record.record import Record
+from .._simulate.prediction import predict
+from .one_record import coloured_noise, drive_band
+
+_TIMES, _LEAST, _MOST, _NOISES = 3.0, 1.0, 20.0, 2.0
+
+
+@dataclass(frozen=True)
+class Explained:
+    """One record beside the model: its beginning, error in % of range (None: diverged), noise, and what is wrong."""
+
+    beginning: Beginning
+    e_rms_percent: float | None
+    coloured: float | None
+    colour: str | None
+    problem: str
+
+
+def beside_model(model: Model, records: Sequence[Record]) -> dict[str, Explained]:
+    """Free runs of the model beside records of one rate, by name."""
+    runs = predict(model, records)
+    errors = [
+        float(e_rms_percent(p.displacement, r.displacement, p.scored)) for p, r in zip(runs, records, strict=True)
+    ]
+    ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
+    floors = [100 * noise_std(r.displacement) / span for r, span in zip(records, ranges, strict=True)]
+    misfit = model.provenance.misfit
+    usual = float(np.median(np.nan_to_num(errors, nan=np.inf, posinf=np.inf)))
+    resonance, square = model.natural_frequency / (2 * np.pi), model.input_map.name == "square"
+    found = {}
+    for r, p, error, floor in zip(records, runs, errors, floors, strict=True):
+        own = misfit * floor if np.isfinite(misfit) else 0.0
+        bound = max(_LEAST, _NOISES * floor, _TIMES * max(own, min(usual, _MOST / _TIMES)))
+        if not np.isfinite(error):
+            problem = "the model diverges on it" if p.diverged else "nothing of it can be scored"
+        else:
+            most = f" ({usual:.2g} % of most of these)" if usual < error / 2 else ""
+            problem = f"the model does not explain it: {error:.3g} % of range left{most}" if error > bound else ""
+        left = np.where(r.observed & ~np.isnan(p.displacement), p.displacement - r.displacement, 0.0)
+        top = drive_band(r)[1] * (2 if square else 1)
+        coloured = coloured_noise(left, r.observed, r.dt, top, resonance) if np.isfinite(error) else None
+        begun = Beginning(p.begins, p.direction, p.zero, p.zero_stderr)
+        colour = None if not np.isfinite(error) else "white" if coloured is None else "coloured"
+        found[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem)
+    return found

@@ -1,0 +1,81 @@
+"""`pitp check`: what was read, how each record begins, and whether the set is enough."""
+
+from pathlib import Path
+
+from .._check.check import Check, checked
+from .._check.page import page
+from .._errors import BadInput
+from .._model_file.model_file import load
+from .._record.reading import read_each, together
+from .._record.writing import write_csv, write_text_atomic
+from .console import number, print_table, say
+from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .recordings import recognised
+
+PAGE = "check.html"
+
+
+def check(records, model, out, json_file, reading) -> None:
+    """Check, write what was asked for, and print the finding.
+
+    Args:
+        records: files and folders.
+        model: model file, or None.
+        out: folder for every record as it was understood and the page, or None.
+        json_file: where to write the finding for machines, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+
+    Raises:
+        BadInput: nothing could be read; with nothing written.
+    """
+    inputs = [*records, *([model] if model else [])]
+    check_files(json_file, inputs=inputs)
+    loaded = load(model) if model else None
+    read_in, refused = read_each(records, reading)
+    if not read_in:
+        raise BadInput(together(list(refused.values()), len(refused)))
+    for line in recognised(read_in):
+        say(line)
+    for line in refused.values():
+        say(f"warning: not read: {line}")
+    found = checked(read_in, loaded, refused)
+    files = {r.name: f"{r.name.lstrip('/')}.csv" for r in found.understood}
+    sources = [*inputs, *(r.source for r in read_in)]
+    check_files(json_file, inputs=sources)
+    if out is not None:
+        check_folder(out, [*files.values(), PAGE], inputs=[*sources, *([json_file] if json_file else [])])
+    with staged_files(json_file) as (json_stage,):
+        if json_file:
+            write_json(json_stage, found.as_json())
+        if out is not None:
+            with staged_folder(out) as stage:
+                _write(found, files, stage)
+    _print(found)
+    if out is not None:
+        print(f"wrote {Path(out) / PAGE} and every record as it was understood")
+
+
+def _write(found: Check, files: dict[str, str], folder: Path) -> None:
+    for record in found.understood:
+        path = folder / files[record.name]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_m": record.displacement}
+        write_csv(path, columns)
+    write_text_atomic(folder / PAGE, page(found))
+
+
+def _print(found: Check) -> None:
+    header = ("record", "drive", "band (Hz)", "begins", "zero", "+-", "unit", "dir", "noise", "missing", "outliers")
+    rows = []
+    for name, row in found.records.items():
+        band = "-" if row.band_hz is None else "-".join(dict.fromkeys(number(f, 3) for f in row.band_hz))
+        counts = ("-" if n is None else str(n) for n in (row.missing, row.outliers))
+        direction = "-" if row.direction is None else f"{row.direction:+d}"
+        figures = (number(row.zero), number(row.zero_stderr, 2), row.unit or "-", direction, number(row.noise, 2))
+        rows.append((name, row.excitation or "-", band, row.begins or "-", *figures, *counts))
+    print_table(header, rows)
+    for name, lines in found.problems.items():
+        for line in lines:
+            print(f"{name}: {line}")
+    for line in found.advice:
+        print(f"- {line}")

@@ -1,0 +1,100 @@
+"""`pitp simulate`: what a model does under voltages that nobody has measured."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .._errors import ComputationFailed
+from .._model.model import Model
+from .._model_file.model_file import load
+from .._record.sets import RATE_TOLERANCE
+from .._record.units import from_base
+from .._record.voltage_file import Drive, read_voltage
+from .._record.writing import write_csv
+from .._simulate.voltage_only import rollout
+from .console import number, print_table, say
+from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+
+
+def simulate(model, voltages, out, json_file, reading) -> None:
+    """Simulate, write what was asked for, and print the ranges.
+
+    Args:
+        model: model file.
+        voltages: files and folders of time and voltage.
+        out: folder for one CSV per drive, or None.
+        json_file: where to write the ranges for machines, or None.
+        reading: keyword arguments of `pitp.read_voltage`: columns, units, scale, rate.
+
+    Raises:
+        BadInput: with nothing written.
+        ComputationFailed: every run diverged; the results, which say so, are written.
+    """
+    check_files(json_file, inputs=[model, *voltages])
+    loaded = load(model)
+    drives = read_voltage(*voltages, **reading)
+    sources = [model, *(d.source for d in drives)]
+    check_files(json_file, inputs=sources)
+    files = [f"{d.name.lstrip('/')}.csv" for d in drives]
+    if out is not None:
+        check_folder(out, files, inputs=[*sources, *([json_file] if json_file else [])])
+    _tell(loaded, model, drives)
+    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0])) for d in drives]
+    unit = loaded.provenance.displacement_unit
+    rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
+    with staged_files(json_file) as (json_stage,):
+        if json_file:
+            write_json(json_stage, {"records": rows})
+        if out is not None:
+            with staged_folder(out) as stage:
+                for drive, x, file in zip(drives, runs, files, strict=True):
+                    _write(stage / file, drive, x, unit)
+    header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
+    print_table(header, [
+        (name, str(row["samples"]), row["begins"], number(row["lowest"]), number(row["highest"]),
+         "diverged" if row["diverged"] else "") for name, row in rows.items()
+    ])  # fmt: skip
+    if all(row["diverged"] for row in rows.values()):
+        raise ComputationFailed(f"{model} diverged under every voltage; stay within the voltages it was made from")
+
+
+def _tell(model: Model, path: str, drives: Sequence[Drive]) -> None:
+    """What was recognised, and what of it the model was not made for."""
+    for drive in drives:
+        for line in drive.remarks:
+            say(line)
+    low, high = model.provenance.voltage_range
+    for drive in drives:
+        if abs(drive.dt / model.provenance.dt - 1) > RATE_TOLERANCE:
+            say(
+                f"warning: {drive.name} is sampled every {drive.dt:.6g} s, {path} was made at "
+                f"{model.provenance.dt:.6g} s; expect larger errors where the sampling is coarser"
+            )
+        if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
+            say(f"warning: {drive.name} leaves the voltages {path} has seen ({low:.6g} to {high:.6g} V)")
+        if drive.voltage[0] != 0:
+            say(f"{drive.name}: begins at {drive.voltage[0]:.6g} V, taken as settled there")
+
+
+def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:
+    shown = from_base(x[np.isfinite(x)], unit, "displacement")
+    return {
+        "samples": len(x),
+        "begins": "held" if drive.voltage[0] != 0 else "rest",
+        "lowest": float(shown.min()) if len(shown) else math.nan,
+        "highest": float(shown.max()) if len(shown) else math.nan,
+        "unit": unit,
+        "diverged": bool(np.isnan(x).any()),
+    }
+
+
+def _write(path: Path, drive: Drive, x: np.ndarray, unit: str) -> None:
+    volts = drive.voltage_unit
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_csv(path, {
+        "time_s": drive.time,
+        f"voltage_{volts}": from_base(drive.voltage, volts, "voltage"),
+        f"displacement_{unit}": from_base(x, unit, "displacement"),
+    })  # fmt: skip

@@ -1,0 +1,86 @@
+"""A voltage without a measurement: what the actuator would do, in the rig's units.
+
+start (at rest, or settled at u(0)) -> rollout -> displacement = polarity x + offset
+"""
+
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import BadInput
+from .._model.model import Model, check_model
+from . import ports
+from .beginnings import held_states
+from .decoder import rest_state
+from .parallel_in_time import rollout_by_size
+from .prediction import FAR, at_rate
+
+
+def rollout(
+    model: Model, voltage: np.ndarray, dt: float | None = None, *,
+    begins: Literal["rest", "held"] | None = None, start_time: float = 0.0,
+) -> np.ndarray:  # fmt: skip
+    """Displacement under a voltage, in the rig's units; a free run without a record.
+
+    Args:
+        model: identified, trained, or with effects.
+        voltage: drive in V, shape (T,) or (runs, T).
+        dt: sampling interval in s; None is the model's own. A coarser one is converted by finer steps inside.
+        begins: "rest" (x = 0, uncharged: a step from 0 V) or "held" (settled at u(0)); None is rest where u(0) = 0.
+        start_time: clock of the session at the first sample, s; matters to effects that age alone.
+
+    Returns:
+        displacement in m (or V), shape of `voltage`; nan from the sample where the run left every range.
+
+    Raises:
+        BadInput: no model, a voltage that is no finite array of these shapes, no positive dt.
+
+    Example:
+        >>> x = pitp.rollout(model, 1000 * np.ones(200), dt=1e-3, begins="rest")
+        >>> x.shape, bool(x[0] == 0.0), bool(x[-1] > 0)
+        ((200,), True, True)
+    """
+    check_model(model)
+    dt = model.provenance.dt if dt is None else dt
+    drive = _checked(voltage, dt, begins)
+    rows = drive.reshape(-1, drive.shape[-1])
+    return _displacement(at_rate(model, dt), rows, float(dt), begins, start_time).reshape(drive.shape)
+
+
+def _checked(voltage, dt, begins) -> np.ndarray:
+    """The voltage as an array; all that is wrong in one line."""
+    problems = []
+    try:
+        drive = np.asarray(voltage, np.float64)
+    except (TypeError, ValueError):
+        raise BadInput(f"voltage is a {type(voltage).__name__}, not an array of numbers (V)") from None
+    if drive.ndim not in (1, 2) or drive.shape[-1] < 2:
+        problems.append(f"voltage has shape {drive.shape}: give (T,) or (runs, T), T at least 2")
+    elif not np.isfinite(drive).all():
+        problems.append("voltage holds values that are missing or infinite")
+    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not np.isfinite(dt) or dt <= 0:
+        problems.append(f"dt {dt!r} is no positive number of seconds")
+    if begins not in (None, "rest", "held"):
+        problems.append(f"begins {begins!r} is not 'rest' or 'held'")
+    if problems:
+        raise BadInput("; ".join(problems))
+    return drive
+
+
+def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
+    """Rolled out side by side, padded to whole thousands of samples as predictions are."""
+    dtype, samples = model.coefficients.dtype, rows.shape[1]
+    age = model.provenance.age(start_time)
+    held = np.full(len(rows), begins == "held") if begins else rows[:, 0] != 0
+    rest = jnp.broadcast_to(rest_state(model, age), (len(rows), rest_state(model, age).shape[0]))
+    start = rest
+    if held.any():
+        ages = jnp.full(len(rows), age, dtype)
+        start = jnp.where(held[:, None], held_states(model, jnp.asarray(rows[:, 0], dtype), dt, ages), rest)
+    padded = np.pad(rows, ((0, 0), (0, -samples % 1024)), mode="edge")
+    states = np.asarray(rollout_by_size(model, jnp.asarray(padded, dtype), dt, start), np.float64)[:, :samples]
+    x = np.stack([np.asarray(ports.readings(model, jnp.asarray(s)), np.float64) for s in states])
+    lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
+    x = model.output.to_rig(x * model.scales.state[0])
+    return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)

@@ -1,0 +1,164 @@
+"""The check finds what was planted (zeros, directions, faults, strangers, gaps in the band), nothing in a good set."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+import pitp_jax as pitp
+from pitp_jax._check.check import checked
+from pitp_jax._check.one_record import quick_problems
+from pitp_jax._check.page import page
+
+DT, SAMPLES = 2e-3, 3000
+TIME = np.arange(SAMPLES) * DT
+HZ, NOISE = 8.0, 2e-6
+
+
+def actuator(voltage, hz=HZ, stiffness=1e9, damping=0.1):
+    """Displacement from rest in m, stepped finely enough for lsim's linear force between samples."""
+    w = 2 * np.pi * hz
+    return lsim(([1.0], stiffness * np.array([1 / w**2, 2 * damping / w, 1.0])), voltage**2, TIME)[1]
+
+
+def sine(f, size=1000.0):
+    return size * (1 - np.cos(2 * np.pi * f * TIME)) / 2
+
+
+def record(name, voltage, *, zero=0.0, direction=1, seed=0, coloured=False, **other):
+    noise = NOISE * np.random.default_rng([seed, len(name), ord(name[-1])]).standard_normal(SAMPLES)
+    if coloured:
+        noise = lsim(([1.0], [0.02, 1.0]), noise, TIME)[1] * 30
+    x = direction * actuator(voltage, **other) + zero + noise
+    return pitp.Record(name, TIME, voltage, x, displacement_unit="mm")
+
+
+SIZES = {1.0: 1000, 2.0: 600, 3.0: 1000, 4.0: 400, 5.0: 900, 6.5: 1000, 8.5: 500, 11.0: 1000}
+
+
+@pytest.fixture(scope="module")
+def good():
+    sweep = 500 * (1 - np.cos(2 * np.pi * (0.3 * TIME + 1.2 * TIME**2)))
+    return [record("sweep", sweep)] + [record(f"sine{f:g}", sine(f, size)) for f, size in SIZES.items()]
+
+
+def with_(records, name, change):
+    return [change(r) if r.name == name else r for r in records]
+
+
+def moved(record, y):
+    return replace(record, displacement=y)
+
+
+def test_a_good_set_has_no_problems(good):
+    found = pitp.check(good)
+    assert found.problems == {}
+    assert found.resonance_hz == pytest.approx(HZ, rel=0.01)
+    for row in found.records.values():
+        assert (row.begins, row.direction, row.noise_colour) == ("rest", 1, "white")
+        assert row.noise == pytest.approx(1e3 * NOISE, rel=0.15)
+        assert abs(row.zero) < 5e-3 and row.unit == "mm"
+    kinds = {name: row.excitation for name, row in found.records.items()}
+    assert kinds["sweep"] == "sweep" and kinds["sine5"] == "sine"
+    assert found.records["sine5"].band_hz == pytest.approx((5.0, 5.0), abs=0.2)
+    low, high = found.records["sweep"].band_hz
+    assert low < 1 and 10 < high < 16
+    assert not any("nothing between" in line or "zero differs" in line for line in found.advice)
+
+
+def test_zeros_and_directions_that_were_planted(good):
+    planted = with_(good, "sine3", lambda r: record(r.name, r.voltage, zero=4e-4))
+    planted = with_(planted, "sine5", lambda r: record(r.name, r.voltage, zero=-2e-4, direction=-1))
+    found = pitp.check(planted)
+    three, five = found.records["sine3"], found.records["sine5"]
+    assert three.zero == pytest.approx(0.4, abs=0.005) and three.direction == 1
+    assert five.zero == pytest.approx(-0.2, abs=0.005) and five.direction == -1
+    assert list(found.problems) == ["sine5"] and "against" in found.problems["sine5"][0]
+    assert any("zero differs" in line for line in found.advice)
+
+
+def test_faults_are_counted_and_do_not_hide_the_others(good, tmp_path):
+    spiked, gapped, clipped = (next(r for r in good if r.name == n) for n in ("sine2", "sine4", "sweep"))
+    y = spiked.displacement.copy()
+    y[[400, 900, 1700]] = 0.9
+    holes = gapped.displacement.copy()
+    holes[1000:1400] = np.nan
+    limit = np.sort(clipped.displacement)[-150]
+    records = [moved(spiked, y), moved(gapped, holes), moved(clipped, np.minimum(clipped.displacement, limit))]
+    found = pitp.check(records + [r for r in good if r.name not in ("sine2", "sine4", "sweep")])
+    assert found.records["sine2"].outliers == 3
+    assert found.records["sine4"].missing == 400
+    assert any("limit" in line for line in found.problems["sweep"])
+    assert set(found.problems) == {"sine2", "sine4", "sweep"}
+    assert found.records["sine5"].begins == "rest"
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda r: record(r.name, r.voltage, hz=5.5, stiffness=4e8), "another actuator"),
+        (lambda r: moved(r, 1e3 * r.displacement), "unit"),
+        (lambda r: moved(r, 0.2 * r.displacement), "scale"),
+    ],
+)
+def test_one_record_of_ten_that_does_not_belong(good, change, word):
+    found = pitp.check(with_(good, "sine5", change))
+    assert list(found.problems) == ["sine5"], found.problems
+    assert word in found.problems["sine5"][-1]
+    assert found.resonance_hz == pytest.approx(HZ, rel=0.02)
+
+
+def test_a_gap_in_the_band_is_named_in_numbers(good):
+    kept = [record(f"sine{f:g}", sine(f, 1000)) for f in (1.0, 2.0, 3.0, 4.0, 5.0, 9.0, 11.0)]
+    kept.append(record("small7", sine(7.0, 200)))
+    (line,) = [line for line in pitp.check(kept).advice if "nothing between" in line]
+    assert "between 5 and 9 Hz" in line and "above half the amplitude" in line
+
+
+def test_repeats_say_what_the_rig_repeats(good):
+    again = record("again", sine(3.0, 1000), seed=5)
+    found = pitp.check([*good, moved(again, again.displacement * 1.01)])
+    (repeat,) = found.repeats
+    assert set(repeat.names) == {"sine3", "again"}
+    assert 0.1 < repeat.percent < 0.5
+    assert any("played twice" in line and "again" in line for line in found.advice)
+
+
+def test_coloured_noise_is_told_from_white(good):
+    found = pitp.check(with_(good, "sine2", lambda r: record(r.name, r.voltage, coloured=True)))
+    assert found.records["sine2"].noise_colour == "coloured"
+    assert [n for n, row in found.records.items() if row.noise_colour == "coloured"] == ["sine2"]
+
+
+def test_with_a_model_what_it_does_not_explain(good):
+    model = pitp.identify(good[:4], order=2, hold="foh").model
+    found = pitp.check(with_(good, "sine5", lambda r: record(r.name, r.voltage, hz=6.5)), model)
+    assert list(found.problems) == ["sine5"] and "does not explain" in found.problems["sine5"][0]
+    assert all(row.e_rms_percent < 1 for name, row in found.records.items() if name != "sine5")
+
+
+def test_whatever_is_given_the_json_is_strict_and_every_record_is_there(good):
+    flat = pitp.Record("flat", TIME, 0 * TIME, NOISE * np.random.default_rng(1).standard_normal(SAMPLES))
+    other = pitp.Record("other", TIME * 2, sine(1.0), actuator(sine(1.0)))
+    volts = pitp.Record("volts", TIME, sine(1.0), actuator(sine(1.0)), displacement_unit="V")
+    still = replace(good[0], name="still", displacement=NOISE * np.random.default_rng(2).standard_normal(SAMPLES))
+    for records in ([*good, flat, other, volts, still], [flat], [still], [other], good[:1]):
+        found = checked(records, None, {"broken": "broken.csv: no such column"})
+        told = json.loads(json.dumps(found.as_json(), allow_nan=False))
+        assert set(told) == {"records", "advice"}
+        assert set(told["records"]) == {r.name for r in records} | {"broken"}
+        row = told["records"]["broken"]
+        assert row["problems"] == ["broken.csv: no such column"] and row["zero"]["value"] is None
+        assert page(found).count("<tr") == len(told["records"]) + 1
+    assert "sampled at" in found.as_json()["records"].get("other", {"problems": ["sampled at"]})["problems"][0]
+
+
+def test_quick_problems_need_no_fit(good):
+    assert quick_problems(good) == []
+    flat = replace(good[1], name="flat", voltage=0 * TIME)
+    (line,) = quick_problems([*good, flat])[:1]
+    assert line.startswith("flat: its drive never changes")
+    (line,) = quick_problems(with_(good, "sine5", lambda r: moved(r, 1e3 * r.displacement)))
+    assert "sine5: moves" in line and "unit" in line
