@@ -1,3 +1,5 @@
+from ._adapt import Adaptation as Adaptation
+from ._adapt import adapt as adapt
 from ._diagnose import Diagnosis as Diagnosis
 from ._diagnose import diagnose as diagnose
 from ._errors import BadInput as BadInput

@@ -26,7 +26,7 @@ _READING = "reading:"  # before the names of what reading is told: invert has a 
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep compiled programs: the short ones. In a long process with hundreds of programs XLA was once seen
 # to abort while it wrote one down, and a fit must not be lost to that.
-_KEPT = ("predict", "invert")
+_KEPT = ("predict", "invert", "adapt")
 _PLANTS = ("cone100", "cone122", "cone150", "roll")
 
 
@@ -154,9 +154,11 @@ def _parser() -> argparse.ArgumentParser:
     _predict_arguments(command("predict", "run a model under the voltage of records and score it"))
     _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
     _diagnose_arguments(command("diagnose", "where a model and records disagree, which missing effect causes it"))
+    _adapt_arguments(command("adapt", "the same actuator on another day, from one short recording"))
     _export_arguments(command("export", "a model and its inverse as C, as an FMU or as MATLAB functions, for the rig"))
     info = command("info", "what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
+    info.add_argument("other", metavar="OTHER", nargs="?", help="another one: what differs")
     info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
     return parser
 
@@ -262,6 +264,14 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
     )
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
+    _columns(parser)
+
+
+def _adapt_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="identified or trained model")
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--out", required=True, metavar="MODEL", help="model file to write; as given if unchanged")
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
     _columns(parser)
 
