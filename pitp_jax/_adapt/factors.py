@@ -4,8 +4,8 @@
     creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus what they became longer
 
 z holds logarithms of the factors, then the lengthened times in units of 0.1 / omega_0 (a lag that was not there has no
-factor), then of a trained encoder the two tilts over its stroke, which have no names: what is named is the mean. All are
-relative to the force of the drive, which nothing here weighs; so `gain` is no coordinate but the one direction
+factor), then of a trained encoder the two tilts over its stroke, which have no names: what is named is the mean. All
+are relative to the force of the drive, which nothing here weighs; so `gain` is no coordinate but the one direction
 (-1, ..., -1, 0, 0, 0) in which all coefficients move alike.
 """
 

@@ -25,6 +25,7 @@ from .._simulate import ports
 from .._simulate.batched_rollout import in_rows, rows_rollout
 from .._simulate.beginnings import held_states
 from .._simulate.decoder import rollout
+from .._simulate.prediction import FAR
 from .factors import Factors, moved
 
 _STEP, _LATER = 3e-3, 0.02  # of forward differences: logarithms; times, and first states in scales
@@ -163,7 +164,7 @@ class Problem:
         for first in range(0, len(tried), rows):
             z = tried[first : first + rows, None] * axis
             y = self.readings(z, np.tile(np.zeros(len(self.moving) * self.shifts), (len(z), 1)))
-            for here, run in zip(z, s.weight * np.where(np.isfinite(y), y, 1e6), strict=True):
+            for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
                 want = s.weight * s.target
                 share = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
                 found.append((float(((share * run - want) ** 2).sum()), here + np.log(share) * gain))
@@ -198,10 +199,10 @@ class Problem:
             nudges = np.eye(count + shifts) * size
             z = np.concatenate([base[None], base + nudges[:, :count] @ free.T])
             y = self.readings(z, np.concatenate([shift[None], shift + nudges[:, count:]])).reshape(len(z), -1)
+            if not np.isfinite(y).all() or np.abs(y).max() > FAR:
+                return Normal(np.inf, np.zeros(len(p)), np.eye(len(p)))
             e = scale * (y[0] - target) + zeros @ p[count + shifts :]
             jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / size, zeros], 1)
-            if not (np.isfinite(jacobian).all() and np.isfinite(e).all()):
-                return Normal(np.inf, np.zeros(len(p)), np.eye(len(p)))
             cost = unit**2 * e @ e + np.sum((p / spread) ** 2)
             tried.append((cost, base, e, jacobian))
             gradient = unit**2 * jacobian.T @ e + p / spread**2

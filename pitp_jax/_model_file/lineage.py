@@ -25,7 +25,12 @@ from .model_file import digest
 
 def descended(model: Model, step: str, records: Sequence[Record], parent: Model | None = None) -> Model:
     """The model with one step more in its notes."""
-    versions = {"pitp_jax": __version__, "jax": jax.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    versions = {
+        "pitp_jax": __version__,
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
     try:
         known = None if parent is None else digest(parent)
     except BadInput:  # a part of one's own, which no file holds
