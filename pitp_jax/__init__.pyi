@@ -1,3 +1,5 @@
+from ._adapt import Adaptation as Adaptation
+from ._adapt import adapt as adapt
 from ._check import Check as Check
 from ._check import CheckedRecord as CheckedRecord
 from ._check import check as check

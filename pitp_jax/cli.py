@@ -25,7 +25,7 @@ _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of th
 _READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.
-_QUICK = ("predict", "invert", "check", "simulate")
+_QUICK = ("predict", "invert", "check", "simulate", "adapt")
 _PLANTS = ("cone100", "cone122", "cone150", "roll")
 
 
@@ -154,9 +154,11 @@ def _parser() -> argparse.ArgumentParser:
     _simulate_arguments(command("simulate", "what a model does under voltages without a measurement"))
     _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
     _diagnose_arguments(command("diagnose", "where a model and records disagree, which missing effect causes it"))
+    _adapt_arguments(command("adapt", "the same actuator on another day, from one short recording"))
     _export_arguments(command("export", "a model and its inverse as C, as an FMU or as MATLAB functions, for the rig"))
     info = command("info", "what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
+    info.add_argument("other", metavar="OTHER", nargs="?", help="another one: what differs")
     info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
     return parser
 
@@ -280,6 +282,14 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=_positive, metavar="S", help="of computing; then the best so far is told")
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
+    _columns(parser)
+
+
+def _adapt_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="identified or trained model")
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--out", required=True, metavar="MODEL", help="model file to write; as given if unchanged")
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
     _columns(parser)
 

@@ -9,6 +9,7 @@ from .._diagnose.diagnosis import diagnose as run_diagnosis
 from .._diagnose.report.answers import NEXT_CSV
 from .._diagnose.report.figures import FIGURES, figures
 from .._diagnose.report.page import report
+from .._model_file.lineage import descended
 from .._model_file.model_file import load, save
 from .._record.writing import write_csv, write_text_atomic
 from .compatibility import check_suits
@@ -58,6 +59,7 @@ def diagnose(records, nominal, refit_nominal, seconds, out, json_file, reading) 
         if out is not None:
             with staged_folder(out) as stage:
                 written = _write(found, stage)
+                save(stage / MODEL, descended(found.model, "diagnose", read_in, model))
     print(found)
     _print_ranking(found)
     if out is not None:
@@ -71,14 +73,13 @@ def diagnose(records, nominal, refit_nominal, seconds, out, json_file, reading) 
 
 def _write(found: Diagnosis, folder: Path) -> set[str]:
     """Everything into an existing folder; the names of what was written."""
-    save(folder / MODEL, found.model)
     write_text_atomic(folder / REPORT, report(found))
     for name, drawn in figures(found).items():
         drawn.savefig(folder / f"{name}.png", dpi=150)
     experiment = found.next_experiment
     if experiment is not None:
         write_csv(folder / NEXT_CSV, {"time_s": experiment.time, "voltage_V": experiment.voltage})
-    return {path.name for path in folder.iterdir()}
+    return {MODEL, *(path.name for path in folder.iterdir())}
 
 
 def _print_ranking(found: Diagnosis) -> None:

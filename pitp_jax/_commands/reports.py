@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from .._diagnose.result import physical
+from .._model.encoder import ConstantEncoder, plain
 from .._model.model import Model
 from .._record.initial_state import Beginning
 from .._record.units import base_unit, from_base
@@ -28,8 +29,8 @@ def coefficient_units(model: Model) -> list[str]:
 
 
 def standard_errors(model: Model) -> list[float | None]:
-    """Of a_0 ... a_n, as `identify` left them in the notes; None where it did not."""
-    found = notes(model).get("identification", {})
+    """Of a_0 ... a_n, as `identify` left them in the notes; None where it did not, or they moved since."""
+    found = notes(model).get("identification", {}) if "adapted" not in notes(model) else {}
     for row in found.get("orders", []):
         if row.get("order") == model.order and len(row.get("stderr", ())) == model.order + 1:
             return [float(v) for v in row["stderr"]]
@@ -51,10 +52,10 @@ def describe(model: Model) -> dict:
     source, told = model.provenance, notes(model)
     training = told.get("training")
     return {
-        "kind": "identified" if type(model.encoder).__name__ == "ConstantEncoder" else "trained",
+        "kind": "identified" if isinstance(plain(model.encoder), ConstantEncoder) else "trained",
         "order": model.order,
         "input_map": model.input_map.name,
-        "encoder": type(model.encoder).__name__.removesuffix("Encoder").lower(),
+        "encoder": type(plain(model.encoder)).__name__.removesuffix("Encoder").lower(),
         "memory_states": model.memory.size,
         "effects": [_described(model, effect) for effect in model.effects],
         "hold": model.hold,

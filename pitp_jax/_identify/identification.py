@@ -19,6 +19,7 @@ from .._effects.amplifier import Delay
 from .._errors import BadInput, ComputationFailed
 from .._model.input_map import INPUT_MAPS
 from .._model.model import Hold, Model, Output, Provenance, linear_model
+from .._model_file.lineage import descended
 from .._numerics.levenberg_marquardt import minimise
 from .._record.initial_state import Beginning, aligned
 from .._record.long_record import thinned
@@ -138,7 +139,7 @@ def identify(
     orders = tuple(chosen if d.order == chosen.order else d for d in described)
     orders = orders if order == "auto" else (chosen,)
     begun = _fitted(begun, fit, problem)
-    model = _to_model(chosen, records, begun, input_map, orders)
+    model = descended(_to_model(chosen, records, begun, input_map, orders), "identify", records)
     return Identification(model, chosen, orders, dict(zip([r.name for r in records], begun, strict=True)))
 
 

@@ -226,6 +226,59 @@ class CompactEncoder(AbstractEncoder):
         return eqx.tree_at(nets, super().token_nets(), jax.tree.map(jnp.ones_like, nets(self)))
 
 
+class AdaptedEncoder(AbstractEncoder):
+    """Another encoder on another day: its creep and its restoring force times factors, tilted over the stroke.
+
+        logits(S, m) = inner(S, x + creep_k (m_k - x)),       t = clip(x, low, high) - middle
+        all tokens and sigma_off times exp(tilt_0 t),         sigma_0 and sigma_off also times exp(tilt_1 t)
+        sigma_off times offset
+
+    A memory that has settled (m = x) is seen as it is, so what the actuator does in the long run is kept, and what it
+    does on the way there is scaled. `creep`: a factor for each of the last features, which are lags of x. `reach`: low,
+    middle, high. From order 3 on sections are not tilted one by one, and the second tilt is the offset's alone.
+    """
+
+    inner: AbstractEncoder
+    offset: Float[Array, "*rows"]
+    creep: Float[Array, "lags *rows"]
+    tilt: Float[Array, "two *rows"]
+    reach: Float[Array, " three"]
+
+    def __call__(self, features, *, key=None):
+        """Logits of one instant."""
+        rows = list(features)
+        return jnp.stack(self._tilted(rows[0], list(self.inner(jnp.stack(self._seen(rows)), key=key))))
+
+    def over(self, way="instants"):
+        """The formula."""
+        inner = self.inner.over(way)
+        return lambda features: self._tilted(features[0], list(inner(self._seen(list(features)))))
+
+    def _seen(self, features: list[Array]) -> list[Array]:
+        first = len(features) - len(self.creep)
+        lags = [features[0] + c * (m - features[0]) for c, m in zip(self.creep, features[first:], strict=True)]
+        return [*features[:first], *lags]
+
+    def _tilted(self, x: Array, logits: list[Array]) -> list[Array]:
+        low, middle, high = self.reach
+        t = jnp.clip(x, low, high) - middle
+        common, spring = jnp.exp(self.tilt[0] * t), jnp.exp(self.tilt[1] * t)
+        *tokens, offset = logits
+        for k in np.flatnonzero(shared_by(len(tokens) - 1)):
+            both = common * spring if k == 0 else common
+            tokens[k] = logit_of(positive_factor(tokens[k]) * both)
+        return [*tokens, offset * (self.offset * common * spring)]
+
+    def scaled(self, factor):
+        """The inner one's last layer."""
+        return AdaptedEncoder(self.inner.scaled(factor), self.offset, self.creep, self.tilt, self.reach)
+
+
+def plain(encoder: AbstractEncoder) -> AbstractEncoder:
+    """The encoder as it was trained, without what another day made of it."""
+    return encoder.inner if isinstance(encoder, AdaptedEncoder) else encoder
+
+
 def fast_memories(count: int) -> int:
     """How many of the memories, fastest first, the offset's net sees: all but the two slowest."""
     return max(count - 2, 0)

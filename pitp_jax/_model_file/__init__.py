@@ -3,5 +3,8 @@
 Verbs: `save`, `load`. A file is a list of named parts with plain values, and the arrays behind it, under a digest.
 """
 
+from .lineage import descended as descended
+from .lineage import lineage as lineage
+from .model_file import digest as digest
 from .model_file import load as load
 from .model_file import save as save

@@ -47,6 +47,25 @@ def save(path: str | os.PathLike, model: Model) -> None:
     Example:
         >>> pitp.save(folder / "model.pitp", model)
     """
+    rest = _body(model)
+    write_bytes_atomic(path, _MAGIC + b"%d\nsha256 " % VERSION + _sum(rest) + b"\n" + rest)
+
+
+def digest(model: Model) -> str:
+    """The SHA-256 on the second line of the file `save` would write.
+
+    Raises:
+        BadInput: as `save`.
+    """
+    return _sum(_body(model)).decode()
+
+
+def _sum(body: bytes) -> bytes:
+    return hashlib.sha256(body).hexdigest().encode()
+
+
+def _body(model: Model) -> bytes:
+    """What stands behind the digest."""
     header = describe(model)
     skeleton = _skeleton(header)
     numbers = {jax.tree_util.keystr(k) for k, leaf in jax.tree_util.tree_leaves_with_path(skeleton) if _is_number(leaf)}
@@ -64,9 +83,7 @@ def save(path: str | os.PathLike, model: Model) -> None:
     for _, array in arrays:
         plain = np.asarray(array, _DTYPES[array.dtype.name], order="C")
         np.lib.format.write_array(body, plain, version=(1, 0), allow_pickle=False)
-    rest = body.getvalue()
-    digest = hashlib.sha256(rest).hexdigest().encode()
-    write_bytes_atomic(path, _MAGIC + b"%d\nsha256 " % VERSION + digest + b"\n" + rest)
+    return body.getvalue()
 
 
 def load(path: str | os.PathLike) -> Model:
@@ -111,7 +128,7 @@ def _checked_bytes(path) -> bytes:
             _check_magic(path, magic)
             if os.fstat(file.fileno()).st_size > LARGEST_FILE:
                 raise BadInput(f"{path}: more than {LARGEST_FILE >> 20} MiB; no model is as large, write it again")
-            digest, rest = file.readline(80), file.read()
+            known, rest = file.readline(80), file.read()
     except FileNotFoundError:
         raise BadInput(f"{path}: no such model file; check the path") from None
     except IsADirectoryError:
@@ -120,7 +137,7 @@ def _checked_bytes(path) -> bytes:
         if isinstance(error, BadInput):
             raise
         raise BadInput(f"{path}: cannot read the model file: {getattr(error, 'strerror', None) or error}") from None
-    if digest != b"sha256 " + hashlib.sha256(rest).hexdigest().encode() + b"\n":
+    if known != b"sha256 " + _sum(rest) + b"\n":
         raise BadInput(
             f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
         )

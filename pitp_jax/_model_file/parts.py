@@ -23,7 +23,7 @@ from .._effects.found_term import NAMES as LISTED
 from .._effects.found_term import FoundTerm
 from .._errors import BadInput
 from .._model.drive import DirectDrive, ElectrodeLag
-from .._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder
+from .._model.encoder import AdaptedEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from .._model.input_map import LinearInput, SquareInput
 from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Provenance, Scales
@@ -89,6 +89,20 @@ ENCODERS = {
     ),
     "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
 }
+
+
+def _adapted_sizes(encoder: AdaptedEncoder) -> dict:
+    """The inner encoder's sizes beside its name, in one flat line."""
+    inner = _named(ENCODERS, encoder.inner)
+    return {"lags": len(encoder.creep), "of": inner.pop("name"), **inner}
+
+
+def _adapted(lags: int, of: str, **sizes) -> AdaptedEncoder:
+    inner = ENCODERS[of].build(**sizes)
+    return AdaptedEncoder(inner, jnp.zeros(()), jnp.zeros((lags,)), jnp.zeros((2,)), jnp.zeros((3,)))
+
+
+ENCODERS["adapted"] = Part(AdaptedEncoder, _adapted_sizes, _adapted)
 MEMORIES = {
     "none": Part(NoMemory, _nothing, NoMemory),
     "elapsed": Part(ElapsedTime, lambda m: {"horizon": float(m.horizon)}, ElapsedTime),
@@ -96,7 +110,7 @@ MEMORIES = {
     "ringing": Part(
         RingingMemory,
         lambda m: {"lags": m.size - 2},
-        lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,))),
+        lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,)), jnp.zeros((2,)), jnp.zeros((3,))),
     ),
 }
 DRIVES = {
@@ -174,6 +188,8 @@ def _part(registry: dict[str, Part], described: dict):
     if name not in registry:
         raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
     for key, value in settings.items():
+        if key == "of" and value in ("constant", "compact", "paper"):
+            continue
         if (
             isinstance(value, bool)
             or not isinstance(value, (int, float))

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._model.encoder import CompactEncoder, ConstantEncoder
+from .._model.encoder import CompactEncoder, ConstantEncoder, plain
 from .._model.model import Model
 from .._model.programs import jit
 from .decoder import along, held, midpoint, motion_of, moved, rollout_batch, runge_kutta, scaled_force, stage_voltages
@@ -25,12 +25,27 @@ def fast_rollout(
 
     Models with effects, or with an encoder too large to write out, take the plain way.
     """
-    if model.effects or not isinstance(model.encoder, CompactEncoder | ConstantEncoder):
+    if not in_rows(model):
         return rollout_batch(model, voltage, dt, start)
     rest = ~jnp.any(start[:, : model.order], axis=1)
     film = jax.vmap(lambda u, r: model.drive.film(u, dt, r))(voltage, rest)
+    return rows_rollout(model, film, dt, start)
+
+
+def in_rows(model: Model) -> bool:
+    """Whether a model's records can run as rows."""
+    return not model.effects and isinstance(plain(model.encoder), CompactEncoder | ConstantEncoder)
+
+
+def rows_rollout(
+    model: Model, film: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
+) -> Float[Array, "records time state"]:
+    """The same from film voltages on; coefficients and an adapted encoder's factors may differ from row to row.
+
+    They then have a last axis for the records.
+    """
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)
-    many, h = voltage.shape[0] > 1, dt / model.substeps
+    many, h = film.shape[0] > 1, dt / model.substeps
     logits, constant = model.encoder.over("records" if many else "instants"), motion_of(model)
 
     def one(state, three):

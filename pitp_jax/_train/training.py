@@ -24,6 +24,7 @@ from .._errors import BadInput, ComputationFailed
 from .._model.memory import RingingMemory
 from .._model.model import Model
 from .._model.programs import jit
+from .._model_file.lineage import descended
 from .._record.initial_state import aligned, in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
@@ -100,6 +101,7 @@ def train(
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     records, left_out = in_motion(records)
+    seen, parent = records, nominal
     nominal = at_rate(nominal, records[0].dt)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
     key_init, key_stages = jax.random.split(key)
@@ -121,7 +123,8 @@ def train(
              "records": [r.name for r in records], "left_out": left_out, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "interrupted": interrupted}  # fmt: skip
-    return Training(_annotated(best, data, slow, records, notes), tuple(history), interrupted, notes)
+    made = descended(_annotated(best, data, slow, records, notes), "fit", seen, parent)
+    return Training(made, tuple(history), interrupted, notes)
 
 
 def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:

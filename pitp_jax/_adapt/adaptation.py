@@ -1,0 +1,202 @@
+"""Adapt: what of a model a short recording of another day has moved, if anything.
+
+    session's numbers (zero, direction, first state) -> all factors by least squares -> which of them by evidence
+    -> those alone, on the first half of the recording: kept if the second half, which they never saw, says so too
+
+`unchanged`: the recording is explained as well as those the model was made from, or no number earns its place.
+`retrain`: what is left stands far above that level, so something changed that no factor on a part can say.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from .._model.encoder import ConstantEncoder, plain
+from .._model.model import Model
+from .._model.sections import sections_of
+from .._model_file.lineage import descended
+from .._record.initial_state import in_motion, noise_std
+from .._record.record import Record
+from .._record.sets import check_set
+from .._simulate.prediction import at_rate, begin
+from .evidence import combined, covariance, directions, prior_of, select
+from .factors import TILTS, TIMES, Factors, adapted, factors_of
+from .free_runs import Fit, Problem, Session, session
+
+Verdict = Literal["unchanged", "adapted", "retrain"]
+_KEPT = 0.95  # share of its error that the held-out half may keep where a change is real
+_FAR = 3.0  # levels of the model's own, from where on what is left is another actuator's
+_SURE = 0.25  # share of its level below which a model's own error is not known
+_UNKNOWN = 1.0  # % of range, the level of a model that does not say what it left
+_MOVES = 0.2  # spread of a half over that of the whole below which it judges nothing
+
+
+@dataclass(frozen=True)
+class Changed:
+    """One number that moved.
+
+    Attributes:
+        factor, ci95: new over old, and the ends of its 95 % interval; nan where the model had as good as none of it.
+        seconds, seconds_ci95: of a time: what it is now.
+    """
+
+    factor: float
+    ci95: tuple[float, float]
+    seconds: float | None = None
+    seconds_ci95: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """What a recording says of a model.
+
+    Attributes:
+        model: the one given if unchanged, else with these numbers moved.
+        verdict: "unchanged", "adapted" or "retrain".
+        changed: the numbers that moved, by name.
+        before, after: e_rms in % of range of the model given and of the one returned.
+        heldout: whether those are of the second half, from numbers that the first half alone has told.
+        level: what the model left of its own records, with this sensor's noise, in % of range.
+        advice: what to record where it has to be trained anew; else empty.
+    """
+
+    model: Model
+    verdict: Verdict
+    changed: dict[str, Changed]
+    before: float
+    after: float
+    heldout: bool
+    level: float
+    advice: str = ""
+
+    def as_json(self) -> dict:
+        """As `pitp adapt --json` has it."""
+        rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in self.changed.items()}
+        told = {"verdict": self.verdict, "changed": rows, "before": self.before, "after": self.after}
+        return {**told, "heldout": self.heldout}
+
+
+def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
+    """Whether a model still holds for what was recorded, and which of its numbers moved.
+
+    Args:
+        model: identified or trained, with any effects.
+        records: one recording of at most about 10 s, or a few.
+
+    Raises:
+        BadInput: no record, none that moves, several sampling rates, or a model that diverges on one.
+    """
+    records = [records] if isinstance(records, Record) else list(records)
+    check_set(records)
+    records, _ = in_motion(records)
+    here = at_rate(model, records[0].dt)
+    noise = [noise_std(r.displacement) for r in records]
+    seen = session(here, records, *begin(here, records), noise)
+    middle = float(seen.target[seen.weight > 0].mean())
+    factors = factors_of(here, max(r.samples for r in records) * records[0].dt, middle)
+    level = float(np.hypot(known_level(model), np.sqrt(np.mean(seen.noise**2))))
+    problem, whole = Problem(here, factors, seen, level), np.ones_like(seen.half)
+    given = problem.at(np.zeros(len(factors.names)), whole)
+    full = problem.fit(np.eye(len(factors.names)), whole, factors.prior, first=problem.guess())
+    spread = covariance(full.residual, full.jacobian, _left(full, seen, level))
+    names = select(full.z, spread, factors)
+    if not names:
+        return _verdict(model, None, {}, e_rms(given, whole, seen), None, False, level)
+    moves, prior = directions(factors, names), prior_of(factors, names)
+    first = combined(moves, full.z, spread)
+    best = problem.fit(moves, whole, prior, first=first)
+    halves = [seen.half, 1 - seen.half]
+    heldout = all(_moves(seen, h) for h in halves)
+    if heldout:
+        tried = problem.fit(moves, halves[0], prior, first=first)
+        before, after = (e_rms(problem.at(z, halves[1]), halves[1], seen) for z in (given.z, tried.z))
+    else:
+        before, after = e_rms(given, whole, seen), e_rms(best, whole, seen)
+    changed = _changed(factors, names, moves, best, spread)
+    new = _made(model, factors, best.z, records, changed)
+    return _verdict(model, new, changed, before, after, heldout, level)
+
+
+def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
+    """A change is kept where it lowers the error; far above the model's own level neither holds."""
+    kept = new is not None and after is not None and after < _KEPT * before
+    model, changed, after = (new, changed, after) if kept else (model, {}, before)
+    if after is not None and after > _FAR * level:
+        return Adaptation(model, "retrain", changed, before, after, heldout, level, _ADVICE)
+    return Adaptation(model, "adapted" if kept else "unchanged", changed, before, after, heldout, level)
+
+
+_ADVICE = (
+    "no factor on a part of the model explains this recording; record a sweep through the resonance and a few sines "
+    "over the driven range, then `pitp diagnose` with this model, or `pitp fit` anew"
+)
+
+
+def known_level(model: Model) -> float:
+    """What a model left of the records it was made from, in % of their range, as its notes have it."""
+    try:
+        told = json.loads(model.provenance.notes)
+        if not isinstance(plain(model.encoder), ConstantEncoder):
+            history = told["training"]["history"]
+            return float(np.sqrt(min(entry["error"] for entry in history if entry["stage"] == "free runs")))
+        row = next(row for row in told["identification"]["orders"] if row["order"] == model.order)
+        long = model.provenance.long_record
+        return 100 * float(row["rms"]) / float(np.nanmax(y := np.frombuffer(long.displacement, "<f4")) - np.nanmin(y))
+    except (AttributeError, KeyError, StopIteration, ValueError, TypeError):
+        return _UNKNOWN
+
+
+def _left(fit: Fit, seen: Session, level: float) -> float:
+    """What a fit leaves beside noise, % of range; a share of the model's own level at least."""
+    return max(e_rms(fit, np.ones_like(seen.half), seen) ** 2 - np.mean(seen.noise**2), (_SURE * level) ** 2) ** 0.5
+
+
+def _moves(seen: Session, half: np.ndarray) -> bool:
+    """Whether a half of every recording moves enough to tell or to judge."""
+    counts = seen.weight > 0
+    spreads = [[float(np.std(x[c])) if c.sum() > 64 else 0.0 for c in (here, all_)]
+               for x, here, all_ in zip(seen.target, counts & (half > 0), counts, strict=True)]  # fmt: skip
+    return all(part > _MOVES * whole for part, whole in spreads)
+
+
+def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Changed]:
+    """The named ones, with intervals in which the others may be anything: what was not claimed is not known to be 1."""
+    q, found = np.linalg.lstsq(moves, fit.z, rcond=None)[0], {}
+    inverse = np.linalg.pinv(moves)
+    for k, name in enumerate(names):
+        if name in TILTS:
+            continue
+        wide = 1.96 * float(np.sqrt(inverse[k] @ spread @ inverse[k]))
+        low, at, high = (factors.factor(name, q[k] + by) for by in (-wide, 0.0, wide))
+        times: tuple = (None, None)
+        if name in TIMES:
+            now, by = factors.own(name) + factors.unit * q[k], factors.unit * wide
+            times = float(now), (float(max(now - by, 0.0)), float(now + by))
+        found[name] = Changed(at, (low, high), *times)
+    return found
+
+
+def _made(model: Model, factors: Factors, z: np.ndarray, records: Sequence[Record], changed) -> Model:
+    """The adapted model, with what was done to it in its notes."""
+    new, source = adapted(model, factors, z, records[0].dt), model.provenance
+    told = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
+    try:
+        notes = json.loads(source.notes)
+    except ValueError:
+        notes = {}
+    notes["adapted"] = [*notes.get("adapted", []), {"records": [r.name for r in records], "changed": told}]
+    if model.order >= 3:
+        sections = sections_of(new.physical_coefficients)
+        if isinstance(plain(model.encoder), ConstantEncoder) and len(sections) == model.order:
+            new = replace(new, scales=replace(new.scales, sections=sections))
+    known = source.with_(notes=json.dumps(notes), covariance=(), misfit=float("inf"))
+    return descended(replace(new, provenance=known.driven_by(records)), "adapt", records, model)
+
+
+def e_rms(fit: Fit, weight: np.ndarray, seen: Session) -> float:
+    """E_rms in % of range, over records in squares."""
+    counts = (seen.weight > 0) * weight
+    return float(np.sqrt(np.mean((fit.residual**2 * counts).sum(1) / np.maximum(counts.sum(1), 1))))

@@ -1,0 +1,173 @@
+"""Factors: the few numbers by which one actuator differs from itself on another day, and how they enter any model.
+
+    stiffness on sigma_0 and the restoring sigma_off,   damping on sigma_1,   inertia on sigma_2,   a3, ... on the rest
+    creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus what they became longer
+
+z holds logarithms of the factors, then the lengthened times in units of 0.1 / omega_0 (a lag that was not there has no
+factor), then of a trained encoder the two tilts over its stroke, which have no names: what is named is the mean. All
+are relative to the force of the drive, which nothing here weighs; so `gain` is no coordinate but the one direction
+(-1, ..., -1, 0, 0, 0) in which all coefficients move alike.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._effects.amplifier import Delay
+from .._effects.electrode import ElectrodeLadder, ElectrodeRC
+from .._effects.viscoelastic import Creep, LosingCreep, SpreadCreep
+from .._model.drive import DirectDrive, ElectrodeLag
+from .._model.encoder import AdaptedEncoder, ConstantEncoder, plain
+from .._model.memory import FadingMemory, RingingMemory
+from .._model.model import Model
+
+_UNIT = 0.1  # of a lengthened time, in 1 / omega_0
+_SHORTEST = 1e-3  # of a lag, in samples: as good as none
+_COEFFICIENT, _OTHER = 0.3, 0.5  # prior standard deviations of logarithms: coefficients, creep
+_TILT = 0.05  # of the two tilts of a trained encoder, per scale of x
+_TIME = 2.0  # and of lengthened times, in units
+_FIRST = ("stiffness", "damping", "inertia")
+TIMES = ("electrode_tau", "delay")
+TILTS = ("gain over the stroke", "stiffness over the stroke")
+_CREEPS = (Creep, SpreadCreep, LosingCreep)
+_LAGS = (ElectrodeRC, ElectrodeLadder)
+
+
+class Factors(NamedTuple):
+    """What z means for one model.
+
+    Attributes:
+        names: of the coordinates; `tokens` of them are of coefficients, first.
+        prior: standard deviation of each before a recording was seen.
+        outlasted: 1 for every lag among the memories that the recording outlasts.
+        reach: scaled displacement: lowest trained on, mean of the recording, highest trained on.
+        unit: of the lengthened times, s.
+        tau, delay: the model's own lag and delay, s (0: none).
+    """
+
+    names: tuple[str, ...]
+    tokens: int
+    prior: Float[np.ndarray, " numbers"]
+    outlasted: Float[np.ndarray, " lags"]
+    reach: Float[np.ndarray, " three"]
+    unit: float
+    tau: float
+    delay: float
+
+    def direction(self, name: str) -> np.ndarray:
+        """What one named number moves."""
+        if name == "gain":
+            return np.where(np.arange(len(self.names)) < self.tokens, -1.0, 0.0)
+        return np.eye(len(self.names))[self.names.index(name)]
+
+    def lowest(self) -> np.ndarray:
+        """Where a time is zero; no bound on logarithms."""
+        times = {"electrode_tau": -self.tau / self.unit, "delay": -self.delay / self.unit}
+        return np.array([times.get(n, -np.inf) for n in self.names])
+
+    def own(self, name: str) -> float:
+        """The model's own time of that name, s."""
+        return float(self.tau if name == "electrode_tau" else self.delay)
+
+    def factor(self, name: str, q: float) -> float:
+        """The factor of a named number moved by q; nan where the model had as good as none of it."""
+        if name not in TIMES:
+            return float(np.exp(q))
+        own = self.own(name)
+        return max(own + float(self.unit) * q, 0.0) / own if own > self.unit else float("nan")
+
+
+def factors_of(model: Model, seconds: float, middle: float) -> Factors:
+    """The numbers that a recording of so many seconds about this scaled displacement may move in a model."""
+    n = model.order
+    names = [*_FIRST[: n + 1], *(f"a{i}" for i in range(3, n + 1))]
+    prior = [_COEFFICIENT] * (n + 1)
+    outlasted = np.asarray(jnp.exp(_lags(model)) < seconds / 2, np.float64)
+    if outlasted.any() or any(isinstance(e, _CREEPS) and float(e.tau) < seconds / 2 for e in model.effects):
+        names, prior = [*names, "creep"], [*prior, _OTHER]
+    tau = 0.0
+    if model.input_map.one_sided:  # a lag before a linear input is one of the force, and orders tell those
+        names, prior = [*names, "electrode_tau"], [*prior, _TIME]
+        tau = next((float(e.tau) for e in model.effects if isinstance(e, _LAGS)), 0.0)
+        tau = float(jnp.exp(model.drive.log_tau)) if isinstance(model.drive, ElectrodeLag) else tau
+    delay = next((float(e.time) for e in model.effects if isinstance(e, Delay)), 0.0)
+    if delay:
+        names, prior = [*names, "delay"], [*prior, _TIME]
+    if not isinstance(plain(model.encoder), ConstantEncoder):
+        names, prior = [*names, *TILTS], [*prior, _TILT, _TILT]
+    unit = _UNIT / model.natural_frequency
+    own = (np.float64(v) for v in (unit, tau, delay))  # of NumPy: arguments of programs, no parts of them
+    low, high = model.provenance.region[0] if model.provenance.region else (middle - 1.0, middle + 1.0)
+    reach = np.array((low, middle, high))
+    return Factors(tuple(names), n + 1, np.array(prior), outlasted, reach, *own)
+
+
+def _lags(model: Model) -> Array:
+    """Logarithms of the time constants of the memories that are lags of x, where an encoder sees them."""
+    memory = model.memory
+    if isinstance(plain(model.encoder), ConstantEncoder) or not isinstance(memory, FadingMemory | RingingMemory):
+        return jnp.zeros((0,))
+    return memory.log_tau
+
+
+def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers *rows"], dt: float) -> Model:
+    """The model with these numbers moved; with rows of z, coefficients and factors of the encoder have rows too.
+
+    `dt`: sampling interval of the records, s.
+    """
+    dtype = model.coefficients.dtype
+    by = {name: jnp.asarray(row, dtype) for name, row in zip(factors.names, z, strict=True)}
+    scale = jnp.exp(jnp.stack([by[n] for n in factors.names[: factors.tokens]]))
+    columns = model.coefficients.reshape(-1, *[1] * (scale.ndim - 1))
+    model = eqx.tree_at(lambda m: m.coefficients, model, columns * scale)
+    creep = by.get("creep", jnp.zeros_like(by["stiffness"]))
+    if not isinstance(plain(model.encoder), ConstantEncoder):
+        model = eqx.tree_at(lambda m: m.encoder, model, _encoder(model, factors, by, creep))
+    if "electrode_tau" in by:
+        model = _later(model, factors, by["electrode_tau"], dt)
+
+    def effect(e):
+        if isinstance(e, _CREEPS):
+            return eqx.tree_at(lambda e: e.kappa, e, e.kappa * jnp.exp(creep))
+        if isinstance(e, Delay) and "delay" in by:
+            return eqx.tree_at(lambda e: e.time, e, jnp.maximum(e.time + factors.unit * by["delay"], 0.0))
+        return e
+
+    return eqx.tree_at(lambda m: m.effects, model, tuple(map(effect, model.effects))) if model.effects else model
+
+
+def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array) -> AdaptedEncoder:
+    """Around the plain encoder: what was adapted before is adapted on."""
+    outlasted = jnp.asarray(factors.outlasted, creep.dtype).reshape(-1, *[1] * creep.ndim)
+    offset, lags, tilt = jnp.exp(by["stiffness"]), jnp.exp(outlasted * creep), jnp.stack([by[n] for n in TILTS])
+    own, reach = model.encoder, jnp.asarray(factors.reach, creep.dtype)
+    if isinstance(own, AdaptedEncoder):
+        offset, lags = own.offset * offset, own.creep.reshape(outlasted.shape) * lags
+        tilt, reach = own.tilt.reshape(2, *[1] * creep.ndim) + tilt, own.reach
+    return AdaptedEncoder(plain(own), offset, lags, tilt, reach)
+
+
+def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
+    """The electrode's lag lengthened, where the model has it: its drive, or an effect."""
+    tau = factors.tau + factors.unit * z
+    if isinstance(model.drive, DirectDrive) and any(isinstance(e, _LAGS) for e in model.effects):
+        place = next(k for k, e in enumerate(model.effects) if isinstance(e, _LAGS))
+        return eqx.tree_at(lambda m: m.effects[place].tau, model, jnp.maximum(tau, 0.0))
+    log_tau = jnp.log(jnp.maximum(tau, _SHORTEST * dt)).astype(model.coefficients.dtype)
+    drive = eqx.tree_at(lambda d: d.log_tau, ElectrodeLag(jnp.zeros(())), log_tau)  # it may have rows
+    return eqx.tree_at(lambda m: m.drive, model, drive, is_leaf=lambda part: part is model.drive)
+
+
+def adapted(model: Model, factors: Factors, z: np.ndarray, dt: float) -> Model:
+    """The model as it is kept: parts that did not move are the old ones."""
+    by = dict(zip(factors.names, z, strict=True))
+    new = moved(model, factors, z, dt)
+    if not by.get("electrode_tau"):
+        new = replace(new, drive=model.drive)
+    if not any(by.get(name) for name in ("stiffness", "creep", *TILTS)):
+        new = replace(new, encoder=model.encoder)
+    return new

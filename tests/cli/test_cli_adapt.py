@@ -1,0 +1,65 @@
+"""`pitp adapt` and `pitp info A B`: files written, what is refused, and where a model came from."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+from cli_cases import TIME, motion, write_record
+
+from pitp_jax._model_file.model_file import digest, load
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory):
+    """A nominal from a sweep, a recording of the same day and one of a softer spring."""
+    from pitp_jax.cli import main
+
+    root = tmp_path_factory.mktemp("days")
+    voltage, displacement = motion("sweep")
+    write_record(root / "sweep.csv", voltage, displacement, units=("kV", "mm"))
+    rng = np.random.default_rng(0)
+    noise = 1e-3 * np.ptp(displacement) * rng.standard_normal(len(TIME))
+    write_record(root / "same.csv", voltage, displacement + noise, units=("kV", "mm"))
+    write_record(root / "stronger.csv", voltage, 1.1 * displacement + noise, units=("kV", "mm"))
+    assert main(["identify", str(root / "sweep.csv"), "--order", "2", "--out", str(root / "m")]) == 0
+    return root
+
+
+def test_unchanged_is_written_bit_for_bit(days, call, tmp_path):
+    code, text, _ = call("adapt", days / "m", days / "same.csv", "--out", tmp_path / "a", "--json", tmp_path / "j")
+    told = json.loads((tmp_path / "j").read_text())
+    assert code == 0 and text.startswith("unchanged") and told["verdict"] == "unchanged" and told["changed"] == {}
+    assert set(told) == {"verdict", "changed", "before", "after", "heldout"}
+    assert (tmp_path / "a").read_bytes() == (days / "m").read_bytes()
+
+
+def test_a_change_is_written_and_traced(days, call, tmp_path):
+    code, text, _ = call("adapt", days / "m", days / "stronger.csv", "--out", tmp_path / "a", "--json", tmp_path / "j")
+    gain = json.loads((tmp_path / "j").read_text())["changed"]["gain"]
+    assert code == 0 and text.startswith("adapted")
+    assert gain["ci95"][0] <= 1.1 <= gain["ci95"][1]
+    code, text, _ = call("info", tmp_path / "a")
+    sums = {name: hashlib.sha256((days / f"{name}.csv").read_bytes()).hexdigest() for name in ("sweep", "stronger")}
+    assert all(f"{value}  {name}" in text for name, value in sums.items())
+    assert f"adapt from {digest(load(days / 'm'))}" in text and "gain times" in text
+    assert digest(load(days / "m")).encode() in (days / "m").read_bytes().splitlines()[1]
+    code, text, _ = call("info", days / "m", tmp_path / "a", "--json", tmp_path / "d")
+    told = json.loads((tmp_path / "d").read_text())
+    assert code == 0 and told["descends"] == "b from a" and told["records"] == [[], ["stronger"]]
+    assert told["coefficients"][0]["ratio"] == pytest.approx(1 / 1.1, rel=0.01) and "was made from" in text
+
+
+def test_two_of_the_same_are_the_same(days, call):
+    assert call("info", days / "m", days / "m")[1].strip().endswith("hold the same model")
+
+
+def test_bad_input_is_one_line_and_writes_nothing(days, call, tmp_path):
+    for argv in (
+        (days / "nothing", days / "same.csv"),
+        (days / "m", tmp_path),
+        (days / "same.csv", days / "same.csv"),
+    ):
+        code, _, err = call("adapt", *argv, "--out", tmp_path / "a")
+        assert code == 2 and len([line for line in err.splitlines() if "error:" in line]) == 1
+        assert not (tmp_path / "a").exists()
