@@ -246,13 +246,14 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random start (default 0)")
+    parser.add_argument("--report", metavar="DIR", help="also write a page of free runs beside the records here")
     _columns(parser)
 
 
 def _predict_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--out", metavar="DIR", help="write one CSV per record here")
+    parser.add_argument("--out", metavar="DIR", help="write one CSV per record and a page here")
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the scores for machines")
     _columns(parser)
 
