@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import pitp_jax as pitp
 from pitp_jax._plan.expected_error import knowledge, motions
 from pitp_jax._plan.information import choose, gains, variance
+from pitp_jax._plan.next_recordings import greedy
 from pitp_jax._plan.page import page
-from pitp_jax._plan.planning import _chosen
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
 from pitp_jax._train.parameters import parameters, with_parameters
@@ -187,9 +187,9 @@ def test_nothing_is_left_to_learn_where_everything_is_known(model, records):
     told = motions(model, [r.voltage for r in records], dt)
     seconds = np.array([3.0, 3.0])
     sure = type(known)(1e9 * known.precision, known.unit, known.error)
-    assert _chosen(known, told, told, seconds, 1)[2] is False
-    places, expected, stop = _chosen(sure, told, told, seconds, 1)
-    assert stop and not places and len(expected) == 1
+    assert greedy(known, told, told, seconds, 1)[2] == 1
+    places, expected, worth = greedy(sure, told, told, seconds, 2)
+    assert worth == 0 and len(places) == 2 and expected[0] < 1e-3
 
 
 def test_drives_beyond_the_membranes_stroke_are_left_out(model, records, following):

@@ -16,6 +16,7 @@ import numpy as np
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
+from .._record.sets import alike
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
 from .._simulate.beginnings import held_states
@@ -46,12 +47,22 @@ def motions(model: Model, voltages: Sequence[np.ndarray], dt: float, *, slopes: 
 
     Without `slopes` only how far they go.
     """
-    model, every = at_rate(model, dt), thinning(model, dt)
-    size, count = max(map(len, voltages)), len(parameters(model)[0])
+    model, parts, places = at_rate(model, dt), [], alike(voltages, len)
+    for some in places:
+        parts.append(_together(model, [voltages[k] for k in some], dt, slopes))
+    back = np.argsort(np.concatenate(places))
+    told = [m for part in parts for m in part.information]
+    arrays = (np.concatenate(a)[back] for a in zip(*((p.stroke, p.span, p.finite) for p in parts), strict=True))
+    return Motions(tuple(told[k] for k in back) if slopes else (), *arrays)
+
+
+def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, slopes: bool) -> Motions:
+    """The same for runs of like length, padded to one."""
+    every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
+    inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
     start = _starts(model, drive[:, 0], dt)
     x = np.concatenate([_readings(model, part, dt, at) for part, at in _batches(drive, start)])[: len(voltages)]
-    inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
     finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
     x = np.where(inside & finite[:, None], x, 0.0)
     span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
@@ -61,12 +72,9 @@ def motions(model: Model, voltages: Sequence[np.ndarray], dt: float, *, slopes: 
     for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
         rest = np.asarray(~np.asarray(at)[:, : model.order].any(1), np.float32)
         runs = Runs(at, jnp.asarray(rest), jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
-        rows = run_slopes(model, runs, dt, every)
-        found += [r.T @ r for r in np.asarray(rows, np.float64)]
-    scale = float(model.scales.state[0])
-    zero = np.zeros((count, count))
-    kept = tuple(m if ok and np.isfinite(m).all() else zero for m, ok in zip(found, tells, strict=False))
-    return Motions(kept, scale * np.abs(x).max(1), scale * span, finite)
+        rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
+        found += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
+    return Motions(tuple(found[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
 
 
 def _batches(*arrays):

@@ -1,16 +1,12 @@
 """`plan`: which recordings to take, before there is a model, and with one.
 
-    nothing yet            first_session: growth, sweep, space-filling set, repeats
-    an identified model    space_filling_set within its limits and the stroke allowed
-    a trained model        of many candidates those that lower its expected held-out error most, until what one lowers
-                           it by is below what could be seen:  1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
-
-v: mean variance of the predictions (`information`), e: what the model leaves of its records, noise included, both in %
-of a recording's range. A refinement stops at the same share.
+nothing yet            first_session: growth, sweep, space-filling set, repeats
+an identified model    space_filling_set within its limits and the stroke allowed
+a trained model        `next_recordings`: those that lower its expected held-out error most, until it says stop
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,14 +15,11 @@ from .._model.encoder import ConstantEncoder
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import check_set
-from .drives import Planned, space_filling
-from .expected_error import Knowledge, Motions, knowledge, motions
-from .first_session import POINTS, default_duration, drive, first_session, in_order, space_filling_set
-from .information import choose, variance
+from .drives import Planned
+from .first_session import default_duration, first_session, in_order, space_filling_set
 from .limits import Limits, default_rate
+from .next_recordings import bearable, following, ranked
 
-_CANDIDATES, _JUDGED = 48, 16  # drives to choose among, and drives to be predicted
-_SEEN = 0.01
 _BAND = (0.05, 1.3)  # of a model's resonance, where no band is given
 
 
@@ -35,11 +28,11 @@ class Plan:
     """What `plan` found.
 
     Attributes:
-        recordings: to take, in this order; of existing ones ranked, the best first. Empty where `stop`.
+        recordings: to take, in this order; existing ones all, the best first.
         limits: what they keep.
         expected: error on drives not recorded yet, % of range, noise not counted: before, and after each recording;
             empty without a trained model.
-        stop: whether another recording would lower the error by less than could be seen.
+        stop: whether no recording would lower the error visibly.
         notes: what was left out, and why.
     """
 
@@ -109,7 +102,7 @@ def plan(
     if records:
         check_set(records)
     if choose_from:
-        return _ranked(model, records, choose_from, duration)
+        return _ranking(model, records, choose_from, duration)
     limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate)
     alternate = alternate and limits.low == 0
     if model is None:
@@ -117,11 +110,36 @@ def plan(
         return Plan(in_order(first_session(limits, length, seed), limits, alternate=alternate), limits)
     length = duration or default_duration(limits, fresh=False)
     if not trained(model):
-        filling, notes = _bearable(model, space_filling_set(limits, length, seed), limits)
+        filling, notes = bearable(model, space_filling_set(limits, length, seed), limits)
         return Plan(in_order(filling, limits, alternate=alternate), limits, notes=notes)
     if not records:
         raise BadInput("a trained model says what it lacks only beside the records it was trained on: give them too")
-    return _next(model, records, limits, length, seed, alternate)
+    found = following(model, records, limits, length, seed)
+    taken = in_order(found.recordings[: found.worth], limits, alternate=alternate)
+    enough = (
+        ("after these another recording would not lower the error visibly",)
+        if found.worth < len(found.recordings)
+        else ()
+    )
+    return Plan(taken, limits, found.expected[: found.worth + 1], not taken, found.notes + (enough if taken else ()))
+
+
+def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None) -> Plan:
+    """Existing recordings, the best first.
+
+    Raises:
+        BadInput: no trained model, or none of its records.
+    """
+    if model is None or not trained(model) or not records:
+        raise BadInput("--choose-from needs a trained model and the records it was trained on")
+    check_set([*records, *others])
+    found, dt = ranked(model, records, others, duration), others[0].dt
+    played = [r.voltage for r in found.recordings]
+    low, high = min(0.0, *(float(u.min()) for u in played)), max(float(np.abs(u).max()) for u in played)
+    slew = max(r.slew for r in found.recordings)
+    limits = Limits(low, high, slew, np.inf, (1 / max(r.seconds for r in found.recordings), 0.05 / dt), 1 / dt, 0.0)
+    worth = f"the first {found.worth} of {len(played)} would lower the error visibly"
+    return Plan(found.recordings, limits, found.expected, found.worth == 0, (worth,))
 
 
 def trained(model: Model) -> bool:
@@ -149,88 +167,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) ->
     assert band is not None
     rate = rate or (default_rate(band[1]) if model is None else 1 / model.provenance.dt)
     if max_slew is None:
-        max_slew = np.pi * band[1] * (high - low) if model is None else model.provenance.slew
+        seen = np.inf if model is None else model.provenance.slew
+        max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement
     return Limits(low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest))
-
-
-def _bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[list[Planned], tuple[str, ...]]:
-    """Drives whose predicted stroke stays below the limit, each with its stroke, and a note about the others."""
-    told = motions(model, [d.voltage for d in drives], 1 / limits.rate, slopes=False)
-    kept = [replace(d, stroke=float(x)) for d, x, ok in zip(drives, told.stroke, told.finite, strict=True)
-            if ok and x <= limits.farthest]  # fmt: skip
-    if not kept:
-        raise BadInput(
-            f"--max-displacement {1e3 * limits.farthest:g} mm: every drive is predicted to exceed it (the gentlest "
-            f"{1e3 * told.stroke.min():.3g} mm); lower --max-voltage"
-        )
-    left = len(drives) - len(kept)
-    return kept, (f"{left} of {len(drives)} drives left out: their predicted stroke exceeds the limit",) if left else ()
-
-
-def _next(model: Model, records, limits: Limits, length: float, seed: int, alternate: bool) -> Plan:
-    """The next recordings for a trained model."""
-    dt = 1 / limits.rate
-    known = knowledge(model, records)
-    one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / 8))
-    count = int(length / one * (1 + 1e-9))
-    if count < 1:
-        raise BadInput(f"--duration {length:g} s is too short: one recording takes {limits.shortest:.3g} s")
-    points = space_filling(_CANDIDATES * POINTS, limits, seed)
-    tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
-    tried, notes = _bearable(model, tried, limits)
-    told = motions(model, [d.voltage for d in tried], dt)
-    wanted = space_filling(_JUDGED, limits, seed + 1)
-    judged = motions(model, [drive(p[None], one, limits).voltage for p in wanted], dt)
-    places, expected, stop = _chosen(known, told, judged, np.full(len(tried), one), count)
-    chosen = [_explained(tried[k], expected[j], expected[j + 1]) for j, k in enumerate(places)]
-    return Plan(in_order(chosen, limits, alternate=alternate), limits, expected, stop, notes)
-
-
-def _explained(r: Planned, before: float, after: float) -> Planned:
-    what = r.purpose.split(":")[0]
-    return replace(r, purpose=f"{what}: lowers the expected error from {before:.3g} to {after:.3g} %")
-
-
-def _chosen(
-    known: Knowledge, told: Motions, judged: Motions, seconds: np.ndarray, count: int, *, stop: bool = True
-) -> tuple[list[int], tuple[float, ...], bool]:
-    """Places taken, expected error in % before and after each, and whether the next would not be seen."""
-    g = np.mean([m for m, ok in zip(judged.information, judged.finite, strict=True) if ok], axis=0)
-    found = choose(known.precision, [t * m for t, m in zip(seconds, told.information, strict=True)], g, count)
-    v = known.unit * np.array([variance(known.precision, g), *(c.variance for c in found)])
-    gain = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2))
-    worth = len(found) if not stop or (gain >= _SEEN).all() else int(np.argmax(gain < _SEEN))
-    return [c.place for c in found[:worth]], tuple(map(float, np.sqrt(v[: worth + 1]))), worth < len(found)
-
-
-def _ranked(model: Model | None, records, choose_from: Sequence[Record], duration: float | None) -> Plan:
-    """Existing recordings, those first that lower the expected error on all of them most."""
-    if model is None or not trained(model) or not records:
-        raise BadInput("--choose-from needs a trained model and the records it was trained on")
-    check_set([*records, *choose_from])
-    dt, known = choose_from[0].dt, knowledge(model, records)
-    size = None if duration is None else round(duration / dt)
-    cut = [r.voltage[:size] for r in choose_from]
-    told = motions(model, cut, dt)
-    whole = motions(model, [r.voltage for r in choose_from], dt) if size else told
-    seconds = np.array([len(u) * dt for u in cut])
-    places, expected, _ = _chosen(known, told, whole, seconds, len(cut), stop=False)
-    used, stop = _worth(expected, known.error)
-    volts, steps = np.concatenate(cut), max(float(np.abs(np.diff(u)).max()) for u in cut)
-    band = 1 / (max(map(len, cut)) * dt), 0.05 / dt
-    limits = Limits(min(float(volts.min()), 0.0), float(np.abs(volts).max()), steps / dt, np.inf, band, 1 / dt, 0.0)
-    ranked = []
-    for j, k in enumerate(places):
-        purpose = f"rank {j + 1}: expected error {expected[j]:.3g} to {expected[j + 1]:.3g} %"
-        clock = np.arange(len(cut[k])) * dt
-        ranked.append(Planned(choose_from[k].name, "existing", purpose, clock, cut[k], 0.0, float(told.stroke[k])))
-    return Plan(tuple(ranked), limits, expected, stop, (f"the first {used} are worth recording",) if stop else ())
-
-
-def _worth(expected: Sequence[float], error: float) -> tuple[int, bool]:
-    """How many of a ranking lower the error visibly, and whether none does."""
-    v = np.square(expected) + error**2
-    seen = 1 - np.sqrt(v[1:] / v[:-1]) >= _SEEN
-    used = len(seen) if seen.all() else int(np.argmin(seen))
-    return used, used == 0
