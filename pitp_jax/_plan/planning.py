@@ -6,7 +6,7 @@ a trained model        `next_recordings`: those that lower its expected held-out
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,24 +104,26 @@ def plan(
     if choose_from:
         return _ranking(model, records, choose_from, duration)
     limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate)
-    alternate = alternate and limits.low == 0
+    length = duration or default_duration(limits, fresh=model is None)
     if model is None:
-        length = duration or default_duration(limits, fresh=True)
-        return Plan(in_order(first_session(limits, length, seed), limits, alternate=alternate), limits)
-    length = duration or default_duration(limits, fresh=False)
+        return _played(first_session(limits, length, seed), limits, alternate)
     if not trained(model):
         filling, notes = bearable(model, space_filling_set(limits, length, seed), limits)
-        return Plan(in_order(filling, limits, alternate=alternate), limits, notes=notes)
+        return _played(filling, limits, alternate, notes=notes)
     if not records:
         raise BadInput("a trained model says what it lacks only beside the records it was trained on: give them too")
-    found = following(model, records, limits, length, seed)
-    taken = in_order(found.recordings[: found.worth], limits, alternate=alternate)
-    enough = (
-        ("after these another recording would not lower the error visibly",)
-        if found.worth < len(found.recordings)
-        else ()
-    )
-    return Plan(taken, limits, found.expected[: found.worth + 1], not taken, found.notes + (enough if taken else ()))
+    found, notes = following(model, records, limits, length, seed), ()
+    if 0 < found.worth < len(found.recordings):
+        notes = ("after these another recording would not lower the error visibly",)
+    taken, expected = found.recordings[: found.worth], found.expected[: found.worth + 1]
+    return _played(taken, limits, alternate, expected=expected, stop=not taken, notes=found.notes + notes)
+
+
+def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, **told) -> Plan:
+    """Drives numbered, every second one turned over where asked for and the force is the same."""
+    alternate = alternate and limits.low == 0
+    kept = replace(limits, low=-limits.high) if alternate else limits
+    return Plan(in_order(drives, limits, alternate=alternate), kept, **told)
 
 
 def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None) -> Plan:
