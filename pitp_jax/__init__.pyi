@@ -28,6 +28,8 @@ from ._metrics import rmse as rmse
 from ._model import Model as Model
 from ._model_file import load as load
 from ._model_file import save as save
+from ._plan import Plan as Plan
+from ._plan import plan as plan
 from ._plant import plant as plant
 from ._plant import record as record
 from ._plant import simulate as simulate

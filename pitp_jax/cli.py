@@ -147,6 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--plant", choices=_PLANTS, default="cone100", help="virtual actuator (default cone100)")
     demo.add_argument("--out", default="demo", metavar="DIR", help="folder to write to (default ./demo)")
     demo.add_argument("--quick", action="store_true", help="fewer and shorter records: a minute or two")
+    _plan_arguments(command("plan", "which recordings to take: a first session, or the next ones for a model"))
     _check_arguments(command("check", "what was read, how each record begins, and whether the set is enough"))
     _identify_arguments(command("identify", "fit a linear model of the right order to records"))
     _fit_arguments(command("fit", "train a model on records, from an identified one"))
@@ -163,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False) -> None:
+def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
     """What `pitp.read` (or `read_target`, or `read_voltage`) can be told about the columns of files."""
     group = parser.add_argument_group("columns of the files", "by default names and units in the headers decide")
     stems = {"time": "s|ms|us|ns|min", "input": "V|kV|mV", "output": "m|mm|um|cm|nm|V|mV"}
@@ -184,6 +185,7 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bo
             metavar="S",
             help="V per V of the input (a monitor of 1 V per kV: 1000)",
         )
+    if not target and rate:
         group.add_argument(
             "--rate",
             dest=f"{_READING}rate",
@@ -217,6 +219,26 @@ def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
     _columns(parser, drive=True)
 
 
+def _plan_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "paths", nargs="*", metavar="[MODEL] RECORDS", help="a model, then the records it was fitted on"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="write drives, a page and plan.json here")
+    parser.add_argument("--max-voltage", type=_positive, metavar="V", help="default: the highest the model has seen")
+    parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest the model has seen")
+    parser.add_argument(
+        "--max-displacement", type=_positive, metavar="MM", help="from 0 V either way, for the membrane"
+    )
+    parser.add_argument("--band", type=_positive, nargs=2, metavar=("LO", "HI"), help="drive frequencies, Hz")
+    parser.add_argument("--duration", type=_positive, metavar="S", help="of drive in all recordings together")
+    parser.add_argument("--rest", type=_positive, default=0.0, metavar="S", help="at 0 V between recordings")
+    parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of the drives")
+    parser.add_argument("--choose-from", metavar="DIR", help="rank these existing recordings instead")
+    parser.add_argument("--alternate", action="store_true", help="every second drive negative (bipolar amplifier)")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the space-filling set (default 0)")
+    _columns(parser, rate=False)
+
+
 def _identify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--out", required=True, metavar="NOMINAL", help="model file to write")
@@ -243,13 +265,14 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random start (default 0)")
+    parser.add_argument("--report", metavar="DIR", help="also write a page of free runs beside the records here")
     _columns(parser)
 
 
 def _predict_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--out", metavar="DIR", help="write one CSV per record here")
+    parser.add_argument("--out", metavar="DIR", help="write one CSV per record and a page here")
     parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the scores for machines")
     _columns(parser)
 

@@ -1,5 +1,6 @@
 """`pitp fit`: records to a trained model."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -9,16 +10,21 @@ from .._identify.identification import identify
 from .._model.model import Model
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
+from .._record.record import Record
+from .._record.writing import write_text_atomic
+from .._simulate.prediction import predict
 from .._train.settings import preset_of
 from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
-from .outputs import check_files
+from .fit_page import REPORT, fit_page
+from .outputs import check_files, check_folder, staged_folder
+from .predict import score
 from .recordings import is_square, read_records, warn
 from .reports import describe, in_words, listed, print_history
 
 
-def fit(records, out, nominal, order, preset, learn, input_map, seed, reading) -> None:
+def fit(records, out, nominal, order, preset, learn, input_map, seed, report, reading) -> None:
     """Train, write the model file, and print how it went.
 
     Args:
@@ -30,6 +36,7 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, reading) -
         preset: "default" or "paper".
         learn: parts between amplifier and sensor learned with it, "delay" and "sensor_lag".
         seed: of the random start.
+        report: folder for a page on the fit, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
@@ -38,6 +45,8 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, reading) -
     """
     check_files(out, inputs=[*records, *([nominal] if nominal else [])])
     start = _given(nominal, order, input_map) if nominal else None
+    if report is not None:
+        check_folder(report, [REPORT], inputs=[out, *records])
     read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
     check_files(out, inputs=[r.source for r in read_in])
     warn(read_in)
@@ -47,6 +56,8 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, reading) -
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     done = train(start, read_in, settings=settings, key=jax.random.key(seed), progress=ProgressBar().update)
     save(out, done.model)
+    if report is not None:
+        _report(done.model, read_in, report, out)
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
     told = describe(done.model)
@@ -58,6 +69,14 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, reading) -
     for effect in told["effects"]:
         print(f"with {in_words(effect)}")
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
+
+
+def _report(model: Model, records: Sequence[Record], folder: str, name: str) -> None:
+    """The page of free runs beside the training records."""
+    runs = predict(model, records)
+    scores = {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
+    with staged_folder(folder) as stage:
+        write_text_atomic(stage / REPORT, fit_page(model, records, runs, scores, name))
 
 
 def _given(path: str, order, input_map) -> Model:

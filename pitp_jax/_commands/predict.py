@@ -13,11 +13,12 @@ from .._model_file.model_file import load
 from .._record.initial_state import Beginning
 from .._record.record import Record
 from .._record.units import from_base
-from .._record.writing import write_csv
+from .._record.writing import write_csv, write_text_atomic
 from .._simulate.prediction import Prediction
 from .._simulate.prediction import predict as run_predict
 from .compatibility import check_suits
 from .console import number, print_table
+from .fit_page import REPORT, fit_page
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
 from .recordings import is_square, read_records
 from .reports import print_sensors
@@ -29,7 +30,7 @@ def predict(model, records, out, json_file, reading) -> None:
     Args:
         model: model file.
         records: files and folders.
-        out: folder for one CSV per record, or None.
+        out: folder for one CSV per record and a page, or None.
         json_file: where to write the scores for machines, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
@@ -44,7 +45,7 @@ def predict(model, records, out, json_file, reading) -> None:
     check_files(json_file, inputs=sources)
     files = [f"{record.name.lstrip('/')}.csv" for record in read_in]
     if out is not None:
-        check_folder(out, files, inputs=[*sources, *([json_file] if json_file else [])])
+        check_folder(out, [*files, REPORT], inputs=[*sources, *([json_file] if json_file else [])])
     check_suits(loaded, model, read_in)
     predictions = run_predict(loaded, read_in)
     scores = {r.name: score(r, p) for r, p in zip(read_in, predictions, strict=True)}
@@ -56,6 +57,7 @@ def predict(model, records, out, json_file, reading) -> None:
             with staged_folder(out) as stage:
                 for record, prediction, file in zip(read_in, predictions, files, strict=True):
                     _write_record(stage / file, record, prediction)
+                write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
     _print_scores(result, predictions)
     print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
     if all(row["diverged"] for row in scores.values()):

@@ -1,6 +1,6 @@
 """Sets of records: what they must share (rate, kind of output), when their session began, which are alike in length."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
 
 import numpy as np
@@ -74,13 +74,13 @@ def session_clock(records: Sequence[Record]) -> bool:
     return all(later[0] > span[1] - 0.5 * span[2] for span, later in zip(spans, spans[1:], strict=False))
 
 
-def alike(records: Sequence[Record]) -> list[list[int]]:
-    """Places of records to be padded to one length: all, or where that doubles them sets of like length.
+def alike(records: Sequence, length: Callable[..., int] = lambda record: record.samples) -> list[list[int]]:
+    """Places of records (or voltages) to be padded to one length: all, or where that doubles them sets of like length.
 
     One long record among short ones would make all of them as long. In a set of like length none is shorter than half
     the longest.
     """
-    lengths = [r.samples for r in records]
+    lengths = [length(r) for r in records]
     if max(lengths) * len(lengths) <= 2 * sum(lengths):
         return [list(range(len(lengths)))]
     sets: list[list[int]] = []

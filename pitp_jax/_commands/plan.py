@@ -1,0 +1,71 @@
+"""`pitp plan`: the recordings to take, as CSV to play, a page that says what each is for, and plan.json."""
+
+from pathlib import Path
+
+import numpy as np
+
+from .._model_file.model_file import load
+from .._plan.page import headline, page
+from .._plan.planning import Plan
+from .._plan.planning import plan as make_plan
+from .._record.reading import read
+from .._record.writing import write_csv, write_text_atomic
+from .compatibility import check_suits
+from .console import number, print_table
+from .outputs import check_folder, staged_folder, write_json
+from .recordings import is_square, read_records
+
+PAGE, JSON = "plan.html", "plan.json"
+
+
+def plan(paths, out, choose_from, max_displacement, band, reading, **limits) -> None:
+    """Plan, write the drives, the page and the JSON, and print the order.
+
+    Args:
+        paths: none, or a model file and the records it was trained on.
+        out: folder to write to.
+        choose_from: folder of existing recordings to rank instead, or None.
+        max_displacement: limit in mm from the displacement at 0 V, or None.
+        band: lowest and highest frequency in Hz, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+        limits: max_voltage, max_slew, duration, rest, rate, alternate, seed of `pitp.plan`.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+    """
+    given, records = (paths[0], paths[1:]) if paths else (None, [])
+    check_folder(out, [PAGE, JSON], inputs=paths)
+    model = None if given is None else load(given)
+    square = model is None or is_square(model)
+    read_in = read_records(records, reading, square=square) if records else ()
+    others = read(choose_from, **reading) if choose_from else ()
+    for taken in (read_in, others):
+        if taken and model is not None:
+            check_suits(model, str(given), taken)
+    found = make_plan(
+        model, read_in, choose_from=others, band=band and tuple(band),
+        max_displacement=None if max_displacement is None else 1e-3 * max_displacement, **limits,
+    )  # fmt: skip
+    files = [f"{r.name.replace('/', '_')}.csv" for r in found.recordings]
+    sources = [r.source for r in (*read_in, *others)]
+    check_folder(out, [PAGE, JSON, *files], inputs=[*paths, *sources])
+    with staged_folder(out) as stage:
+        for file, r in zip(files, found.recordings, strict=True):
+            write_csv(stage / file, {"time_s": r.time, "voltage_V": r.voltage})
+        write_text_atomic(stage / PAGE, page(found, given or ""))
+        write_json(str(stage / JSON), found.as_json() | {"files": files})
+    _print(found, given is not None)
+    print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
+
+
+def _print(found: Plan, modelled: bool) -> None:
+    print(headline(found, modelled))
+    rows = [
+        (r.name, number(r.seconds), number(float(np.abs(r.voltage).max())), number(r.slew), number(1e3 * r.stroke, 3),
+         r.purpose)
+        for r in found.recordings
+    ]  # fmt: skip
+    if rows:
+        print_table(("recording", "seconds", "max |V|", "max V/s", "stroke (mm)", "what it is for"), rows)
+    for note in found.notes:
+        print(f"note: {note}")

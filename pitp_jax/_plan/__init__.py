@@ -1,0 +1,11 @@
+"""Plan: what is known of a rig and its actuator in, the recordings to take out.
+
+    limits (voltage, slew, displacement, band) -> drives      growth, sweep, a space-filling set, repeats
+    trained model + its records -> Fisher information of free runs -> those that lower the expected error most
+
+Verb: `plan`. `limits` says what every drive keeps, `drives` how points become voltages, `first_session` their order,
+`expected_error` and `information` what recordings tell of a model, `page` what each is for.
+"""
+
+from .planning import Plan as Plan
+from .planning import plan as plan

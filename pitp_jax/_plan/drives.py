@@ -1,0 +1,103 @@
+"""Planned drives: points of a space-filling set as voltages that start and end at zero within the limits.
+
+    u(t) = w(t) [ (h + l)/2 - (h - l)/2 cos(phi(t)) ],   phi' = 2 pi f,   (f, l, h) through points p_1 ... p_K
+    w: smooth steps from 0 and back to 0;  swing shrunk about its mean until |u_{i+1} - u_i| <= slew dt
+
+A point: frequency uniform in its logarithm, highest voltage h and lowest l uniform in u^2, as the force has them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from .._record.waveforms import smooth_step
+from .limits import Limits
+
+_LEAST = 0.15  # of the largest force: what a drive reaches at least
+_MOST = 0.7  # of its highest force: where its lowest one lies at most
+_SLEW = 0.999  # of the limit: rounding in a file must not exceed it
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One recording to take.
+
+    Attributes:
+        name: of its file, in the order of playing.
+        kind: sweep, sine, multisine or steps.
+        purpose: what it is for, one sentence.
+        time: in s, shape (T,).
+        voltage: in V, shape (T,), from zero to zero.
+        rest: seconds at 0 V after it.
+        stroke: largest displacement a model expects, m; nan without a model.
+        go_on: largest stroke (m) at which it may follow the recordings before it; infinity where there is no limit.
+    """
+
+    name: str
+    kind: str
+    purpose: str
+    time: np.ndarray
+    voltage: np.ndarray
+    rest: float
+    stroke: float = float("nan")
+    go_on: float = float("inf")
+
+    @property
+    def seconds(self) -> float:
+        """Length in s."""
+        return len(self.time) * self._dt
+
+    @property
+    def slew(self) -> float:
+        """Steepest change in V/s."""
+        return float(np.abs(np.diff(self.voltage)).max()) / self._dt
+
+    @property
+    def _dt(self) -> float:
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+
+def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
+    """Sobol points (frequency in Hz, lowest and highest voltage in V), shape (count, 3)."""
+    sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
+    drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]
+    first, last = np.log(limits.band)
+    force = _LEAST + (1 - _LEAST) * drawn[:, 1]
+    high = limits.high * np.sqrt(force)
+    squared = limits.high * np.sqrt(_MOST * force * drawn[:, 2])
+    low = squared if limits.low == 0 else limits.low + _MOST * (high - limits.low) * drawn[:, 2]
+    return np.stack([np.exp(first + (last - first) * drawn[:, 0]), low, high], 1)
+
+
+def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
+    """A sine whose frequency and extremes go through points (K, 3), each held for a K-th of the time; shape (T,)."""
+    t = np.arange(round(seconds * limits.rate)) / limits.rate
+    at = t / seconds * len(points)
+    k = np.minimum(at.astype(int), len(points) - 1)
+    after = np.minimum(k + 1, len(points) - 1)
+    share = smooth_step((at - k - 0.7) / 0.3)[:, None]
+    f, low, high = ((1 - share) * points[k] + share * points[after]).T
+    phase = 2 * np.pi * np.concatenate([[0.0], np.cumsum(f)[:-1]]) / limits.rate
+    return within((low + high) / 2, -(high - low) / 2 * np.cos(phase), limits)
+
+
+def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.ndarray:
+    """Mean and swing (T,) with ramps from zero and back; the swing is made smaller until the slew is kept."""
+    size, most = len(swing), _SLEW * limits.slew / limits.rate
+    mean = np.broadcast_to(np.asarray(mean, np.float64), size)
+    rise = max(int(np.ceil(limits.ramp(np.abs(mean + swing).max()) * limits.rate)), 1)
+    t = np.arange(size)
+    window = smooth_step(t / rise) * smooth_step((size - 1 - t) / rise)
+    share = 1.0
+    for _ in range(60):
+        voltage = window * (mean + share * swing)
+        if np.abs(np.diff(voltage)).max() <= most:
+            return np.clip(voltage, limits.low, limits.high)
+        share *= 0.9
+    return np.clip(_gently(window * mean, most), limits.low, limits.high)
+
+
+def _gently(voltage: np.ndarray, most: float) -> np.ndarray:
+    """Stretched down until no step exceeds `most`."""
+    return voltage * min(1.0, most / np.abs(np.diff(voltage)).max())

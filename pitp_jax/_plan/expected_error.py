@@ -1,0 +1,140 @@
+"""A trained model's expected held-out error, by Laplace about its trained numbers.
+
+    p | records ~ N(p^, s^2 (sum_r T_r M_r + rho sum_r T_r)^-1)       M_r: mean over time of J'J, errors in % of range
+    s^2 = e^2 tau,   e: what the model leaves of its records, %,   tau = dt sum_k c_k^2: Bartlett's time between
+    independent samples of errors with autocorrelation c_k
+
+rho: the prior of `refine`, which weighs a record by its mean as M_r does; T_r: seconds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import BadInput
+from .._model.model import Model
+from .._record.record import Record
+from .._record.sets import alike
+from .._simulate import ports
+from .._simulate.batched_rollout import fast_rollout
+from .._simulate.beginnings import held_states
+from .._simulate.decoder import rest_state
+from .._simulate.prediction import FAR, at_rate, predict
+from .._train.forward_sensitivity import Runs, run_slopes
+from .._train.parameters import parameters
+from .._train.refine import _prior as prior_weights
+from .._train.refine import _thinning as thinning
+from .._train.settings import Settings, firmness_of
+
+_AT_ONCE = 8  # runs a batch: their slopes are (errors, numbers) each
+_STILL = 1e-3  # of the largest range: what moves less tells nothing
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Free runs under voltages: M per run (P, P), its largest displacement and range (m), whether it stayed finite."""
+
+    information: tuple[np.ndarray, ...]
+    stroke: np.ndarray
+    span: np.ndarray
+    finite: np.ndarray
+
+
+def motions(model: Model, voltages: Sequence[np.ndarray], dt: float, *, slopes: bool = True) -> Motions:
+    """What free runs under these voltages tell; a run that leaves every range, or does not move, tells nothing.
+
+    Without `slopes` only how far they go.
+    """
+    model, parts, places = at_rate(model, dt), [], alike(voltages, len)
+    for some in places:
+        parts.append(_together(model, [voltages[k] for k in some], dt, slopes))
+    back = np.argsort(np.concatenate(places))
+    told = [m for part in parts for m in part.information]
+    arrays = (np.concatenate(a)[back] for a in zip(*((p.stroke, p.span, p.finite) for p in parts), strict=True))
+    return Motions(tuple(told[k] for k in back) if slopes else (), *arrays)
+
+
+def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, slopes: bool) -> Motions:
+    """The same for runs of like length, padded to one."""
+    every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
+    drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
+    inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
+    start = _starts(model, drive[:, 0], dt)
+    x = np.concatenate([_readings(model, part, dt, at) for part, at in _batches(drive, start)])[: len(voltages)]
+    finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
+    x = np.where(inside & finite[:, None], x, 0.0)
+    span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
+    tells = finite & (span > _STILL * span.max())
+    weight = inside * (1e4 / inside.sum(1) / np.where(tells, span, np.inf) ** 2)[:, None]
+    found = []
+    for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
+        rest = np.asarray(~np.asarray(at)[:, : model.order].any(1), np.float32)
+        runs = Runs(at, jnp.asarray(rest), jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
+        rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
+        found += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
+    return Motions(tuple(found[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
+
+
+def _batches(*arrays):
+    """Arrays in parts of equally many runs, filled up with copies of the last: one compiled program."""
+    count = len(arrays[0])
+    for first in range(0, count, _AT_ONCE):
+        part = np.minimum(np.arange(first, first + _AT_ONCE), count - 1)
+        yield tuple(a[part] for a in arrays)
+
+
+def _readings(model: Model, voltage, dt: float, start) -> np.ndarray:
+    states = fast_rollout(model, jnp.asarray(voltage), dt, start)
+    return np.stack([np.asarray(ports.readings(model, s), np.float64) for s in states])
+
+
+def _starts(model: Model, first: np.ndarray, dt: float):
+    """At rest where a drive begins at zero volts, else settled at what it begins with."""
+    rest = rest_state(model)
+    held = held_states(model, jnp.asarray(first), dt, jnp.zeros(len(first), rest.dtype))
+    settled = (jnp.asarray(first)[:, None] != 0) & jnp.isfinite(held).all(1, keepdims=True)
+    return jnp.where(settled, held, rest)
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the records so far tell: precision per unit of s^2 (P, P), s^2 (%^2 s), and what the model leaves (%)."""
+
+    precision: np.ndarray
+    unit: float
+    error: float
+
+
+def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
+    """Of a trained model and the records it was trained on.
+
+    Raises:
+        BadInput: a model without trained numbers, or one that diverges on every record.
+    """
+    start, sizes = parameters(model)
+    if not len(start):
+        raise BadInput("the model has no trained numbers; give one of `pitp fit`")
+    dt = records[0].dt
+    told = motions(model, [r.voltage for r in records], dt)
+    seconds = np.array([r.samples * dt for r in records])
+    errors, taus = zip(*[_left(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
+                       or [(np.nan, np.nan)], strict=True)  # fmt: skip
+    if not np.isfinite(errors).all():
+        raise BadInput("the model diverges on every record: it is not of this actuator, or needs another training")
+    rho = prior_weights(model, sizes, firmness_of(Settings(), model, len(records)))
+    precision = sum(t * m for t, m in zip(seconds, told.information, strict=True)) + seconds.sum() * np.diag(rho)
+    error = float(np.sqrt(np.mean(np.square(errors))))
+    return Knowledge(precision, error**2 * float(np.mean(taus)), error)
+
+
+def _left(record: Record, prediction) -> tuple[float, float]:
+    """E_rms in % of range, and Bartlett's time between independent errors, s."""
+    seen = record.observed & prediction.scored
+    e = np.where(seen, prediction.displacement - record.displacement, 0.0)
+    e = e - seen * e[seen].mean()
+    power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2
+    c = np.fft.irfft(power)[: len(e)]
+    tau = record.dt * (2 * float(np.sum((c / c[0]) ** 2)) - 1) if c[0] > 0 else record.dt
+    return 100 * float(np.sqrt(np.mean(e[seen] ** 2)) / np.ptp(record.displacement[seen])), tau

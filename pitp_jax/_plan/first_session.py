@@ -1,0 +1,110 @@
+"""A first session, from the rig's limits alone.
+
+    growth   sweeps of the whole band at 25, 50, 71, 100 % of the highest voltage: 1/16, 1/4, 1/2 and all of the force
+    sweep    the whole band once, slowly: what a linear model is identified on
+    set      drives through the points of a space-filling set over frequency, lowest and highest voltage; small first
+    repeat   its first recording again: what differs is noise and drift
+
+With the force as u^2 a stroke grows by the square of the voltage: a recording may follow where the largest stroke
+so far, times the ratio of the two squares, stays below the limit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .._errors import BadInput
+from .._record.waveforms import sweep
+from .drives import Planned, space_filling, through, within
+from .limits import Limits
+
+_GROWTH = (0.25, 0.5, 0.71, 1.0)
+_SHARES = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have what is left
+FEWEST = 8  # recordings of a set where the duration allows: fewer train a smaller encoder
+POINTS = 3  # a recording goes through
+MOST_PERIODS = 4.0  # of the lowest frequency, in a recording of the set where no duration is given
+
+
+def default_duration(limits: Limits, fresh: bool) -> float:
+    """Seconds of drive where none are given."""
+    filling = FEWEST * max(limits.shortest, MOST_PERIODS / limits.band[0])
+    return max(filling * (1 + 1 / FEWEST) / (1 - sum(_SHARES.values())), _least(limits)) if fresh else filling
+
+
+def _least(limits: Limits) -> float:
+    """Seconds a first session takes: two periods in the sweep, and in each sweep of the growth its ramps."""
+    growth = 2 * limits.ramp(limits.high) * len(_GROWTH) / _SHARES["growth"]
+    return max(limits.shortest / _SHARES["sweep"], growth)
+
+
+def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
+    """All recordings of a first session, in the order of playing.
+
+    Raises:
+        BadInput: a duration in which they do not fit.
+    """
+    part = {name: share * duration for name, share in _SHARES.items()}
+    one, swept = part["growth"] / len(_GROWTH), part["sweep"]
+    if duration < _least(limits) * (1 - 1e-9):
+        raise BadInput(
+            f"--duration {duration:g} s is too short for a first session down to {limits.band[0]:g} Hz: give "
+            f"{_least(limits):.3g} s or more, or a band that begins higher"
+        )
+    grown = [_growth(level, one, limits) for level in _GROWTH]
+    purpose = "the linear model is identified on it: resonance, damping, order"
+    whole = Planned("sweep", "sweep", purpose, *_swept(1.0, swept, limits), limits.rest)
+    filling = space_filling_set(limits, (duration - sum(part.values())) * FEWEST / (FEWEST + 1), seed)
+    again = [replace(r, purpose=f"the same as {r.name}: what differs is noise and drift") for r in filling[:1]]
+    return (*grown, whole, *filling, *again)
+
+
+def _growth(level: float, seconds: float, limits: Limits) -> Planned:
+    text = f"whether the actuator bears {100 * level:.0f} % of the voltage: look at its stroke before going on"
+    return Planned(f"growth_{100 * level:.0f}", "sweep", text, *_swept(level, seconds, limits), limits.rest)
+
+
+def _swept(level: float, seconds: float, limits: Limits):
+    """A sweep of the band between zero and `level` of the highest voltage."""
+    top = level * limits.high / 2
+    time, wave = sweep(*limits.band, seconds, limits.rate, top, 0.0)
+    return time, within(top, wave, limits)
+
+
+def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
+    """Drives that fill frequency, lowest and highest voltage, the smallest first.
+
+    Raises:
+        BadInput: a duration shorter than one drive.
+    """
+    count = min(FEWEST, int(duration / limits.shortest * (1 + 1e-9)))
+    if count < 1:
+        raise BadInput(
+            f"--duration {duration:g} s is too short: two periods of {limits.band[0]:g} Hz and the ramps take "
+            f"{limits.shortest:.3g} s"
+        )
+    points = space_filling(count * POINTS, limits, seed)
+    drives = [drive(points[k::count], duration / count, limits) for k in range(count)]
+    return tuple(sorted(drives, key=lambda d: float(np.abs(d.voltage).max())))
+
+
+def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
+    """A sine through these points (frequency, lowest, highest voltage), named by the first frequency and the peak."""
+    voltage = through(points, seconds, limits)
+    time = np.arange(len(voltage)) / limits.rate
+    hz, top = points[:, 0], np.abs(voltage).max()
+    spread = f"{hz.min():.3g} to {hz.max():.3g}" if len(points) > 1 else f"{hz[0]:.3g}"
+    text = f"motion at {spread} Hz, up to {top:.3g} V: one of a set that fills frequency, swing and bias"
+    return Planned(f"sine_{hz[0]:.3g}Hz_{top:.0f}V", "sine", text, time, voltage, limits.rest)
+
+
+def in_order(recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False) -> tuple[Planned, ...]:
+    """With numbers before their names, the strokes at which each may follow, and every second one negative."""
+    found, reached = [], 0.0
+    for k, r in enumerate(recordings, 1):
+        top = float(np.abs(r.voltage).max())
+        go_on = limits.farthest * min((reached / top) ** 2, 1.0) if reached else np.inf
+        sign = -1.0 if alternate and k % 2 == 0 else 1.0
+        found.append(replace(r, name=f"{k:02d}_{r.name}", voltage=sign * r.voltage, go_on=go_on))
+        reached = max(reached, top)
+    return tuple(found)

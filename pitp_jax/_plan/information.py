@@ -1,0 +1,60 @@
+"""What recordings tell of a model's trained numbers, and which tell most of what is to be predicted.
+
+    Lambda = sum_r M_r,   M_r = J_r' J_r,        J: a free run's answer to the numbers, in units of its error
+    v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the drives to be predicted
+    next   = argmin_c v(c), then Lambda <- Lambda + M_next                     (greedy, Laplace, V-optimal)
+
+v is the mean variance of the predictions; the prior stands in Lambda as one more recording.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+_JITTER = 1e-9  # of the mean diagonal: float32 slopes leave a matrix barely singular
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A candidate taken: its place, and the mean variance of predictions once it is recorded."""
+
+    place: int
+    variance: float
+
+
+def variance(precision: np.ndarray, judged: np.ndarray) -> float:
+    """tr(Lambda^-1 G) for (P, P) matrices."""
+    size = len(precision)
+    return float(
+        np.trace(cho_solve(cho_factor(precision + _JITTER * np.trace(precision) / size * np.eye(size)), judged))
+    )
+
+
+def gains(precision: np.ndarray, candidates: Sequence[np.ndarray], judged: np.ndarray) -> np.ndarray:
+    """V(c) of every candidate's information M_c, shape (candidates,)."""
+    return np.array([variance(precision + c, judged) for c in candidates])
+
+
+def choose(
+    precision: np.ndarray, candidates: Sequence[np.ndarray], judged: np.ndarray, count: int, *, again: bool = False
+) -> list[Choice]:
+    """Greedily the `count` candidates that lower the mean variance most, in that order.
+
+    Args:
+        precision: Lambda before, shape (P, P).
+        candidates: M_c, shape (P, P) each.
+        judged: G, shape (P, P).
+        count: how many, at most all.
+        again: whether a candidate may be taken twice.
+    """
+    left, taken = list(range(len(candidates))), []
+    while left and len(taken) < count:
+        after = gains(precision, [candidates[k] for k in left], judged)
+        best = int(np.argmin(after))
+        taken.append(Choice(left[best], float(after[best])))
+        precision = precision + candidates[left[best]]
+        if not again:
+            left.pop(best)
+    return taken

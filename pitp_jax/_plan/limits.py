@@ -1,0 +1,80 @@
+"""What a rig and a membrane allow a planned recording.
+
+    low <= u <= high,   |u'| <= slew,   |x| <= farthest,   f_low <= f <= f_high <= rate / 20
+
+Limits that are not given are those of the recordings a model was made from.
+"""
+
+import math
+from dataclasses import dataclass
+
+from .._errors import BadInput
+
+_PER_PERIOD = 20  # samples a period of the highest frequency: a tenth of Nyquist
+_DEFAULT_RATE = 100.0  # samples a period where no rate is given
+_PERIODS = 2.0  # of the lowest frequency that a recording must hold
+_RAMPS = 0.5  # share of a recording that its two ramps may take
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What every planned recording keeps.
+
+    Attributes:
+        low, high: voltage range in V, low <= 0 < high.
+        slew: V/s.
+        farthest: displacement from 0 V either way in m, or infinity.
+        band: lowest and highest drive frequency in Hz.
+        rate: samples per second.
+        rest: seconds at 0 V after each recording.
+
+    Raises:
+        BadInput: what cannot be met, all of it in one line.
+    """
+
+    low: float
+    high: float
+    slew: float
+    farthest: float
+    band: tuple[float, float]
+    rate: float
+    rest: float
+
+    def __post_init__(self):
+        """Refuse what no recording could meet."""
+        first, last = self.band
+        wrong = []
+        for name, value in (("max-voltage", self.high), ("max-slew", self.slew), ("rate", self.rate)):
+            if not (value > 0 and math.isfinite(value)):
+                wrong.append(f"--{name} must be positive and finite, got {value:g}")
+        if not self.farthest > 0:
+            wrong.append(f"--max-displacement must be positive, got {self.farthest:g}")
+        if not (self.rest >= 0 and math.isfinite(self.rest)):
+            wrong.append(f"--rest cannot be negative, got {self.rest:g}")
+        if not 0 < first < last < math.inf:
+            wrong.append(f"--band needs 0 < LO < HI, got {first:g} {last:g}")
+        elif last > self.rate / _PER_PERIOD * (1 + 1e-9):
+            wrong.append(
+                f"--band up to {last:g} Hz is above a tenth of Nyquist at {self.rate:g} Hz: give a --rate of "
+                f"{_PER_PERIOD * last:g} Hz or more, or end the band at {self.rate / _PER_PERIOD:g} Hz"
+            )
+        if wrong:
+            raise BadInput("; ".join(wrong))
+
+    @property
+    def shortest(self) -> float:
+        """Seconds a recording must last: two periods of the lowest frequency, the ramps at most half of it."""
+        return max(_PERIODS / self.band[0], 2 * self.ramp(self.high) / _RAMPS)
+
+    def ramp(self, volts: float) -> float:
+        """Seconds of a smooth step of so many volts: its steepest slope is 15/8 of the mean one, kept under the slew.
+
+        And not faster than half a period of the highest frequency, so that a step excites no more than the band.
+        """
+        return max(2.0 * abs(volts) / self.slew, 0.5 / self.band[1])
+
+
+def default_rate(high_hz: float) -> float:
+    """A hundred samples a period of the highest frequency, two digits."""
+    digits = 10.0 ** math.floor(math.log10(_DEFAULT_RATE * high_hz) - 1)
+    return math.ceil(_DEFAULT_RATE * high_hz / digits - 1e-9) * digits

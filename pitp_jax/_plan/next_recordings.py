@@ -1,0 +1,112 @@
+"""The next recordings for a trained model: among candidates, or among recordings that exist.
+
+    taken one after another, each the one that lowers v most, until what it lowers is below what could be seen:
+    1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
+
+v: mean variance of the predictions (`information`), e: what the model leaves of its records, noise included, both in %
+of a recording's range. Refinement of a fit stops at the same share.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .._errors import BadInput
+from .._model.model import Model
+from .._record.record import Record
+from .drives import Planned, space_filling
+from .expected_error import Knowledge, Motions, knowledge, motions
+from .first_session import FEWEST, POINTS, default_duration, drive
+from .information import choose, variance
+from .limits import Limits
+
+_CANDIDATES, _JUDGED = 48, 16  # drives to choose among, and drives to be predicted
+_SEEN = 0.01
+
+
+@dataclass(frozen=True)
+class Next:
+    """Recordings, the expected error (%) before and after each, how many of them are worth taking, and notes."""
+
+    recordings: tuple[Planned, ...]
+    expected: tuple[float, ...]
+    worth: int
+    notes: tuple[str, ...] = ()
+
+
+def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[list[Planned], tuple[str, ...]]:
+    """Drives whose predicted stroke stays below the limit, each with its stroke, and a note about the others.
+
+    Raises:
+        BadInput: none does.
+    """
+    told = motions(model, [d.voltage for d in drives], 1 / limits.rate, slopes=False)
+    kept = [
+        replace(d, stroke=float(x))
+        for d, x, ok in zip(drives, told.stroke, told.finite, strict=True)
+        if ok and x <= limits.farthest
+    ]
+    if not kept:
+        raise BadInput(
+            f"--max-displacement {1e3 * limits.farthest:g} mm: every drive is predicted to exceed it (the gentlest "
+            f"{1e3 * told.stroke.min():.3g} mm); lower --max-voltage"
+        )
+    out = len(drives) - len(kept)
+    return kept, (f"{out} of {len(drives)} drives left out: their predicted stroke exceeds the limit",) if out else ()
+
+
+def following(model: Model, records: Sequence[Record], limits: Limits, length: float, seed: int) -> Next:
+    """Of candidates that fill frequency, swing and bias those that lower the expected error under such drives.
+
+    Raises:
+        BadInput: a length shorter than one recording, or no drive within the stroke allowed.
+    """
+    one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / FEWEST))
+    count = int(length / one * (1 + 1e-9))
+    if count < 1:
+        raise BadInput(f"--duration {length:g} s is too short: one recording takes {limits.shortest:.3g} s")
+    points = space_filling(_CANDIDATES * POINTS, limits, seed)
+    tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
+    tried, notes = bearable(model, tried, limits)
+    wanted = [drive(p[None], one, limits) for p in space_filling(_JUDGED, limits, seed + 1)]
+    told, judged = (motions(model, [d.voltage for d in some], 1 / limits.rate) for some in (tried, wanted))
+    places, expected, worth = greedy(knowledge(model, records), told, judged, np.full(len(tried), one), count)
+    chosen = [
+        replace(tried[k], purpose=f"{tried[k].purpose.split(':')[0]}: {_lowered(expected, j)}")
+        for j, k in enumerate(places)
+    ]
+    return Next(tuple(chosen), expected, worth, notes)
+
+
+def ranked(model: Model, records: Sequence[Record], others: Sequence[Record], duration: float | None) -> Next:
+    """Existing recordings, or the first `duration` seconds of each, by how they lower the expected error on all."""
+    dt = others[0].dt
+    size = None if duration is None else round(duration / dt)
+    cut, whole = [r.voltage[:size] for r in others], [r.voltage for r in others]
+    told = motions(model, cut, dt)
+    judged = told if size is None else motions(model, whole, dt)
+    seconds = np.array([len(u) * dt for u in cut])
+    places, expected, worth = greedy(knowledge(model, records), told, judged, seconds, len(cut))
+    found = []
+    for j, k in enumerate(places):
+        clock, stroke = np.arange(len(cut[k])) * dt, float(told.stroke[k])
+        purpose = f"rank {j + 1}: {_lowered(expected, j)}"
+        found.append(Planned(others[k].name, "existing", purpose, clock, cut[k], 0.0, stroke))
+    return Next(tuple(found), expected, worth)
+
+
+def _lowered(expected: Sequence[float], j: int) -> str:
+    return f"lowers the expected error from {expected[j]:.3g} to {expected[j + 1]:.3g} %"
+
+
+def greedy(
+    known: Knowledge, told: Motions, judged: Motions, seconds: np.ndarray, count: int
+) -> tuple[list[int], tuple[float, ...], int]:
+    """Places of `count` candidates, expected error in % before and after each, and how many lower it visibly."""
+    g = np.mean([m for m, ok in zip(judged.information, judged.finite, strict=True) if ok], axis=0)
+    found = choose(known.precision, [t * m for t, m in zip(seconds, told.information, strict=True)], g, count)
+    v = known.unit * np.array([variance(known.precision, g), *(c.variance for c in found)])
+    seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= _SEEN
+    worth = len(found) if seen.all() else int(np.argmin(seen))
+    return [c.place for c in found], tuple(map(float, np.sqrt(v))), worth

@@ -1,0 +1,114 @@
+"""The page of a plan: what to play, in which order, what each recording is for, and when to stop."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .._diagnose.report import html
+from .._diagnose.report.formatting import figure
+from .._diagnose.report.html import tag
+from .._plot.lines import DRIVE, finish, line, own_axes, volts
+from .drives import Planned
+from .planning import Plan
+
+
+def page(plan: Plan, model: str = "") -> str:
+    """A self-contained HTML page.
+
+    Args:
+        plan: what `plan` found.
+        model: file of the model it is for; empty for a first session.
+    """
+    title = headline(plan, bool(model))
+    parts = [
+        tag("p", f"Plan of recordings{f' for {model}' if model else ': a first session'}", "soft"),
+        tag("h1", title),
+        tag("p", _lead(plan), "lead"),
+        f'<div class="cards">{"".join(_cards(plan))}</div>',
+        *([tag("h2", "What to play"), _table(plan), _pictures(plan)] if plan.recordings else []),
+        tag("h2", "How to read this"),
+        *(tag("p", text) for text in _reading(plan)),
+    ]
+    return html.page(title, parts)
+
+
+def headline(plan: Plan, modelled: bool) -> str:
+    """The plan in one line."""
+    if plan.stop:
+        return "Stop: another recording would not lower the error visibly"
+    what = "more recordings" if modelled else "recordings"
+    return f"{len(plan.recordings)} {what}, {figure(plan.seconds)} s of drive"
+
+
+def _lead(plan: Plan) -> str:
+    if not plan.expected:
+        return "Play the files in the order of their numbers: small first and growing, each from 0 V back to 0 V."
+    before, after = plan.expected[0], plan.expected[-1]
+    if not plan.recordings:
+        return f"On drives not recorded yet the model is expected to be off by {figure(before, 2)} % of range."
+    return (
+        f"On drives not recorded yet the model is expected to be off by {figure(before, 2)} % of range now and "
+        f"{figure(after, 2)} % after these recordings (noise not counted)."
+    )
+
+
+def _cards(plan: Plan) -> list[str]:
+    x = plan.limits
+    rests = sum(r.rest for r in plan.recordings)
+    far = "" if x.farthest == np.inf else f"Stroke at most {figure(1e3 * x.farthest)} mm."
+    cards = [
+        html.card("Limits", f"{figure(x.low)} to {figure(x.high)} V", tag("p", f"At most {figure(x.slew)} V/s. {far}")),
+        html.card("Band", f"{figure(x.band[0])} to {figure(x.band[1])} Hz", tag("p", f"{figure(x.rate)} samples/s.")),
+    ]
+    if plan.recordings:
+        lines = tag("p", f"{figure(rests)} s of rest at 0 V between them.") + html.bullets(plan.notes)
+        cards.append(html.card("Time", f"{figure(plan.seconds + rests)} s in all", lines))
+    return cards
+
+
+def _table(plan: Plan) -> str:
+    header = (
+        "recording", "kind", "length (s)", "rest (s)", "highest |V|", "stroke (mm)",
+        "play it if the stroke so far is below", "what it is for",
+    )  # fmt: skip
+    rows = [
+        ("", (
+            r.name, r.kind, figure(r.seconds), figure(r.rest), figure(float(np.abs(r.voltage).max())),
+            figure(1e3 * r.stroke), "–" if r.go_on == np.inf else f"{figure(1e3 * r.go_on)} mm", r.purpose,
+        ))
+        for r in plan.recordings
+    ]  # fmt: skip
+    return html.table(header, rows, {1: "left", 7: "long"})
+
+
+def _pictures(plan: Plan) -> str:
+    drawn = (html.picture(f"drive{k}", _drawn(r), f"{r.name}: {r.kind}") for k, r in enumerate(plan.recordings))
+    return f'<div class="figures">{"".join(drawn)}</div>'
+
+
+def _drawn(recording: Planned) -> Figure:
+    ax: Axes = own_axes(None, 1, (5.0, 1.5))[0]
+    voltage, label = volts(recording.voltage)
+    line(ax, recording.time, voltage, color=DRIVE, lw=0.8)
+    finish(np.array([ax]), "time (s)", [label])
+    return ax.figure  # pyright: ignore[reportReturnType]
+
+
+def _reading(plan: Plan) -> list[str]:
+    texts = [
+        "Every file holds time_s and voltage_V at the rate above, starts and ends at 0 V, and keeps the slew between "
+        "its samples. Record the displacement beside it; let the membrane rest at 0 V between two files."
+    ]
+    if any(r.go_on < np.inf for r in plan.recordings):
+        texts.append(
+            "A stroke grows about by the square of the voltage, more near a resonance. Go on to a recording only if "
+            "the largest stroke so far is below what its row says; else leave it and all larger ones out."
+        )
+    if plan.expected:
+        texts.append(
+            "The expected error is that of free runs under drives that fill frequency, swing and bias, from the "
+            "model's sensitivity to its trained numbers and from what it leaves of its records (Laplace). Recordings "
+            "are chosen one after another, each the one that lowers it most; the plan ends where the next would lower "
+            "the measured error by less than 1 %."
+        )
+    return texts

@@ -1,0 +1,175 @@
+"""`plan`: which recordings to take, before there is a model, and with one.
+
+nothing yet            first_session: growth, sweep, space-filling set, repeats
+an identified model    space_filling_set within its limits and the stroke allowed
+a trained model        `next_recordings`: those that lower its expected held-out error most, until it says stop
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .._errors import BadInput
+from .._model.encoder import ConstantEncoder
+from .._model.model import Model
+from .._record.record import Record
+from .._record.sets import check_set
+from .drives import Planned
+from .first_session import default_duration, first_session, in_order, space_filling_set
+from .limits import Limits, default_rate
+from .next_recordings import bearable, following, ranked
+
+_BAND = (0.05, 1.3)  # of a model's resonance, where no band is given
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What `plan` found.
+
+    Attributes:
+        recordings: to take, in this order; existing ones all, the best first.
+        limits: what they keep.
+        expected: error on drives not recorded yet, % of range, noise not counted: before, and after each recording;
+            empty without a trained model.
+        stop: whether no recording would lower the error visibly.
+        notes: what was left out, and why.
+    """
+
+    recordings: tuple[Planned, ...]
+    limits: Limits
+    expected: tuple[float, ...] = ()
+    stop: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Of drive, rests not counted."""
+        return sum(r.seconds for r in self.recordings)
+
+    def as_json(self) -> dict:
+        """The plan for machines; what is not known is null."""
+        low, high = self.limits.low, self.limits.high
+        return {
+            "limits": {"voltage": [low, high], "slew": self.limits.slew, "displacement_m": self.limits.farthest,
+                       "band_hz": list(self.limits.band), "rate_hz": self.limits.rate, "rest_s": self.limits.rest},
+            "stop": self.stop,
+            "expected_error_percent": list(self.expected),
+            "recordings": [
+                {"name": r.name, "kind": r.kind, "purpose": r.purpose, "seconds": r.seconds, "rest_s": r.rest,
+                 "max_voltage": float(np.abs(r.voltage).max()), "max_slew": r.slew, "stroke_m": r.stroke,
+                 "only_if_stroke_below_m": r.go_on}
+                for r in self.recordings
+            ],
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+
+def plan(
+    model: Model | None = None,
+    records: Sequence[Record] = (),
+    *,
+    max_voltage: float | None = None,
+    max_slew: float | None = None,
+    max_displacement: float | None = None,
+    band: tuple[float, float] | None = None,
+    duration: float | None = None,
+    rest: float = 0.0,
+    rate: float | None = None,
+    choose_from: Sequence[Record] = (),
+    alternate: bool = False,
+    seed: int = 0,
+) -> Plan:
+    """Plan the recordings to take next.
+
+    Args:
+        model: identified or trained; None for a first session.
+        records: taken so far, those the model was trained on.
+        max_voltage: V; default what the model has seen.
+        max_slew: V/s; default what the model has seen, else the band's own at that voltage.
+        max_displacement: m from 0 V either way.
+        band: lowest and highest drive frequency in Hz; default 0.05 to 1.3 times the model's resonance.
+        duration: seconds of drive in all recordings together, rests not counted.
+        rest: seconds at 0 V between recordings, for the membrane.
+        rate: samples per second; default the model's, else a hundred a period of the highest frequency.
+        choose_from: existing recordings to choose among instead; their output is not looked at.
+        alternate: play every second recording with negative voltage (a bipolar amplifier).
+        seed: of the space-filling points.
+
+    Raises:
+        BadInput: limits that are missing or cannot be met.
+    """
+    if records:
+        check_set(records)
+    if choose_from:
+        return _ranking(model, records, choose_from, duration)
+    limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate)
+    length = duration or default_duration(limits, fresh=model is None)
+    if model is None:
+        return _played(first_session(limits, length, seed), limits, alternate)
+    if not trained(model):
+        filling, notes = bearable(model, space_filling_set(limits, length, seed), limits)
+        return _played(filling, limits, alternate, notes=notes)
+    if not records:
+        raise BadInput("a trained model says what it lacks only beside the records it was trained on: give them too")
+    found, notes = following(model, records, limits, length, seed), ()
+    if 0 < found.worth < len(found.recordings):
+        notes = ("after these another recording would not lower the error visibly",)
+    taken, expected = found.recordings[: found.worth], found.expected[: found.worth + 1]
+    return _played(taken, limits, alternate, expected=expected, stop=not taken, notes=found.notes + notes)
+
+
+def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, **told) -> Plan:
+    """Drives numbered, every second one turned over where asked for and the force is the same."""
+    alternate = alternate and limits.low == 0
+    kept = replace(limits, low=-limits.high) if alternate else limits
+    return Plan(in_order(drives, limits, alternate=alternate), kept, **told)
+
+
+def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None) -> Plan:
+    """Existing recordings, the best first.
+
+    Raises:
+        BadInput: no trained model, or none of its records.
+    """
+    if model is None or not trained(model) or not records:
+        raise BadInput("--choose-from needs a trained model and the records it was trained on")
+    check_set([*records, *others])
+    found, dt = ranked(model, records, others, duration), others[0].dt
+    played = [r.voltage for r in found.recordings]
+    low, high = min(0.0, *(float(u.min()) for u in played)), max(float(np.abs(u).max()) for u in played)
+    slew = max(r.slew for r in found.recordings)
+    limits = Limits(low, high, slew, np.inf, (1 / max(r.seconds for r in found.recordings), 0.05 / dt), 1 / dt, 0.0)
+    worth = f"the first {found.worth} of {len(played)} would lower the error visibly"
+    return Plan(found.recordings, limits, found.expected, found.worth == 0, (worth,))
+
+
+def trained(model: Model) -> bool:
+    """Whether a model has an encoder whose numbers records can tell of."""
+    return not isinstance(model.encoder, ConstantEncoder)
+
+
+def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) -> Limits:
+    """Those given, else the model's.
+
+    Raises:
+        BadInput: one is missing.
+    """
+    missing = [name for name, value in (("--max-voltage", max_voltage), ("--band", band)) if value is None]
+    if model is None and missing:
+        raise BadInput(f"a first session needs {' and '.join(missing)}: what the amplifier and the membrane bear")
+    low, high = (0.0, 0.0) if model is None else model.provenance.voltage_range
+    one_sided = model is None or model.input_map.one_sided
+    high, low = max(high, -low) if one_sided else high, 0.0 if one_sided else min(low, 0.0)
+    if max_voltage is not None:
+        high, low = max_voltage, max(low, -max_voltage)
+    if band is None and model is not None:
+        hz = model.natural_frequency / (2 * np.pi)
+        band = (_BAND[0] * hz, min(_BAND[1] * hz, (rate or 1 / model.provenance.dt) / 20))
+    assert band is not None
+    rate = rate or (default_rate(band[1]) if model is None else 1 / model.provenance.dt)
+    if max_slew is None:
+        seen = np.inf if model is None else model.provenance.slew
+        max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
+    farthest = np.inf if max_displacement is None else max_displacement
+    return Limits(low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest))

@@ -1,0 +1,43 @@
+"""The page of a fit: every record, the worst first; what the memory holds; nothing loaded from anywhere."""
+
+import numpy as np
+import pytest
+
+import pitp_jax as pitp
+from pitp_jax._commands.fit_page import fit_page
+from pitp_jax._commands.predict import score
+from pitp_jax._simulate.prediction import Prediction
+
+
+@pytest.fixture(scope="module")
+def fitted(nonlinear, bounded):
+    """A model with lags of 20 ms and 0.3 s, trained within 2 mm."""
+    return bounded(nonlinear(2, ring=(60.0, 0.05)), region=((0.0, 2.0), (-1.0, 1.0), *((0.0, 2.0),) * 4))
+
+
+def pair(name, hz, error, *, lost=False):
+    """A record of a sine and a run that is off by so many percent of its range (rms)."""
+    t = np.arange(2000) * 1e-3
+    x = 1e-3 * (1 - np.cos(2 * np.pi * hz * t))
+    off = np.sqrt(2) * 2e-5 * error * np.sin(2 * np.pi * 7 * t)
+    x[5] = np.nan
+    run = Prediction(name, np.full(2000, np.nan) if lost else x + off, lost, False, np.ones(2000, bool), 0.1)
+    return pitp.Record(name, t, 1000 * np.abs(np.sin(np.pi * hz * t)), x, displacement_unit="mm"), run
+
+
+def test_every_record_stands_there_the_worst_first(fitted):
+    pairs = [pair("calm", 2, 0.5), pair("<wild>", 5, 3.0), pair("gone", 3, 0.0, lost=True)]
+    records, runs = zip(*pairs, strict=True)
+    scores = {r.name: score(r, p) for r, p in pairs}
+    text = fit_page(fitted, records, runs, scores, "model.pitp")
+    table = text[text.index("Recordings, the worst first") :]
+    assert table.index("gone") < table.index("&lt;wild&gt;") < table.index("calm")
+    assert "3.00" in table and "0.500" in table and "diverged" in table and "<wild>" not in text
+    assert text.count("<svg") == 5 and "<script" not in text and "http" not in text
+    assert "0.020 s, 0.30 s" in text and "second mass at 9.55 Hz" in text
+
+
+def test_an_identified_model_has_a_page_without_tokens(actuator):
+    record, run = pair("only", 2, 1.0)
+    text = fit_page(actuator, [record], [run], {"only": score(record, run)}, "nominal")
+    assert text.count("<svg") == 3 and "at most 1.0" in text

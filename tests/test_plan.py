@@ -1,0 +1,258 @@
+"""Planned recordings: within every limit, informative by the closed form, playable, deterministic."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pitp_jax as pitp
+from pitp_jax._plan.expected_error import knowledge, motions
+from pitp_jax._plan.information import choose, gains, variance
+from pitp_jax._plan.next_recordings import greedy
+from pitp_jax._plan.page import page
+from pitp_jax._simulate import ports
+from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax._train.parameters import parameters, with_parameters
+from pitp_jax.cli import main
+
+STILL = pitp.Record("still", np.arange(600) * 5e-3, np.zeros(600), np.linspace(0, 1, 600))
+RIG = {"max_voltage": 6000.0, "band": (1.0, 10.0), "rate": 200.0}
+
+
+def keeps(found, high, slew):
+    """Every voltage within the limits, from zero to zero, the slew kept between samples."""
+    for r in found.recordings:
+        assert np.abs(r.voltage).max() <= high * (1 + 1e-9)
+        assert r.voltage[0] == r.voltage[-1] == 0
+        dt = np.diff(r.time)
+        np.testing.assert_allclose(dt, 1 / found.limits.rate, rtol=1e-6)
+        assert np.abs(np.diff(r.voltage)).max() * found.limits.rate <= slew * (1 + 1e-9)
+
+
+@given(
+    high=st.floats(10.0, 1e4), slow=st.floats(0.05, 20.0), octaves=st.floats(1.0, 4.0), pace=st.floats(0.05, 3.0),
+    per_period=st.floats(20.0, 60.0), seed=st.integers(0, 99), alternate=st.booleans(),
+)  # fmt: skip
+@settings(max_examples=25, deadline=None)
+def test_every_drive_keeps_the_rigs_limits(high, slow, octaves, pace, per_period, seed, alternate):
+    band = slow, slow * 2**octaves
+    slew = pace * 2 * np.pi * band[1] * high / 2  # down to a twentieth of what a full sine of the band asks for
+    found = pitp.plan(
+        max_voltage=high, max_slew=slew, band=band, rate=per_period * band[1], alternate=alternate, seed=seed
+    )
+    keeps(found, high, slew)
+    if not alternate:
+        assert min(r.voltage.min() for r in found.recordings) >= 0
+
+
+def test_a_first_session_grows_then_sweeps_then_fills_and_repeats():
+    found = pitp.plan(**RIG, duration=60.0, rest=3.0, max_displacement=2e-3)
+    names = [r.name.split("_", 1)[1] for r in found.recordings]
+    assert [n[:6] for n in names[:5]] == ["growth"] * 4 + ["sweep"] and names[-1] == names[5]
+    tops = [float(r.voltage.max()) for r in found.recordings]
+    assert tops[:4] == sorted(tops[:4]) and tops[5:-1] == sorted(tops[5:-1])
+    assert found.seconds == pytest.approx(60.0, rel=0.02) and all(r.rest == 3.0 for r in found.recordings)
+    for before, r in zip(found.recordings, found.recordings[1:4], strict=False):  # the stroke grows by the square
+        ratio = before.voltage.max() / r.voltage.max()
+        assert r.go_on == pytest.approx(2e-3 * ratio**2)
+
+
+def test_a_plan_is_the_same_for_a_seed_and_another_for_another():
+    first, same, other = (pitp.plan(**RIG, seed=k) for k in (3, 3, 4))
+    assert all(np.array_equal(a.voltage, b.voltage) for a, b in zip(first.recordings, same.recordings, strict=True))
+    assert not np.array_equal(first.recordings[6].voltage, other.recordings[6].voltage)
+
+
+def test_alternating_polarity_turns_every_second_drive_over():
+    plain, turned = (pitp.plan(**RIG, alternate=a).recordings for a in (False, True))
+    for k, (a, b) in enumerate(zip(plain, turned, strict=True)):
+        np.testing.assert_array_equal(b.voltage, -a.voltage if k % 2 else a.voltage)
+
+
+@pytest.mark.parametrize(
+    ("limits", "says"),
+    [
+        ({"band": (1.0, 10.0)}, "--max-voltage"),
+        ({"max_voltage": 1e3}, "--band"),
+        (RIG | {"rate": 150.0}, "a tenth of Nyquist"),
+        (RIG | {"duration": 5.0}, "--duration 5 s is too short"),
+        (RIG | {"max_slew": -1.0}, "--max-slew"),
+        (RIG | {"choose_from": [STILL]}, "--choose-from needs"),
+    ],
+)
+def test_what_cannot_be_met_is_refused_in_one_line(limits, says):
+    with pytest.raises(pitp.BadInput, match=says) as refused:
+        pitp.plan(**limits)
+    assert "\n" not in str(refused.value)
+
+
+# information --------------------------------------------------------------------------------------------------------
+
+
+def linear_design(seed, candidates=12, numbers=6):
+    """Prior precision, candidates' information and what is to be predicted, of a linear model y = J p + e."""
+    rng = np.random.default_rng(seed)
+    rows = [rng.standard_normal((5, numbers)) * rng.uniform(0.1, 2, numbers) for _ in range(candidates)]
+    test = rng.standard_normal((40, numbers))
+    return np.eye(numbers), rows, test
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_choice_informs_at_least_as_much_as_any_single_one(seed):
+    prior, rows, test = linear_design(seed)
+    judged = test.T @ test / len(test)
+    best, second = choose(prior, [r.T @ r for r in rows], judged, 2)
+    closed = [np.mean(np.sum(test @ np.linalg.inv(prior + r.T @ r) * test, axis=1)) for r in rows]
+    assert best.place == int(np.argmin(closed))
+    assert best.variance == pytest.approx(min(closed), rel=1e-6)
+    pairs = [np.trace(np.linalg.inv(prior + rows[best.place].T @ rows[best.place] + r.T @ r) @ judged) for r in rows]
+    pairs[best.place] = np.inf
+    assert second.place == int(np.argmin(pairs)) and second.variance <= best.variance
+
+
+def test_the_variance_is_that_of_bayesian_least_squares():
+    prior, rows, test = linear_design(7)
+    rng, j = np.random.default_rng(0), rows[0]
+    truth = rng.standard_normal((20000, 6))
+    y = truth @ j.T + rng.standard_normal((20000, 5))
+    fitted = y @ j @ np.linalg.inv(prior + j.T @ j)
+    seen = np.mean(((fitted - truth) @ test.T) ** 2)
+    assert variance(prior + j.T @ j, test.T @ test / len(test)) == pytest.approx(seen, rel=0.03)
+
+
+# with a model -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model(nonlinear, bounded):
+    """A trained-like model at 5 Hz and 200 Hz sampling, 1 mm at 1000 V."""
+    return bounded(nonlinear(2, size=0.3, dt=5e-3), high=2000.0, slew=2e5)
+
+
+def read(model, u):
+    """Scaled displacement of a free run from rest at 200 Hz."""
+    states = rollout(model, jnp.asarray(u, jnp.float32), 5e-3, rest_state(model))
+    return np.asarray(ports.readings(model, states), np.float64)
+
+
+@pytest.fixture(scope="module")
+def records(model):
+    """Two records of it with a little noise."""
+    t = np.arange(600) * 5e-3
+    rng, found = np.random.default_rng(0), []
+    for hz in (1.0, 4.0):
+        u = 900 - 900 * np.cos(2 * np.pi * hz * t)
+        x = 1e-3 * read(model, u)
+        found.append(pitp.Record(f"sine{hz}", t, u, x + 2e-6 * rng.standard_normal(len(t))))
+    return found
+
+
+LENGTHS = {"band": (4 / 3, 10.0), "duration": 9.0}  # recordings of 3 s: one compiled program for all
+
+
+@pytest.fixture(scope="module")
+def following(model, records):
+    return pitp.plan(model, records, **LENGTHS)
+
+
+def test_a_runs_information_is_that_of_its_jacobian(model, records):
+    u, every = jnp.asarray(records[0].voltage, jnp.float32), 4  # ten samples to a period of 5 Hz at 200 Hz
+    here = jnp.asarray(parameters(model)[0], jnp.float32)
+
+    def reading(p):
+        return ports.readings(model, rollout(with_parameters(model, p), u, 5e-3, rest_state(model)))
+
+    told = motions(model, [records[0].voltage], 5e-3)
+    along = jax.jit(lambda v: jax.jvp(reading, (here,), (v,)))
+    for seed in range(3):
+        v = np.random.default_rng(seed).standard_normal(len(here))
+        x, moved = (np.asarray(a, np.float64) for a in along(jnp.asarray(v, jnp.float32)))
+        wanted = 1e4 * every / len(x) / np.ptp(x) ** 2 * np.sum(moved[::every] ** 2)
+        assert v @ told.information[0] @ v == pytest.approx(wanted, rel=2e-3)
+    assert told.stroke[0] == pytest.approx(1e-3 * np.abs(x).max(), rel=1e-4)
+
+
+def test_the_next_recordings_lower_the_expected_error(model, following):
+    assert following.recordings and not following.stop
+    assert (np.diff(following.expected) < 0).all() and len(following.expected) == len(following.recordings) + 1
+    keeps(following, 2000.0, 2e5)
+
+
+def test_nothing_is_left_to_learn_where_everything_is_known(model, records):
+    known, dt = knowledge(model, records), 5e-3
+    told = motions(model, [r.voltage for r in records], dt)
+    seconds = np.array([3.0, 3.0])
+    sure = type(known)(1e9 * known.precision, known.unit, known.error)
+    assert greedy(known, told, told, seconds, 1)[2] == 1
+    places, expected, worth = greedy(sure, told, told, seconds, 2)
+    assert worth == 0 and len(places) == 2 and expected[0] < 1e-3
+
+
+def test_drives_beyond_the_membranes_stroke_are_left_out(model, records, following):
+    strokes = sorted(r.stroke for r in following.recordings)
+    limit = 0.5 * strokes[-1]
+    found = pitp.plan(model, records, max_displacement=limit, **LENGTHS)
+    assert all(r.stroke <= limit for r in found.recordings) and "left out" in found.notes[0]
+    for r in found.recordings[:1]:
+        assert 1e-3 * np.abs(read(model, r.voltage)).max() == pytest.approx(r.stroke, rel=1e-3)
+    with pytest.raises(pitp.BadInput, match="every drive is predicted to exceed it"):
+        pitp.plan(model, records, max_displacement=1e-9, **LENGTHS)
+
+
+def test_existing_recordings_are_ranked_without_their_output(model, records):
+    blind = [pitp.Record(r.name, r.time, r.voltage, np.zeros(600)) for r in records]
+    found = pitp.plan(model, records, choose_from=[STILL, *blind])
+    again = pitp.plan(model, records, choose_from=[*records, STILL])
+    assert [r.name for r in found.recordings] == [r.name for r in again.recordings]
+    assert found.recordings[-1].name == "still"
+    g = motions(model, [r.voltage for r in records], 5e-3).information
+    known = knowledge(model, records)
+    after = gains(known.precision, [3.0 * m for m in g], np.sum(g, axis=0))
+    assert found.recordings[0].name == records[int(np.argmin(after))].name
+
+
+def test_an_identified_model_gets_a_space_filling_set(actuator):
+    found = pitp.plan(actuator, band=(0.5, 5.0), duration=40.0)
+    assert len(found.recordings) == 8 and not found.expected
+    assert all(r.kind == "sine" and np.isfinite(r.stroke) for r in found.recordings)
+    keeps(found, 2000.0, 5e4)
+
+
+# the command --------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_drives_that_are_read_back_as_played(tmp_path, capsys):
+    out = tmp_path / "plan"
+    limits = ["--max-voltage", "6000", "--band", "1", "10", "--rate", "200", "--rest", "2", "--max-displacement", "3"]
+    assert main(["plan", *limits, "--out", str(out)]) == 0
+    told, expected = json.loads((out / "plan.json").read_text()), pitp.plan(**RIG, rest=2.0, max_displacement=3e-3)
+    assert len(told["files"]) == len(told["recordings"]) == len(expected.recordings)
+    text = (out / "plan.html").read_text()
+    assert "<script" not in text and "http" not in text and "growth_25" in text
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    for file, r in zip(told["files"], expected.recordings, strict=True):  # as the DAQ writes it beside the laser's
+        lines = (out / file).read_text().splitlines()
+        assert lines[0] == "time_s,voltage_V"
+        rows = [f"{line},{1e-6 * k:.6f}" for k, line in enumerate(lines[1:])]
+        (taken / file).write_text("\n".join([f"{lines[0]},displacement_m", *rows]))
+        assert r.name == file.removesuffix(".csv")
+    for r, back in zip(expected.recordings, pitp.read(taken), strict=True):
+        np.testing.assert_allclose(back.voltage, r.voltage, atol=1e-4)
+        assert back.dt == pytest.approx(1 / 200)
+    assert "14 recordings" in capsys.readouterr().out
+
+
+def test_the_command_refuses_with_nothing_written(tmp_path, capsys):
+    out = str(tmp_path / "plan")
+    assert main(["plan", "--max-voltage", "6000", "--band", "1", "10", "--rate", "50", "--out", out]) == 2
+    assert "tenth of Nyquist" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_the_page_says_when_to_stop(following):
+    stopped = type(following)((), following.limits, following.expected[:1], True)
+    assert "Stop" in page(stopped, "model") and "expected to be off" in page(following, "model")
