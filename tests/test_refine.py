@@ -124,11 +124,13 @@ def test_whole_records_weigh_the_same(plant, start):
 def test_a_noisy_record_does_not_drown_the_others(plant, start):
     """Two sensors: at 5 % of range noise alone would leave 25, at 0.1 % it leaves 0.01."""
     clean = plant[1][1]
-    noise = 0.05 * np.ptp(clean.displacement) * np.random.default_rng(5).standard_normal(SAMPLES)
+    sigma = 0.05 * np.ptp(clean.displacement)
+    noise = sigma * np.random.default_rng(5).standard_normal(SAMPLES)
     noisy = replace(clean, name="noisy", displacement=clean.displacement + noise)
     weight = refining._record_weights(start[0], [clean, noisy])
     span = [np.ptp(r.displacement) / start[0].scales.state[0] for r in (clean, noisy)]
-    np.testing.assert_allclose(weight * np.square(span) / 1e4, [1.0, 1 / 26], rtol=0.15)
+    expected = 1 / (1 + (100 * sigma / np.ptp(noisy.displacement)) ** 2)
+    np.testing.assert_allclose(weight * np.square(span) / 1e4, [1.0, expected], rtol=0.15)
     alone = refining._record_weights(start[0], [noisy])
     np.testing.assert_allclose(alone * span[1] ** 2, 1e4, rtol=1e-6)
 

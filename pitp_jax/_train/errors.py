@@ -1,7 +1,8 @@
 """Errors of free runs on the training records: the trained model beside its nominal, as `predict` runs both.
 
-e_k = 100 rms(x - x_measured) / range_k,      a record is worse where e_k(trained) > 1.01 e_k(nominal)
-better of two models: fewer records worse, then the smaller rms of e_k
+    e_k = 100 rms(x - x_measured) / range_k,      a record is worse where e_k(trained) > 1.01 e_k(nominal)
+
+The better of two models is worse on fewer records, then has the smaller rms of e_k.
 """
 
 from collections.abc import Callable, Iterable, Sequence

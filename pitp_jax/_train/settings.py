@@ -94,7 +94,7 @@ class Settings:
     huber: float = 0.05
     batch: int = 2048
     refine_steps: int = 40
-    starts: int = 4
+    starts: int = 3
     firmness: float | None = None
 
     def __post_init__(self):

@@ -220,7 +220,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
             params, state, (physics, constraint) = _epoch(
-                params, static, state, model, data.equation, *box_rate, settings, sub
+                params, static, state, model, data.equation, *box_rate, sub, **_in_an_epoch(settings)
             )
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
@@ -244,18 +244,23 @@ def _nan_advice(place: str) -> str:
     )
 
 
+def _in_an_epoch(settings: Settings) -> dict:
+    """The settings that its program depends on."""
+    dropout = settings.encoder == "paper"
+    return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
+
+
 @jit
-def _epoch(params, static, state, model: Model, data, box, rate, settings: Settings, key):
+def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: int, width, penalty, dropout: bool):
     """One epoch over shuffled minibatches as one compiled scan; an incomplete batch is left to the next shuffle."""
-    count = max(data.force.shape[0] // settings.batch, 1)
-    size = min(settings.batch, data.force.shape[0])
+    count = max(data.force.shape[0] // batch, 1)
+    size = min(batch, data.force.shape[0])
     shuffle, drop = jax.random.split(key)
     order = jax.random.permutation(shuffle, data.force.shape[0])[: count * size].reshape(count, size)
-    dropout = settings.encoder == "paper"
 
-    def objective(p, batch, k):
+    def objective(p, some, k):
         here = replace(model, encoder=eqx.combine(p, static))
-        return loss(here, batch, box, width=settings.huber, penalty=settings.penalty, key=k)
+        return loss(here, some, box, width=width, penalty=penalty, key=k)
 
     def update(carry, item):
         p, s = carry
