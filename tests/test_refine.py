@@ -129,8 +129,9 @@ def test_a_noisy_record_does_not_drown_the_others(plant, start):
     noisy = replace(clean, name="noisy", displacement=clean.displacement + noise)
     weight = refining._record_weights(start[0], [clean, noisy])
     span = [np.ptp(r.displacement) / start[0].scales.state[0] for r in (clean, noisy)]
-    expected = 1 / (1 + (100 * sigma / np.ptp(noisy.displacement)) ** 2)
-    np.testing.assert_allclose(weight * np.square(span) / 1e4, [1.0, expected], rtol=0.15)
+    share = np.square(sigma / np.ptp(noisy.displacement))  # what noise leaves of a range, squared
+    assert weight[0] * span[0] ** 2 == pytest.approx(1e4)
+    assert weight[1] * span[1] ** 2 * share < 1.5 < 15 < 1e4 * share
     alone = refining._record_weights(start[0], [noisy])
     np.testing.assert_allclose(alone * span[1] ** 2, 1e4, rtol=1e-6)
 
@@ -189,12 +190,21 @@ def test_a_start_is_never_further_off_than_the_nominal(plant, start):
     assert after <= refining._miss(nominal, free, how()) < 0.5 * before
 
 
-def test_longer_windows_come_where_whole_records_are_far_off(plant, start, monkeypatch):
-    """Periods of 0.2 s, records of 1.8 s: windows of one period, then of four, since 0 % is asked of the free runs."""
-    for name, value in {"_PERIODS": 1.0, "_NEAR": 0.0, "_WORSE": 0.0, "_SHORT_STEPS": 1}.items():
-        monkeypatch.setattr(refining, name, value)
-    found = list(refine(start[0], start[1], plant[1], 1, quiet))
-    assert [e["stage"] for _, e in found] == ["short runs", "longer runs", "free runs"]
+@pytest.mark.parametrize(("miss", "longer"), [(8.0, 0), (12.0, 1)])
+def test_longer_windows_come_where_whole_records_are_far_off(plant, start, monkeypatch, miss, longer):
+    """Windows of one period of 0.2 s, then of four, where records of 1.8 s are further off than 10 % of range."""
+    sizes = []
+
+    def descend(model, batches, count, stage, how):
+        sizes.append((stage, batches[0].target.shape[1]))
+        yield model, {"stage": stage}
+
+    monkeypatch.setattr(refining, "_PERIODS", 1.0)
+    monkeypatch.setattr(refining, "_descend", descend)
+    monkeypatch.setattr(refining, "_nearest", lambda model, batches, how: model)
+    monkeypatch.setattr(refining, "_miss", lambda model, batches, how: miss if batches[0].own_zero is not None else 1.0)
+    list(refine(start[0], start[1], plant[1], 1, quiet))
+    assert sizes == [("short runs", 100), ("longer runs", 400), ("free runs", SAMPLES)][:: 1 if longer else 2]
 
 
 def test_no_start_at_all_is_told(plant, start):
