@@ -53,6 +53,7 @@ from ._train import Band as Band
 from ._train import Ensemble as Ensemble
 from ._train import Settings as Settings
 from ._train import Training as Training
+from ._train import cross_validate as cross_validate
 from ._train import predict_band as predict_band
 from ._train import train as train
 from ._train import train_ensemble as train_ensemble

@@ -266,6 +266,10 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random start (default 0)")
     parser.add_argument("--report", metavar="DIR", help="also write a page of free runs beside the records here")
+    parser.add_argument(
+        "--cross-validate", action="store_true", help="also train without each record in turn, and predict it"
+    )
+    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write all errors for machines")
     _columns(parser)
 
 

@@ -1,4 +1,4 @@
-"""Adapt: planted factors come back within their intervals; what belongs to the sensor, or to nobody, changes nothing."""
+"""Adapt: planted factors come back within their intervals; what is the sensor's, or nobody's, changes nothing."""
 
 import json
 from dataclasses import replace

@@ -84,7 +84,7 @@ def test_a_planted_lag_is_found(plant, start, refined):
 def test_every_step_goes_down_and_is_told(refined):
     steps, lines = refined
     assert [e["stage"] for _, e in steps] == sorted((e["stage"] for _, e in steps), reverse=True)
-    assert {e["stage"] for _, e in steps} == {"short runs", "free runs"}
+    assert {e["stage"] for _, e in steps} == {"short runs", "free runs"}  # no longer windows where these were enough
     for stage in ("short runs", "free runs"):
         errors = [e["error"] for _, e in steps if e["stage"] == stage]
         told = [line for line in lines if line[0] == stage]
@@ -117,8 +117,23 @@ def test_whole_records_weigh_the_same(plant, start):
     assert np.isfinite(target).all()
     scale = model.scales.state[0]
     spans = [(np.nanmax(x) - np.nanmin(x)) / scale for x in (records[0].displacement, holes[:600])]
-    np.testing.assert_allclose(weight.sum(1), 1e4 / np.square(spans) / 2, rtol=1e-4)
+    np.testing.assert_allclose(weight.sum(1), 1e4 / np.square(spans) / 2, rtol=0.02)
     np.testing.assert_array_equal(runs.rest, [1.0, 1.0])
+
+
+def test_a_noisy_record_does_not_drown_the_others(plant, start):
+    """Two sensors: at 5 % of range noise alone would leave 25, at 0.1 % it leaves 0.01."""
+    clean = plant[1][1]
+    sigma = 0.05 * np.ptp(clean.displacement)
+    noise = sigma * np.random.default_rng(5).standard_normal(SAMPLES)
+    noisy = replace(clean, name="noisy", displacement=clean.displacement + noise)
+    weight = refining._record_weights(start[0], [clean, noisy])
+    span = [np.ptp(r.displacement) / start[0].scales.state[0] for r in (clean, noisy)]
+    share = np.square(sigma / np.ptp(noisy.displacement))  # what noise leaves of a range, squared
+    assert weight[0] * span[0] ** 2 == pytest.approx(1e4)
+    assert weight[1] * span[1] ** 2 * share < 1.5 < 15 < 1e4 * share
+    alone = refining._record_weights(start[0], [noisy])
+    np.testing.assert_allclose(alone * span[1] ** 2, 1e4, rtol=1e-6)
 
 
 def test_windows_start_where_the_record_is(plant, start):
@@ -150,10 +165,14 @@ def lost(model, runs):
     return not np.isfinite(states).all() or np.abs(states).max() > 100 * float(jnp.abs(runs.target).max())
 
 
-def test_a_diverging_start_is_tamed(plant, start, runaway):
+def how(**changes):
+    return refining._How(DT, quiet, 1e-4, None, None)
+
+
+def test_a_diverging_start_is_scaled_down(plant, start, runaway):
     (runs,) = refining._free(runaway, plant[1])
     assert lost(runaway, runs)
-    tamed = refining._tamed(runaway, (runs,), DT)
+    tamed = refining._nearest(runaway, (runs,), how())
     assert not lost(tamed, runs)
     encoder, wild = (of_kind(CompactEncoder, m.encoder) for m in (tamed, runaway))
     assert float(encoder.fading[0, 0] / wild.fading[0, 0]) < 0.5
@@ -162,18 +181,30 @@ def test_a_diverging_start_is_tamed(plant, start, runaway):
     assert not lost(found[-1][0], runs)
 
 
-def test_a_good_start_is_left_alone(plant, start):
-    (runs,) = refining._free(start[0], plant[1])
-    tamed = refining._tamed(start[0], (runs,), DT)
-    for a, b in zip(jax.tree.leaves(tamed), jax.tree.leaves(start[0]), strict=True):
-        np.testing.assert_array_equal(a, b)
+def test_a_start_is_never_further_off_than_the_nominal(plant, start):
+    """Runs that stay finite but are pushed 50 % of range off: nothing of that encoder is worth keeping."""
+    pushed = eqx.tree_at(lambda m: m.encoder.spring_poly, start[0], start[0].encoder.spring_poly.at[0, 0].set(3.0))
+    free = refining._free(pushed, plant[1])
+    before, after = (refining._miss(m, free, how()) for m in (pushed, refining._nearest(pushed, free, how())))
+    nominal = eqx.tree_at(lambda m: m.encoder, pushed, pushed.encoder.scaled(0.0))
+    assert after <= refining._miss(nominal, free, how()) < 0.5 * before
 
 
-def test_a_start_that_swings_far_beyond_its_targets_is_not_near(plant, start):
-    """Finite, but no step leads back: it is tamed as what diverges is."""
-    (runs,) = refining._free(start[0], plant[1])
-    assert refining._stays(start[0], runs, DT)
-    assert not refining._stays(start[0], eqx.tree_at(lambda r: r.target, runs, runs.target / 20), DT)
+@pytest.mark.parametrize(("miss", "longer"), [(8.0, 0), (12.0, 1)])
+def test_longer_windows_come_where_whole_records_are_far_off(plant, start, monkeypatch, miss, longer):
+    """Windows of one period of 0.2 s, then of four, where records of 1.8 s are further off than 10 % of range."""
+    sizes = []
+
+    def descend(model, batches, count, stage, how):
+        sizes.append((stage, batches[0].target.shape[1]))
+        yield model, {"stage": stage}
+
+    monkeypatch.setattr(refining, "_PERIODS", 1.0)
+    monkeypatch.setattr(refining, "_descend", descend)
+    monkeypatch.setattr(refining, "_nearest", lambda model, batches, how: model)
+    monkeypatch.setattr(refining, "_miss", lambda model, batches, how: miss if batches[0].own_zero is not None else 1.0)
+    list(refine(start[0], start[1], plant[1], 1, quiet))
+    assert sizes == [("short runs", 100), ("longer runs", 400), ("free runs", SAMPLES)][:: 1 if longer else 2]
 
 
 def test_no_start_at_all_is_told(plant, start):
@@ -237,8 +268,8 @@ def test_a_long_record_among_short_ones_runs_to_its_end(plant, start, monkeypatc
     whole, brief = refining._free(model, records)
     assert whole.voltage.shape == (1, SAMPLES) and brief.voltage.shape == (10, 200)
     span = [np.ptp(r.displacement) / model.scales.state[0] for r in (long, short[0])]
-    np.testing.assert_allclose(whole.weight.sum(1), 1e4 / span[0] ** 2 / 11, rtol=1e-4)
-    np.testing.assert_allclose(brief.weight.sum(1), 1e4 / span[1] ** 2 / 11, rtol=1e-4)
+    np.testing.assert_allclose(whole.weight.sum(1), 1e4 / span[0] ** 2 / 11, rtol=0.02)
+    np.testing.assert_allclose(brief.weight.sum(1), 1e4 / span[1] ** 2 / 11, rtol=0.02)
 
 
 def test_one_short_record_does_not_shorten_the_windows(plant, start):

@@ -13,19 +13,22 @@ from .._record.excitation_kind import is_sweep
 from .._record.record import Record
 from .._record.writing import write_text_atomic
 from .._simulate.prediction import predict
+from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.settings import preset_of
 from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
 from .fit_page import REPORT, fit_page
-from .outputs import check_files, check_folder, staged_folder
+from .outputs import check_files, check_folder, staged_folder, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
-from .reports import describe, in_words, listed, print_history
+from .reports import describe, errors_told, in_words, listed, print_errors, print_history, suspects
 
 
-def fit(records, out, nominal, order, preset, learn, input_map, seed, report, reading) -> None:
-    """Train, write the model file, and print how it went.
+def fit(
+    records, out, nominal, order, preset, learn, input_map, seed, report, reading, cross_validate=False, json_file=None
+) -> None:
+    """Train, write the model file, and print how it went and how every record is fitted.
 
     Args:
         records: files and folders; all of them train.
@@ -38,23 +41,31 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, report, re
         seed: of the random start.
         report: folder for a page on the fit, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+        cross_validate: whether every record is also predicted by a model of the others.
+        json_file: where to write the errors for machines, or None.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
         KeyboardInterrupt: interrupted; the best complete model is written where a stage was complete.
     """
-    check_files(out, inputs=[*records, *([nominal] if nominal else [])])
+    check_files(out, json_file, inputs=[*records, *([nominal] if nominal else [])])
     start = _given(nominal, order, input_map) if nominal else None
     if report is not None:
         check_folder(report, [REPORT], inputs=[out, *records])
     read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
-    check_files(out, inputs=[r.source for r in read_in])
+    check_files(out, json_file, inputs=[r.source for r in read_in])
     warn(read_in)
+
+    def identified(some):
+        return _identified(some, order or "auto", input_map or "square")
+
+    given = start
     if start is None:
-        start = _identified(read_in, order or "auto", input_map or "square")
+        start = identified(read_in)
     check_suits(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
-    done = train(start, read_in, settings=settings, key=jax.random.key(seed), progress=ProgressBar().update)
+    how = {"settings": settings, "key": jax.random.key(seed)}
+    done = train(start, read_in, **how, progress=ProgressBar().update)
     save(out, done.model)
     if report is not None:
         _report(done.model, read_in, report, out)
@@ -68,6 +79,15 @@ def fit(records, out, nominal, order, preset, learn, input_map, seed, report, re
     print_history(done.history)
     for effect in told["effects"]:
         print(f"with {in_words(effect)}")
+    held_out = ()
+    if cross_validate:
+        say(f"cross-validation: {len(done.errors)} trainings, each without one record")
+        held_out = run_cross_validate(given or identified, read_in, done.model, progress=ProgressBar().update, **how)
+    print_errors(done.errors, held_out)
+    for line in [*done.problems, *suspects(held_out)]:
+        say(f"warning: {line}")
+    if json_file:
+        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems)})
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 

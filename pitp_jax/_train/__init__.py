@@ -3,9 +3,13 @@
     1. min Huber(theta(X) . X - F) + soft box on the tokens, the box widening in stages     (`equation_error`)
     2. min |free run - record|^2 + prior, by Levenberg-Marquardt                             (`refine`)
 
-Verb: `train`; `train_ensemble` and `predict_band` for its spread over random starts.
+    3. every record beside the nominal; other starts where that did not converge           (`errors`)
+
+Verb: `train`; `cross_validate` leaves one record out; `train_ensemble` and `predict_band`: spread over random starts.
 """
 
+from .cross_validation import HeldOut as HeldOut
+from .cross_validation import cross_validate as cross_validate
 from .ensemble import Band as Band
 from .ensemble import Ensemble as Ensemble
 from .ensemble import predict_band as predict_band

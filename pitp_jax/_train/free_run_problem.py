@@ -74,6 +74,12 @@ class FreeRuns:
         slow = [] if self._slow is None else [self._slow.errors(self._model, vector)]
         return [*runs, self._root * (vector - self._centre), *slow]
 
+    def miss(self, vector: np.ndarray) -> float:
+        """Root mean square error of the runs alone, % of range; infinite where one is lost."""
+        runs = self._each(run_errors, vector)
+        left = float(np.sqrt(sum(np.sum(np.square(np.asarray(e, np.float64))) for e in runs)))
+        return left if np.isfinite(left) else np.inf
+
     def slopes(self, vector: np.ndarray) -> list[Array | np.ndarray]:
         """Their derivatives by the trained numbers, the last axis."""
         runs = self._each(run_slopes, vector)

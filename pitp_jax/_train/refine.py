@@ -1,33 +1,38 @@
 """Refinement: the trained model's free runs against the records, by least squares (the output error).
 
-    minimise  mean over records of  mean_t ( 100 (x(t) - x_measured(t)) / range )^2  +  sum_k rho_k (p_k - p_k0)^2
+    minimise  mean over records of  f_k mean_t ( 100 (x(t) - x_measured(t)) / range_k )^2  +  sum_k rho_k (p_k - p_k0)^2
+    f_k = (1 + (100 s_min)^2) / (1 + (100 s_k)^2)        s_k: sensor noise over range, s_min the least in the set
 
-Levenberg-Marquardt (`geodesic_steps`), first on windows of six periods from their filtered states, then on whole
-records from their own starts, as predictions run. Creep that outlasts them is met beside (`creep_balance`). Every
-trained number is free: encoder weights, memory and drive time constants, and those of effects the model was given.
+Levenberg-Marquardt (`geodesic_steps`), first on windows of six periods from their filtered states, then on longer ones
+where whole records are still far off, then on whole records from their own starts, as predictions run. Every stage
+begins with the logits scaled to where its runs leave least, between the trained ones and the linear nominal: a network
+fitted to the equation error may be unstable, and from runs that left every range no step leads down. Creep that
+outlasts the runs is met beside (`creep_balance`). Every trained number is free: encoder weights, memory and drive time
+constants, and those of effects the model was given.
 Where all records exceed the budget, half of it goes to some that stand for all, to their ends, since nothing else sees
 creep within a record, and half to the beginnings of the others, since a resonance is narrow. On a cone it takes the
 held-out median from 0.91 to 0.27 %; what else was tried: docs/decisions/free_runs.md.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh
+from jaxtyping import Float
 
 from .._errors import ComputationFailed
 from .._model.model import Model
 from .._numerics.geodesic_steps import steps
 from .._record.excitation_kind import spread_over_kinds
-from .._record.initial_state import aligned
+from .._record.initial_state import aligned, noise_std
 from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
-from .._simulate.decoder import rollout_batch
 from .._simulate.prediction import begin
 from .creep_balance import SlowBalance
 from .dataset import Dataset
@@ -37,10 +42,22 @@ from .parameters import parameters, trainable, with_parameters
 
 _BUDGET = 400_000  # samples in all
 _FEWEST, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
-_SHORT_STEPS, _PERIODS = 12, 6.0
-_NEAR = 5.0  # times the largest displacement to meet; from further off no step led down
+_SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length at first, and how it grows
+_NEAR, _WORSE = 10.0, 3.0  # % of range that whole records may be off, or times what windows are, to be met next
+_SCALED = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the logits, where a stage may begin
 _PRIOR = 1e-4  # rho of every trained number but the weights of the nets of spring and damping
 _PATIENCE, _SLOW = 5, 0.01  # stop when that many steps together lower the error by less than this share
+
+
+@dataclass(frozen=True)
+class _How:
+    """What all stages of a refinement share."""
+
+    dt: float
+    report: Callable
+    firmness: float
+    slow: SlowBalance | None
+    mesh: Mesh | None
 
 
 def refine(
@@ -53,48 +70,63 @@ def refine(
     firmness: float = _PRIOR,
     slow: SlowBalance | None = None,
     mesh: Mesh | None = None,
+    windows: bool = True,
+    emphasis: Sequence[float] | None = None,
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
 
     `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: what else is to be met.
+    `windows`: whether they come first. `emphasis`: how often each whole record counts; default once.
     """
-    dt = records[0].dt
-    short = _windows(model, data, records)
-    rest = report, firmness, slow, mesh
-    for found, entry in _descend(_tamed(model, (short,), dt), (short,), dt, _SHORT_STEPS, "short runs", *rest):
-        model = found
-        yield found, entry
-    free = _free(model, records)
-    yield from _descend(_tamed(model, free, dt), free, dt, count, "free runs", *rest)
+    how = _How(records[0].dt, report, firmness, slow, mesh)
+    longest = max(r.samples for r in records) * how.dt / _period(model)
+    periods, stage = _PERIODS, "short runs"
+    while windows:
+        runs = (_windows(model, data, records, periods),)
+        for found, entry in _descend(_nearest(model, runs, how), runs, _SHORT_STEPS, stage, how):
+            model = found
+            yield found, entry
+        periods, stage = _LONGER * periods, "longer runs"
+        windows = 2 * periods < longest and _miss(model, _free(model, records), how) > max(
+            _NEAR, _WORSE * _miss(model, runs, how)
+        )
+    free = _free(model, records, emphasis)
+    yield from _descend(_nearest(model, free, how), free, count, "free runs", how)
 
 
-def _descend(
-    model: Model,
-    batches: Sequence[Runs],
-    dt: float,
-    count: int,
-    stage: str,
-    report,
-    firmness: float,
-    slow: SlowBalance | None,
-    mesh: Mesh | None,
-) -> Iterator[tuple[Model, dict]]:
+def _problem(model: Model, batches: Sequence[Runs], how: _How) -> FreeRuns:
     start, sizes = parameters(model)
     centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near where they began
-    prior = _prior(model, sizes, firmness), centre
-    runs = FreeRuns(model, batches, dt, _thinning(model, dt), prior=prior, slow=slow, mesh=mesh)
+    prior, every = _prior(model, sizes, how.firmness), _thinning(model, how.dt)
+    return FreeRuns(model, batches, how.dt, every, prior=(prior, centre), slow=how.slow, mesh=how.mesh)
+
+
+def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how: _How) -> Iterator[tuple[Model, dict]]:
+    runs = _problem(model, batches, how)
     costs, began = [], time.monotonic()
-    for k, (vector, cost, done) in enumerate(steps(runs.errors, runs.slopes, start)):
+    for k, (vector, cost, done) in enumerate(steps(runs.errors, runs.slopes, parameters(model)[0])):
         if not np.isfinite(cost):
             raise ComputationFailed("the free runs diverged before refinement; check the records for spikes")
         costs.append(cost)
         left = (time.monotonic() - began) / (k + 1) * (count - k)
-        report(stage, k, count, cost, min(costs), left)
+        how.report(stage, k, count, cost, min(costs), left)
         if k:
             yield with_parameters(model, vector), {"stage": stage, "step": k, "error": cost}
         settled = k >= _PATIENCE and costs[-1] > (1 - _SLOW) * costs[-1 - _PATIENCE]
         if done or settled or k == count:
             return
+
+
+def _nearest(model: Model, batches: Sequence[Runs], how: _How) -> Model:
+    """The model with its logits scaled to where the runs leave least; at zero it is the linear nominal."""
+    runs = _problem(model, batches, how)
+    scaled = [eqx.tree_at(lambda m: m.encoder, model, model.encoder.scaled(f)) for f in _SCALED]
+    return scaled[int(np.argmin([runs.miss(parameters(m)[0]) for m in scaled]))]
+
+
+def _miss(model: Model, batches: Sequence[Runs], how: _How) -> float:
+    """Root mean square error of the runs, % of range; infinite where one is lost."""
+    return _problem(model, batches, how).miss(parameters(model)[0])
 
 
 def _prior(model: Model, sizes, firmness: float) -> np.ndarray:
@@ -114,9 +146,12 @@ def _period(model: Model) -> float:
     return 2 * np.pi / model.natural_frequency
 
 
-def _windows(model: Model, data: Dataset, records: Sequence[Record]) -> Runs:
-    """Windows of a few periods, side by side, each from its filtered state: no run can leave the data far behind."""
-    size = int(np.clip(_PERIODS * _period(model) / records[0].dt, 64, np.median([r.samples for r in records])))
+def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: float = _PERIODS) -> Runs:
+    """Windows of a few periods, side by side, each from its filtered state: no run can leave the data far behind.
+
+    An error counts by the range of its record: most windows may stand still.
+    """
+    size = int(np.clip(periods * _period(model) / records[0].dt, 64, np.median([r.samples for r in records])))
     places = [
         (k, first)
         for k, valid in enumerate(data.valid)
@@ -131,7 +166,9 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record]) -> Runs:
 
     x = [model.output.to_model(r.displacement) / model.scales.state[0] for r in records]
     seen = [np.isfinite(v) for v in x]
-    weight = [1e4 * s / size / np.ptp(v[s]) ** 2 / len(places) for v, s in zip(x, seen, strict=True)]
+    count = np.bincount([k for k, _ in places], minlength=len(records))
+    each = _record_weights(model, records) / size / np.maximum(count, 1) / np.count_nonzero(count)
+    weight = [w * s for w, s in zip(each, seen, strict=True)]
     start = jnp.stack([_begun(model, data.features[k][first], records[k].voltage[first]) for k, first in places])
     target = cut([np.where(s, v, 0.0) for v, s in zip(x, seen, strict=True)])
     return Runs(start, jnp.zeros(len(places), jnp.float32), cut([r.voltage for r in records]), target, cut(weight))
@@ -150,22 +187,42 @@ def run_samples(records: Sequence[Record]) -> int:
     return longest if sum(r.samples for r in records) <= _BUDGET else min(longest, max(share, _SHORTEST))
 
 
-def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
+def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
+    """1e4 f_k / range_k^2 of every record, in the model's scales.
+
+    Were every f_k 1, a record whose noise is 5 % of its range would leave 25 whatever the model does, and what another
+    with 0.1 % has to tell would be lost beside it.
+    """
+    x = [r.displacement[r.observed] / model.scales.state[0] for r in records]
+    span = np.array([max(float(np.ptp(v)), 1e-12) for v in x])
+    noise = np.array([noise_std(r.displacement) for r in records]) / model.scales.state[0] / span
+    return 1e4 / span**2 * (1 + (100 * noise.min()) ** 2) / (1 + (100 * noise) ** 2)
+
+
+def _free(model: Model, records: Sequence[Record], emphasis: Sequence[float] | None = None) -> tuple[Runs, ...]:
     """All records, or some that stand for all and the beginnings of the others; each of the two counts half."""
     size = run_samples(records)
+    each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else np.asarray(emphasis))
     if sum(min(r.samples, size) for r in records) <= max(_BUDGET, _SHORTEST * len(records)):
-        sets = [[records[k] for k in places] for places in alike(records)]
-        longest = [min(size, max(r.samples for r in some)) for some in sets]
-        shares = [len(some) / len(records) for some in sets]
-        return tuple(_from_the_start(model, *one) for one in zip(sets, longest, shares, strict=True))
-    long = spread_over_kinds(records, max(_BUDGET // 2 // size, 1))
-    others = [r for k, r in enumerate(records) if k not in set(long)]
-    brief = min(size, max(_BUDGET // 2 // len(others), _SHORTEST))
-    parts = ([records[k] for k in long], size), (others, brief)
-    return tuple(_from_the_start(model, some, samples, 0.5) for some, samples in parts)
+        sets = alike(records)
+        sizes, shares = (
+            [min(size, max(records[k].samples for k in some)) for some in sets],
+            [1 / len(records)] * len(sets),
+        )
+    else:
+        long = spread_over_kinds(records, max(_BUDGET // 2 // size, 1))
+        sets = [list(long), [k for k in range(len(records)) if k not in set(long)]]
+        sizes, shares = (
+            [size, min(size, max(_BUDGET // 2 // len(sets[1]), _SHORTEST))],
+            [0.5 / len(some) for some in sets],
+        )
+    return tuple(
+        _from_the_start(model, [records[k] for k in some], samples, share * each[some])
+        for some, samples, share in zip(sets, sizes, shares, strict=True)
+    )
 
 
-def _from_the_start(model: Model, records: Sequence[Record], size: int, share: float) -> Runs:
+def _from_the_start(model: Model, records: Sequence[Record], size: int, each: Float[np.ndarray, " records"]) -> Runs:
     """Padded arrays of the first `size` samples; what an initial state was estimated from has no weight.
 
     Records that do not begin at rest have a zero of their own, projected out of their errors.
@@ -181,23 +238,7 @@ def _from_the_start(model: Model, records: Sequence[Record], size: int, share: f
         seen[: spent[k]] = False
         voltage[k, :n], voltage[k, n:] = r.voltage[:n], r.voltage[n - 1]
         target[k, :n] = np.where(seen, x[:n], 0.0)
-        span = np.nanmax(x) - np.nanmin(x)
-        weight[k, :n] = share * 1e4 * seen / max(seen.sum(), 1) / span**2 / len(records)
+        weight[k, :n] = each[k] * seen / max(seen.sum(), 1)
     rest = np.asarray(~start[:, : model.order].any(1), np.float32)
     own = np.array([b.begins != "rest" for b in begun], np.float32)
     return Runs(start, *(jnp.asarray(v) for v in (rest, voltage, target, weight, own)))
-
-
-def _tamed(model: Model, batches: Sequence[Runs], dt: float) -> Model:
-    """The model with its logits scaled down until every free run stays finite: at zero it is the linear nominal."""
-    for factor in (1.0, 0.7, 0.4, 0.2, 0.0):
-        tried = eqx.tree_at(lambda m: m.encoder, model, model.encoder.scaled(factor))
-        if all(_stays(tried, runs, dt) for runs in batches):
-            return tried
-    return tried
-
-
-def _stays(model: Model, runs: Runs, dt: float) -> bool:
-    """Every run is finite and somewhere near what it is to meet."""
-    x = np.asarray(rollout_batch(model, runs.voltage, dt, runs.start))[..., 0]
-    return bool(np.isfinite(x).all() and np.abs(x).max() < _NEAR * float(jnp.abs(runs.target).max()))

@@ -62,6 +62,7 @@ class Settings:
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
         refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
+        starts: most starts of the free runs, where the first leaves a record worse than the nominal or converges badly.
         firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other number has
             1e-4. Default: 1e-4; with `few` records behind a square 0.06 over their number, since the error is a mean
             over records; 1e-3 behind a linear input, where it extrapolates in amplitude.
@@ -93,6 +94,7 @@ class Settings:
     huber: float = 0.05
     batch: int = 2048
     refine_steps: int = 40
+    starts: int = 3
     firmness: float | None = None
 
     def __post_init__(self):

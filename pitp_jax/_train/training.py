@@ -3,13 +3,14 @@
     stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
     then:     least squares on free runs (`refine`), with the memories' and the drive's time constants
+    then:     every training record beside the nominal (`errors`); what did not converge is tried from other starts
 
 The equation error is fast and blind to what accumulates; free runs see just that (docs/readings.md, Algorithm 1).
 """
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 
@@ -33,6 +34,7 @@ from .._simulate.prediction import at_rate, begin
 from .creep_balance import OUTLASTS, SlowBalance, slow_balance, widened
 from .dataset import Dataset, build_dataset
 from .equation_error import loss
+from .errors import Judge, RecordError, judge, kept
 from .parameters import trainable
 from .refine import refine, run_samples
 from .settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
@@ -55,12 +57,17 @@ class Progress:
 
 @dataclass(frozen=True)
 class Training:
-    """The trained model, the history of its losses, whether it was cut short, and its summary (`left_out`: lines)."""
+    """The trained model, the history of its losses, whether it was cut short, and its summary (`left_out`: lines).
+
+    `errors`: of every training record under the nominal and under this model. `problems`: lines that say what failed.
+    """
 
     model: Model
     history: tuple[dict, ...]
     interrupted: bool
     notes: dict = field(default_factory=dict)
+    errors: tuple[RecordError, ...] = ()
+    problems: tuple[str, ...] = ()
 
 
 def train(
@@ -74,6 +81,9 @@ def train(
     key,
 ) -> Training:
     """Train an encoder on records, starting exactly at the nominal model.
+
+    On no training record is the model worse than the nominal by more than a hundredth: where no start leads to such a
+    one, the nominal is handed back in the trained model's form, and `problems` says so.
 
     Args:
         nominal: an identified model; order, input map, hold and output are kept. Its effects come in with the free
@@ -104,13 +114,12 @@ def train(
     seen, parent = records, nominal
     nominal = at_rate(nominal, records[0].dt)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
-    key_init, key_stages = jax.random.split(key)
     data, slow = _prepared(nominal, records, settings)
-    model = with_encoder(data, settings, key_init)
+    judged = judge(nominal, seen)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
-        for found, entry in _improvements(model, nominal, data, slow, records, settings, key_stages, progress, mesh):
+        for found, entry in _attempts(nominal, data, slow, records, judged, settings, key, progress, mesh):
             best = found
             history.append(entry)
     except KeyboardInterrupt:
@@ -119,12 +128,14 @@ def train(
         interrupted = True
     if best is None:
         raise BadInput("settings allow no training stage: set stages to 1 or more")
+    chosen, problems = kept(judged(best), judged, lambda m: _between(m, nominal, data, settings))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": left_out, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
+             "errors": {e.name: [e.nominal, e.trained] for e in chosen.errors}, "problems": problems,
              "interrupted": interrupted}  # fmt: skip
-    made = descended(_annotated(best, data, slow, records, notes), "fit", seen, parent)
-    return Training(made, tuple(history), interrupted, notes)
+    model = descended(_annotated(chosen.model, data, slow, records, notes), "fit", seen, parent)
+    return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems))
 
 
 def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:
@@ -147,19 +158,54 @@ def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, Slo
     return dataset(None), None
 
 
-def _improvements(
-    model: Model, nominal, data: Dataset, slow: SlowBalance | None, records, settings: Settings, key, progress,
+def _attempts(
+    nominal, data: Dataset, slow: SlowBalance | None, records, judged: Judge, settings: Settings, key, progress,
     mesh: Mesh | None,
 ):  # fmt: skip
-    """Yield (best model so far, history entry): the stages on the equation error, then the free runs."""
-    best = None
-    for best, entry in _stages(model, data, settings, key, progress):
-        yield best, entry
-    if best is not None and settings.refine_steps:
-        yield from refine(
-            with_parts(best, nominal, settings), data, records, settings.refine_steps, partial(_report, progress),
-            firmness=firmness_of(settings, model, len(records)), slow=slow, mesh=mesh,
-        )  # fmt: skip
+    """Yield (best model so far, history entry): the usual way, and where that does not converge others.
+
+    1: the stages on the equation error, then free runs. 2: where few records are worse than under the nominal, free
+    runs once more with those weighted by how much worse they are. 3, 4, ...: free runs from the nominal itself, whose
+    logits are zero, with the nets ten times as firm each time.
+    """
+
+    def refined(model: Model, firm: float = 1.0, **how):
+        firmness = firm * firmness_of(settings, model, len(records))
+        steps, report = settings.refine_steps, partial(_report, progress)
+        return refine(model, data, records, steps, report, firmness=firmness, slow=slow, mesh=mesh, **how)
+
+    init, sub = jax.random.split(key)
+    found = None
+    for found, entry in _stages(with_encoder(data, settings, init), data, settings, sub, progress):
+        yield found, entry
+    if found is None or not settings.refine_steps:
+        return
+    first = with_parts(found, nominal, settings)
+    for found, entry in refined(first):
+        yield found, entry
+    best, start = judged(found), 1
+    while not best.converged and start < settings.starts:
+        start += 1
+        if best.nearly:
+            again = refined(best.model, windows=False, emphasis=np.maximum(best.worse, 1.0) ** 2)
+        else:
+            fresh = with_encoder(data, settings, jax.random.fold_in(init, start))
+            again = refined(with_parts(fresh, nominal, settings), 10.0 ** (start - 2))
+        ends = [best.model]
+        for ends[0], entry in again:
+            yield best.model, {**entry, "start": start}
+        best = min(best, judged(ends[0]), key=lambda c: c.rank)
+    if start > 1:
+        yield best.model, {"stage": "best", "error": best.mean**2}
+
+
+def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Iterator[Model]:
+    """Models between this one and the nominal, which comes last: nothing learned, and no lag in the drive."""
+    for factor in (0.7, 0.4, 0.2):
+        yield replace(model, encoder=model.encoder.scaled(factor))
+    start = replace(model, drive=data.model.drive, memory=data.model.memory)
+    bare = with_parts(start, nominal, replace(settings, parts=(), drive="direct"))
+    yield replace(bare, encoder=model.encoder.scaled(0.0))
 
 
 def _report(progress, stage, step, steps, value, best, seconds_left):
@@ -182,7 +228,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
             params, state, (physics, constraint) = _epoch(
-                params, static, state, model, data.equation, *box_rate, settings, sub
+                params, static, state, model, data.equation, *box_rate, sub, **_in_an_epoch(settings)
             )
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
@@ -206,18 +252,23 @@ def _nan_advice(place: str) -> str:
     )
 
 
+def _in_an_epoch(settings: Settings) -> dict:
+    """The settings that its program depends on."""
+    dropout = settings.encoder == "paper"
+    return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
+
+
 @jit
-def _epoch(params, static, state, model: Model, data, box, rate, settings: Settings, key):
+def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: int, width, penalty, dropout: bool):
     """One epoch over shuffled minibatches as one compiled scan; an incomplete batch is left to the next shuffle."""
-    count = max(data.force.shape[0] // settings.batch, 1)
-    size = min(settings.batch, data.force.shape[0])
+    count = max(data.force.shape[0] // batch, 1)
+    size = min(batch, data.force.shape[0])
     shuffle, drop = jax.random.split(key)
     order = jax.random.permutation(shuffle, data.force.shape[0])[: count * size].reshape(count, size)
-    dropout = settings.encoder == "paper"
 
-    def objective(p, batch, k):
+    def objective(p, some, k):
         here = replace(model, encoder=eqx.combine(p, static))
-        return loss(here, batch, box, width=settings.huber, penalty=settings.penalty, key=k)
+        return loss(here, some, box, width=width, penalty=penalty, key=k)
 
     def update(carry, item):
         p, s = carry

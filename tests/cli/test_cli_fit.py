@@ -1,6 +1,7 @@
 """`pitp fit`: what training is called with, its progress, and every way it ends."""
 
 import io
+import json
 import sys
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model_file import model_file
 from pitp_jax._train import training
+from pitp_jax._train.cross_validation import HeldOut
 from pitp_jax._train.settings import PARTS, PRESETS
 
 
@@ -36,7 +38,11 @@ def trainer(monkeypatch):
             encoder = CompactEncoder(2, 0, width=4, key=options["key"])
             learned = tuple(PARTS[part](jnp.asarray(0.004)) for part in options["settings"].parts)
             model = replace(nominal, encoder=encoder, effects=learned)
-            return training.Training(model, ({"stage": 1, "physics": 0.5},), self.interrupted, {"seconds": 1.0})
+            found = training.RecordError("sine2", 4.0, 0.3), training.RecordError("sine4", 0.2, 0.5)
+            told = {"seconds": 1.0}
+            return training.Training(
+                model, ({"stage": 1, "physics": 0.5},), self.interrupted, told, found, ("not converged",)
+            )
 
     fake = Trainer([])
     monkeypatch.setattr("pitp_jax._commands.fit.train", fake)
@@ -64,6 +70,27 @@ def test_parts_to_learn(call, bench, tmp_path, trainer):
     assert code == 0
     assert trainer.calls[0][2]["settings"] == replace(PRESETS["default"], parts=("sensor_lag", "delay"))
     assert "with delay (pure): time 0.004 s" in text
+
+
+def test_errors_of_every_record(call, bench, tmp_path, trainer, monkeypatch):
+    """Table and JSON hold the nominal's, the trained model's and the predicted errors; failures are warned of."""
+
+    def left_out(nominal, records, model, **options):
+        assert (nominal.order, options["key"], len(records)) == (2, trainer.calls[0][2]["key"], 3)
+        return HeldOut("sine2", 0.3, 0.4), HeldOut("sine4", 0.5, 7.0)
+
+    monkeypatch.setattr("pitp_jax._commands.fit.run_cross_validate", left_out)
+    options = ["--nominal", bench / "nominal", "--cross-validate", "--json", tmp_path / "errors.json"]
+    code, text, err = call("fit", bench / "records", "--out", tmp_path / "model", *options)
+    assert code == 0
+    assert [line.split() for line in text.splitlines() if line.startswith("sine")] == [
+        ["sine2", "4", "0.3", "0.4"], ["sine4", "0.2", "0.5", "7"],
+    ]  # fmt: skip
+    assert "warning: not converged" in err and "sine4: predicted 14 times worse" in err
+    told = json.loads((tmp_path / "errors.json").read_text())
+    row = {"nominal_e_rms_percent": 0.2, "trained_e_rms_percent": 0.5, "left_out_e_rms_percent": 7.0, "problem": None}
+    assert told["records"]["sine4"] == row
+    assert told["worse_than_nominal"] == ["sine4"] and told["problems"] == ["not converged"]
 
 
 def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):

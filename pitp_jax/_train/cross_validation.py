@@ -1,0 +1,71 @@
+"""Leave one record out: how well every record is predicted by a model that never saw it.
+
+    for every record k:    nominal and training on the others  ->  e_k of the free run of record k
+
+Fitted and predicted errors of like size say that the records tell about the actuator; where record k is predicted ten
+times worse than it is fitted, it holds what no other one does, or the model learned the records instead.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from .._errors import BadInput, ComputationFailed
+from .._model.model import Model
+from .._record.initial_state import in_motion
+from .._record.record import Record
+from .errors import errors
+from .training import train
+
+_WORSE = 10.0  # times the fitted error, from which a prediction is warned of
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors of one record, e_rms in %: fitted with all records, and predicted by a model of the others.
+
+    `problem`: why there is no model of the others; then `predicted` is infinite.
+    """
+
+    name: str
+    fitted: float
+    predicted: float
+    problem: str = ""
+
+    @property
+    def suspect(self) -> bool:
+        """Whether it is predicted ten times worse than fitted."""
+        return not self.predicted <= _WORSE * self.fitted
+
+
+def cross_validate(
+    nominal: Model | Callable[[Sequence[Record]], Model], records: Sequence[Record], model: Model, *, key, **options
+) -> tuple[HeldOut, ...]:
+    """Train once without every record that moves, and predict it.
+
+    Args:
+        nominal: to start from, or what identifies one on the records that it is given.
+        records: the training records.
+        model: trained on all of them, for the fitted errors.
+        key, options: as for `train`.
+
+    Raises:
+        BadInput: fewer than two records move.
+    """
+    moving, _ = in_motion(records)
+    if len(moving) < 2:
+        raise BadInput("cross-validation leaves one record out: give at least two records in which something moves")
+    fitted = errors(model, moving)
+    return tuple(
+        _held_out(nominal, moving, k, float(fitted[k]), lambda r: train(*r, key=key, **options))
+        for k in range(len(moving))
+    )
+
+
+def _held_out(nominal, records: Sequence[Record], k: int, fitted: float, trained: Callable) -> HeldOut:
+    one, others = records[k], [r for j, r in enumerate(records) if j != k]
+    try:
+        start = nominal if isinstance(nominal, Model) else nominal(others)
+        found = trained((start, others)).model
+    except (BadInput, ComputationFailed) as error:
+        return HeldOut(one.name, fitted, float("inf"), str(error))
+    return HeldOut(one.name, fitted, float(errors(found, [one])[0]))

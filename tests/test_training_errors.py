@@ -1,0 +1,48 @@
+"""Which model training hands back: never worse than the nominal on a training record (`test_train` has whole ones)."""
+
+import numpy as np
+import pytest
+
+from pitp_jax._train import errors as judging
+from pitp_jax._train.errors import Candidate, Judge, kept
+
+
+@pytest.fixture(scope="module")
+def candidate(linear):
+    """fn(errors of two records): a candidate; the nominal's errors are 2 and 4 %."""
+    model = linear(2)
+
+    def make(trained, nominal=(2.0, 4.0), noise=(0.1, 0.1)):
+        return Candidate(model, ("a", "b"), *map(np.array, (nominal, trained, noise)))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("trained", "converged", "nearly"),
+    [((0.3, 0.4), True, False), ((2.1, 0.4), False, True), ((2.0, 3.9), False, False), ((9.0, np.inf), False, False)],
+)
+def test_a_start_converged_or_nearly(candidate, trained, converged, nearly):
+    found = candidate(trained)
+    assert (found.converged, found.nearly) == (converged, nearly)
+
+
+def test_what_the_sensor_adds_is_no_failure(candidate):
+    """5 % of noise on a record that the nominal meets to the noise."""
+    assert candidate((5.01, 5.0), (5.0, 5.0), (4.99, 4.99)).converged
+    assert not candidate((5.01, 5.0), (5.0, 5.0)).converged
+
+
+@pytest.mark.parametrize(
+    ("between", "expected", "says"),
+    [([(1.9, 3.0), (1.8, 3.5), (2.0, 4.0)], (1.9, 3.0), "between"), ([(2.5, 1.0), (2.0, 4.0)], (2.0, 4.0), "itself")],
+)
+def test_worse_on_one_record_is_not_handed_back(candidate, monkeypatch, between, expected, says):
+    """The best model towards the nominal that is worse on none, else the nominal; and it is told."""
+    left = iter(between)
+    monkeypatch.setattr(judging, "errors", lambda *_: np.array(next(left)))
+    judged, models = Judge([], np.array([2.0, 4.0]), np.zeros(2)), [candidate((0.0, 0.0)).model] * len(between)
+    chosen, problems = kept(candidate((3.0, 0.2)), judged, lambda _: models)
+    assert tuple(chosen.trained) == expected
+    assert len(problems) == 1 and says in problems[0] and "a (3 % of range instead of 2)" in problems[0]
+    assert kept(candidate((0.3, 0.4)), judged, lambda _: models)[1] == []
