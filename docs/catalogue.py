@@ -1,0 +1,282 @@
+"""The catalogue's pages, one per effect, made from its classes: equation, parameters, signature, what it resembles.
+
+    signature   d = y_effect - y_nominal                  on every drive of `drives`, at the strongest start of its first form
+    refit       share of |d|^2 that the nominal's coefficients take up when they are fitted along
+    resembles   b with the largest |cos(d_a, d_b)| over all drives;  parted by the drive with most of |d_a - beta d_b|^2
+
+The nominal is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as rows of one compiled program.
+`docs/hooks.py` puts the pages into the site. To look at them without it: `python docs/catalogue.py FOLDER`.
+"""
+
+import sys
+from collections.abc import Mapping
+from inspect import cleandoc, getdoc
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.signal import lsim
+
+import pitp_jax as pitp
+from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
+from pitp_jax._diagnose.case import build_case
+from pitp_jax._effects import CATALOGUE
+from pitp_jax._effects.base import AbstractEffect
+from pitp_jax._model.input_map import SquareInput
+from pitp_jax._model.model import Output, Provenance, linear_model
+from pitp_jax._plot.lines import ERROR, MEASURED
+from pitp_jax._simulate.decoder import rest_state, rollout
+
+HZ, ZETA, DT, SAMPLES = 5.0, 0.1, 2e-3, 2000  # 4 s, what one compiled chunk holds
+PLAIN = 0.5  # the strongest start is drawn that moves the output by less than half of it
+STIFFNESS = 1e9  # V^2/m: 1 mm at 1000 V
+TIME = np.arange(SAMPLES) * DT
+EFFECTS = Path(__file__).with_name("effects.md")
+PORTS = {
+    "IN": "the drive, before the square",
+    "SQ": "the coupling, on the force the voltage makes",
+    "K": "the restoring force",
+    "C": "the dissipation",
+    "M": "the inertia",
+    "T": "what changes slowly over the session",
+    "OUT": "the sensor",
+}
+
+
+def drives() -> dict[str, np.ndarray]:
+    """Voltages by name, from 0 V, each 4 s."""
+    chirp = np.pi * (1.0 + 3.0 * TIME) * TIME  # 0.5 to 12.5 Hz
+    levels = 1000 * np.repeat([0.0, 0.6, 1.0, 0.4, 0.0], SAMPLES // 5)
+    rise = np.convolve(np.pad(levels, (25, 0)), np.ones(26) / 26, "valid")
+    return {
+        "steps": rise,
+        "slow sine": 500 * (1 - np.cos(2 * np.pi * TIME / 2)),
+        "sweep": 500 * (1 - np.cos(chirp)),
+        "sweep at a third of the voltage": 500 / 3 * (1 - np.cos(chirp)),
+        "sine about 0 V": 1000 * np.sin(2 * np.pi * 2 * TIME),
+    }
+
+
+def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str, SimpleNamespace]]:
+    """What the nominal does, how its coefficients move it, what every effect makes of it, and the numbers used.
+
+    Returns:
+        y (drives, T) in mm; its slopes in the coefficients (3, drives, T); by name (drives, T) and (form, values).
+    """
+    omega = 2 * np.pi * HZ
+    a = STIFFNESS * np.array([1.0, 2 * ZETA / omega, 1 / omega**2])
+    known = Provenance(DT, "m", "V", (-1000.0, 1000.0), 1e6)
+    model = linear_model(
+        a, input_map=SquareInput(), state_scale=1e-3 * omega ** np.arange(3), force_scale=1e6, output=Output(),
+        hold="foh", substeps=1, provenance=known,
+    )  # fmt: skip
+    played = list(drives().values())
+    records = []
+    for k, u in enumerate(played):
+        x = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0], float) * 1e-3
+        records.append(pitp.Record(f"r{k}", TIME + 60.0 * k, u, x))
+    case = build_case(model, records)
+    first: dict[str, type[AbstractEffect]] = {}
+    for form in CATALOGUE:
+        if form.starts(case.surroundings):
+            first.setdefault(form.name, form)
+    tried = [(n, f, start.values) for n, f in first.items() for start in f.starts(case.surroundings)]
+    lanes = [Lane((), (), np.ones(3), k) for k in range(len(played))]
+    lanes += [Lane((form,), (values,), np.ones(3), k) for _, form, values in tried for k in range(len(played))]
+    rows = np.stack(Lanes(case, [tuple(first.values())]).run(lanes)).astype(float).reshape(-1, len(played), SAMPLES)
+    nominal, made, numbers, strongest = rows[0], {}, {}, {}
+    for (name, form, values), y in zip(tried, rows[1:], strict=True):
+        size = np.linalg.norm(y - nominal) / np.linalg.norm(nominal)
+        if name not in made or strongest[name] < size < PLAIN or size < PLAIN < strongest[name]:
+            made[name], numbers[name], strongest[name] = y, SimpleNamespace(form=form, values=values), size
+
+    def linear(factors):
+        return np.stack([lsim(([1.0], (a * factors)[::-1]), u**2, TIME)[1] for u in played]) * 1e3
+
+    slopes = np.stack([(linear(1 + 1e-3 * np.eye(3)[i]) - linear(np.ones(3))) / 1e-3 for i in range(3)])
+    return nominal, slopes, made, numbers
+
+
+def pages() -> dict[str, str]:
+    """File names and their text: `index.md`, NAME.md and NAME-n.svg of every effect."""
+    nominal, slopes, made, numbers = responses()
+    moved = {name: y - nominal for name, y in made.items()}
+    found = {}
+    for name, y in made.items():
+        form, values = numbers[name].form, numbers[name].values
+        kinds = ("steps", over_time), ("slow sine", over_drive), ("sweep", over_frequency), ("", difference)
+        for k, (kind, draw) in enumerate(kinds):
+            found[f"{name}-{k}.svg"] = draw(kind, nominal, y)
+        near, left = resembles(name, moved, np.ptp(nominal, axis=1))
+        found[f"{name}.md"] = page(name, form, values, absorbed(moved[name], slopes), near, left)
+    found["index.md"] = index()
+    return found
+
+
+def absorbed(d: np.ndarray, slopes: np.ndarray) -> float:
+    """Share of an effect's energy that a refit of the nominal's coefficients takes up."""
+    columns = slopes.reshape(len(slopes), -1).T
+    rest = d.ravel() - columns @ np.linalg.lstsq(columns, d.ravel(), rcond=None)[0]
+    return float(1 - rest @ rest / (d.ravel() @ d.ravel()))
+
+
+def resembles(name: str, moved: Mapping[str, np.ndarray], span) -> tuple[list[tuple[str, float]], dict[str, float]]:
+    """The three effects that move the output most alike, with |cos|; by drive what parts the first, rms % of range."""
+    d = moved[name]
+
+    def cos(e):
+        return float(abs(np.vdot(d, e)) / np.sqrt(np.vdot(d, d) * np.vdot(e, e)))
+
+    near = sorted(((b, cos(e)) for b, e in moved.items() if b != name), key=lambda p: -p[1])[:3]
+    rival = moved[near[0][0]]
+    apart = d - np.vdot(d, rival) / np.vdot(rival, rival) * rival
+    return near, dict(zip(drives(), 100 * np.sqrt((apart**2).mean(axis=1)) / span, strict=True))
+
+
+def rows_of_effects() -> dict[str, list[str]]:
+    """Cells of the table in effects.md, by name."""
+    lines = [line for line in EFFECTS.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
+    return {line.split("`")[1]: [c.strip() for c in line.strip("|").split(" | ")] for line in lines}
+
+
+def page(name: str, form: type[AbstractEffect], values, share: float, near, left) -> str:
+    """The page of one effect."""
+    forms = [f for f in CATALOGUE if f.name == name]
+    used = ", ".join(f"{p.name} = {v:.3g}" for p, v in zip(form.PARAMETERS, values, strict=True))
+    ports = ", ".join(dict.fromkeys(f"{PORTS[f.port]} ({f.port})" for f in forms))
+    tells = rows_of_effects()[name][-1]
+    text = [
+        f"# {name.replace('_', ' ').capitalize()}",
+        f"`{name}` · family {form.family} · enters at {ports}",
+        f"Tells itself by: **{tells}**.",
+        "## Signature",
+        "\n".join(f"![{name}: {what}]({name}-{k}.svg){{ .half }}" for k, what in enumerate(
+            ("displacement under steps", "displacement over the squared voltage", "amplitude over frequency",
+             "what the effect changes, over time"))),
+        f"Grey without, orange with the effect: form *{form.form}* at {used} (displacement in units of 1 mm, force in "
+        f"units of (1 kV)²). The nominal is an actuator of {HZ:g} Hz, damping ratio {ZETA:g}, 1 mm at 1 kV; no noise. "
+        "Drawn by `docs/catalogue.py`.",
+        "## Equation",
+        f"```text\n{cleandoc(sys.modules[form.__module__].__doc__ or '')}\n```",
+        "| form | | parameters |\n|---|---|---|\n" + "\n".join(_row(f) for f in forms),
+        "`x` in a unit stands for the unit of the displacement; k is the nominal's stiffness.",
+        "## Confused with",
+        "Effects that move this actuator's output most alike (1: in proportion, on all five drives; strengths as drawn):",
+        "| effect | likeness |\n|---|---|\n" + "\n".join(f"| [`{b}`]({b}.md) | {c:.2f} |" for b, c in near),
+        f"A refit of the nominal's three coefficients takes up {100 * share:.0f} % of what the effect does here: "
+        + ("what is left is little, so keep a nominal from before the change." if share > 0.8 else
+           "part of it stays to be seen after `--refit-nominal`." if share > 0.3 else
+           "most of it stays to be seen after `--refit-nominal`."),
+        "## Which recording separates it",
+        f"What is left of the difference from `{near[0][0]}`, both as strong as fits all five drives best:",
+        "| drive | rms, % of range |\n|---|---|\n" + "\n".join(
+            f"| {d} | {v:.2g} |" for d, v in sorted(left.items(), key=lambda p: -p[1])),
+        "For your own actuator `pitp diagnose` computes this, and writes the drive as a CSV to play where two names are "
+        "tied ([how a diagnosis is made](../effects.md#how-a-diagnosis-is-made)).",
+    ]  # fmt: skip
+    return "\n\n".join(text) + "\n"
+
+
+def _row(form: type[AbstractEffect]) -> str:
+    told = cleandoc(getdoc(form) or "").splitlines()[0].replace("|", "\\|")
+    units = ", ".join(f"{p.name} [{p.unit.replace('|', '')}]" for p in form.PARAMETERS)
+    return f"| {form.form} | {told} | {units} |"
+
+
+def index() -> str:
+    """The list, with what each tells itself by."""
+    rows = rows_of_effects()
+    names = dict.fromkeys(f.name for f in CATALOGUE if f.name in rows)
+    lines = [f"| [`{n}`]({n}.md) | {rows[n][1]} | {rows[n][2]} | {rows[n][-1]} |" for n in names]
+    head = [
+        "# The catalogue",
+        "What a diagnosis can name, a page each. Every page is made from the effect's classes when this site is built; "
+        "all forms in one table stand in [effects](../effects.md).",
+        "| effect | family | enters at | tells itself by |\n|---|---|---|---|\n" + "\n".join(lines),
+    ]
+    return "\n\n".join(head) + "\n"
+
+
+def over_time(kind: str, nominal: np.ndarray, y: np.ndarray) -> str:
+    """x(t)."""
+    k = list(drives()).index(kind)
+    return svg((TIME, nominal[k]), (TIME, y[k]), "time (s)", "displacement (mm)", "Steps: displacement")
+
+
+def over_drive(kind: str, nominal: np.ndarray, y: np.ndarray) -> str:
+    """The loop x over u^2."""
+    k = list(drives()).index(kind)
+    u = (drives()[kind] / 1e3) ** 2
+    return svg((u, nominal[k]), (u, y[k]), "squared voltage (kV²)", "displacement (mm)", "Slow sine: loop")
+
+
+def over_frequency(kind: str, nominal: np.ndarray, y: np.ndarray) -> str:
+    """Half the range of x within a period of the chirp, over its frequency."""
+    k = list(drives()).index(kind)
+    hz = 0.5 + 3.0 * TIME
+    ends = np.searchsorted(np.cumsum(hz) * DT, np.arange(1, int((hz.sum()) * DT)))
+
+    def half_range(x):
+        return np.array([np.ptp(x[a:b]) / 2 for a, b in zip(ends[:-1], ends[1:], strict=True)])
+
+    at = hz[(ends[:-1] + ends[1:]) // 2]
+    return svg((at, half_range(nominal[k])), (at, half_range(y[k])), "frequency of the drive (Hz)", "amplitude (mm)",
+               "Sweep: amplitude")  # fmt: skip
+
+
+def difference(kind: str, nominal: np.ndarray, y: np.ndarray) -> str:
+    """What the effect changes, on the drive where that is most of the range."""
+    d = 1e3 * (y - nominal)
+    k = int(np.argmax((d**2).mean(axis=1) / np.ptp(nominal, axis=1) ** 2))
+    return svg((TIME, 0 * d[k]), (TIME, d[k]), "time (s)", "difference (µm)", f"Difference: {list(drives())[k]}")
+
+
+def svg(before, after, x: str, y: str, title: str) -> str:
+    """Two lines on one pair of axes, 360 by 250."""
+    left, right, top, bottom = 52, 350, 26, 206
+    xs, ys = (np.concatenate([before[i], after[i]]) for i in (0, 1))
+    (x0, x1), (y0, y1) = (float(xs.min()), float(xs.max())), (float(np.nanmin(ys)), float(np.nanmax(ys)))
+    y0, y1 = y0 - 0.05 * (y1 - y0), y1 + 0.05 * (y1 - y0)
+
+    def place(a, b):
+        return left + (a - x0) / (x1 - x0) * (right - left), bottom - (b - y0) / (y1 - y0) * (bottom - top)
+
+    def path(line, color, width):
+        a, b = place(*(np.asarray(v)[:: max(len(v) // 700, 1)] for v in line))
+        points = " ".join(f"{p:.1f},{q:.1f}" for p, q in zip(a, b, strict=True) if np.isfinite(q))
+        return f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width}"/>'
+
+    parts = [
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 360 250" font-family="sans-serif" font-size="12">',
+        '<rect width="360" height="250" fill="#ffffff"/>',
+        f'<text x="{left}" y="16" font-weight="bold">{title}</text>',
+    ]
+    for v in ticks(x0, x1):
+        at = place(v, y0)[0]
+        parts.append(f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{bottom}" stroke="#e6e6e6"/>')
+        parts.append(f'<text x="{at:.1f}" y="{bottom + 16}" text-anchor="middle">{v:g}</text>')
+    for v in ticks(y0, y1):
+        at = place(x0, v)[1]
+        parts.append(f'<line x1="{left}" x2="{right}" y1="{at:.1f}" y2="{at:.1f}" stroke="#e6e6e6"/>')
+        parts.append(f'<text x="{left - 6}" y="{at + 4:.1f}" text-anchor="end">{v:g}</text>')
+    parts += [
+        path(before, MEASURED, 2.6), path(after, ERROR, 1.5),
+        f'<text x="{(left + right) / 2}" y="242" text-anchor="middle">{x}</text>',
+        f'<text transform="translate(13 {(top + bottom) / 2}) rotate(-90)" text-anchor="middle">{y}</text>', "</svg>",
+    ]  # fmt: skip
+    return "\n".join(parts)
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Three to six round numbers."""
+    raw = (high - low) / 4
+    unit = 10 ** np.floor(np.log10(raw))
+    size = next(m * unit for m in (1, 2, 5, 10) if m * unit >= raw)
+    return [float(round(k * size, 10)) for k in range(int(np.ceil(low / size)), int(np.floor(high / size)) + 1)]
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).mkdir(exist_ok=True)
+    for file, text in pages().items():
+        (Path(sys.argv[1]) / file).write_text(text, encoding="utf-8")
