@@ -13,8 +13,9 @@ import numpy as np
 from .._effects.base import Start
 from .._effects.found_term import NAMES, FoundTerm, held_knees
 from .batched_rollouts import Lanes
+from .bootstrap import means
 from .case import Case, build_case
-from .effect_selection import bootstrap, moved
+from .effect_selection import moved
 from .evaluation import Judged, augmented, judge, sides
 from .fit import Candidate, fit
 from .result import closed
@@ -110,5 +111,5 @@ def _fewest(rivals: list[Judged]) -> Judged:
 def _pays(case: Case, base: Judged, best: Judged, low: float) -> bool:
     """It closes a fifth of the gap and more, and on blocks drawn anew it is better."""
     _, held = sides(case)
-    gains = bootstrap(case, held, lambda k: base.errors[k] ** 2 - best.errors[k] ** 2)
+    gains = means(case, held, lambda k: base.errors[k] ** 2 - best.errors[k] ** 2)
     return (closed(base.heldout, best.heldout, low) or 0.0) >= LEAST and bool(np.quantile(gains, 0.025) > 0)
