@@ -117,8 +117,8 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
         for k in (k for k, other in enumerate(kinds) if other == name):
             x = records[k].displacement
             stroke = float(from_base(np.nanmax(x) - np.nanmin(x), unit, "displacement"))
-            once = {"label": name} if kinds.index(name) == k else {}
-            ax.plot(loudest(records[k]), stroke, "o", ms=4, color=color, **once)
+            label = name if kinds.index(name) == k else f"_{name}"  # one entry in the legend
+            ax.plot(loudest(records[k]), stroke, "o", ms=4, color=color, label=label)
             ax.annotate(
                 figure(errors[k], 2), (loudest(records[k]), stroke), (3, 3), textcoords="offset points", fontsize=7
             )

@@ -15,6 +15,7 @@ import numpy as np
 
 from .._errors import BadInput
 from .._model.model import Model
+from .._record.initial_state import noise_std
 from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
@@ -42,21 +43,24 @@ class Motions:
     finite: np.ndarray
 
 
-def motions(model: Model, voltages: Sequence[np.ndarray], dt: float, *, slopes: bool = True) -> Motions:
+def motions(
+    model: Model, voltages: Sequence[np.ndarray], dt: float, *, floor: float = 0.0, slopes: bool = True
+) -> Motions:
     """What free runs under these voltages tell; a run that leaves every range, or does not move, tells nothing.
 
-    Without `slopes` only how far they go.
+    Errors are in % of sqrt(range^2 + floor^2), floor in m: the noise does not shrink with the motion. Without `slopes`
+    only how far they go.
     """
     model, parts, places = at_rate(model, dt), [], alike(voltages, len)
     for some in places:
-        parts.append(_together(model, [voltages[k] for k in some], dt, slopes))
+        parts.append(_together(model, [voltages[k] for k in some], dt, floor, slopes))
     back = np.argsort(np.concatenate(places))
     told = [m for part in parts for m in part.information]
     arrays = (np.concatenate(a)[back] for a in zip(*((p.stroke, p.span, p.finite) for p in parts), strict=True))
     return Motions(tuple(told[k] for k in back) if slopes else (), *arrays)
 
 
-def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, slopes: bool) -> Motions:
+def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
     """The same for runs of like length, padded to one."""
     every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
@@ -67,7 +71,8 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, slopes: b
     x = np.where(inside & finite[:, None], x, 0.0)
     span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
     tells = finite & (span > _STILL * span.max())
-    weight = inside * (1e4 / inside.sum(1) / np.where(tells, span, np.inf) ** 2)[:, None]
+    against = np.where(tells, np.hypot(span, floor / scale), np.inf)
+    weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
     found = []
     for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
         rest = np.asarray(~np.asarray(at)[:, : model.order].any(1), np.float32)
@@ -100,11 +105,19 @@ def _starts(model: Model, first: np.ndarray, dt: float):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the records so far tell: precision per unit of s^2 (P, P), s^2 (%^2 s), and what the model leaves (%)."""
+    """What the records so far tell.
+
+    Attributes:
+        precision: of the trained numbers, per unit of s^2, shape (P, P).
+        unit: s^2 in %^2 s.
+        error: what the model leaves of its records, % of range.
+        floor: the range (m) of a motion whose noise alone is that error.
+    """
 
     precision: np.ndarray
     unit: float
     error: float
+    floor: float
 
 
 def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
@@ -117,16 +130,17 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
     if not len(start):
         raise BadInput("the model has no trained numbers; give one of `pitp fit`")
     dt = records[0].dt
-    told = motions(model, [r.voltage for r in records], dt)
-    seconds = np.array([r.samples * dt for r in records])
-    errors, taus = zip(*[_left(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
-                       or [(np.nan, np.nan)], strict=True)  # fmt: skip
-    if not np.isfinite(errors).all():
+    left = [_left(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
+    if not left:
         raise BadInput("the model diverges on every record: it is not of this actuator, or needs another training")
+    errors, taus = np.array(left).T
+    error = float(np.sqrt(np.mean(errors**2)))
+    floor = 100 * float(np.median([noise_std(r.displacement) for r in records])) / error
+    told = motions(model, [r.voltage for r in records], dt, floor=floor)
+    seconds = np.array([r.samples * dt for r in records])
     rho = prior_weights(model, sizes, firmness_of(Settings(), model, len(records)))
     precision = sum(t * m for t, m in zip(seconds, told.information, strict=True)) + seconds.sum() * np.diag(rho)
-    error = float(np.sqrt(np.mean(np.square(errors))))
-    return Knowledge(precision, error**2 * float(np.mean(taus)), error)
+    return Knowledge(precision, error**2 * float(taus.mean()), error, floor)
 
 
 def _left(record: Record, prediction) -> tuple[float, float]:

@@ -70,8 +70,11 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
     tried, notes = bearable(model, tried, limits)
     wanted = [drive(p[None], one, limits) for p in space_filling(_JUDGED, limits, seed + 1)]
-    told, judged = (motions(model, [d.voltage for d in some], 1 / limits.rate) for some in (tried, wanted))
-    places, expected, worth = greedy(knowledge(model, records), told, judged, np.full(len(tried), one), count)
+    known = knowledge(model, records)
+    told, judged = (
+        motions(model, [d.voltage for d in some], 1 / limits.rate, floor=known.floor) for some in (tried, wanted)
+    )
+    places, expected, worth = greedy(known, told, judged, np.full(len(tried), one), count)
     chosen = [
         replace(tried[k], purpose=f"{tried[k].purpose.split(':')[0]}: {_lowered(expected, j)}")
         for j, k in enumerate(places)
@@ -84,10 +87,11 @@ def ranked(model: Model, records: Sequence[Record], others: Sequence[Record], du
     dt = others[0].dt
     size = None if duration is None else round(duration / dt)
     cut, whole = [r.voltage[:size] for r in others], [r.voltage for r in others]
-    told = motions(model, cut, dt)
-    judged = told if size is None else motions(model, whole, dt)
+    known = knowledge(model, records)
+    told = motions(model, cut, dt, floor=known.floor)
+    judged = told if size is None else motions(model, whole, dt, floor=known.floor)
     seconds = np.array([len(u) * dt for u in cut])
-    places, expected, worth = greedy(knowledge(model, records), told, judged, seconds, len(cut))
+    places, expected, worth = greedy(known, told, judged, seconds, len(cut))
     found = []
     for j, k in enumerate(places):
         clock, stroke = np.arange(len(cut[k])) * dt, float(told.stroke[k])

@@ -66,10 +66,12 @@ def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
 
 def test_parts_to_learn(call, bench, tmp_path, trainer):
     options = ["--nominal", bench / "nominal", "--learn", "sensor_lag", "--learn", "delay", "--learn", "delay"]
+    options += ["--report", tmp_path / "page"]
     code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options)
     assert code == 0
     assert trainer.calls[0][2]["settings"] == replace(PRESETS["default"], parts=("sensor_lag", "delay"))
     assert "with delay (pure): time 0.004 s" in text
+    assert "Free runs of" in (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
 
 
 def test_errors_of_every_record(call, bench, tmp_path, trainer, monkeypatch):

@@ -60,7 +60,7 @@ def test_predict_gives_names_that_collide_their_folders(call, bench, tmp_path):
         write_record(tmp_path / folder / "sine2.csv", *motion("sine2"))
     out = tmp_path / "out"
     assert call("predict", bench / "nominal", tmp_path / "clean", tmp_path / "worn", "--out", out)[0] == 0
-    assert tree(out) == ["clean", "clean/sine2.csv", "worn", "worn/sine2.csv"]
+    assert tree(out) == ["clean", "clean/sine2.csv", "report.html", "worn", "worn/sine2.csv"]
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ def test_usage_errors(call, argv):
     assert "--help" in refused(call(*argv))
 
 
-@pytest.mark.parametrize("command", [[], ["identify"], ["fit"], ["predict"], ["invert"], ["info"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["plan"], ["identify"], ["fit"], ["predict"], ["invert"], ["info"], ["demo"]])
 def test_help(call, command):
     code, out, err = call(*command, "--help")
     assert code == 0
