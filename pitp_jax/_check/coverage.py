@@ -42,19 +42,25 @@ class Coverage:
         """A sentence for every gap, and one where the amplitude beside the resonance never changes."""
         lines, f0 = [], self.resonance
         for low, high in self.gaps:
-            by = f" (drive at {low / 2:.2g} to {high / 2:.2g} Hz, without bias)" if self.doubled else ""
+            by = " (of the force: a drive without bias runs at half of that)" if self.doubled else ""
+            one, other, half = (low + (high - low) / 3, high - (high - low) / 3, self.largest / 2)
             lines.append(
-                f"nothing between {low:.2g} and {high:.2g} Hz above half the amplitude ({self.largest / 2:.3g} V), "
-                f"beside the resonance at {f0:.2g} Hz: take a slow sweep, or sines at {low * 0.67 + high * 0.33:.2g} "
-                f"and {low * 0.33 + high * 0.67:.2g} Hz, of {0.8 * self.largest:.3g} V{by}"
+                f"nothing between {_two(low)} and {_two(high)} Hz above half the amplitude ({_two(half)} V), "
+                f"beside the resonance at {_two(f0)} Hz: take a slow sweep, or sines at {_two(one)} and {_two(other)} "
+                f"Hz, of {_two(1.6 * half)} V{by}"
             )
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
         if len(near) and near.min() > 0.7 * near.max():
             lines.append(
-                f"all drives beside the resonance at {f0:.2g} Hz have nearly one amplitude ({near.max():.3g} V): add "
-                f"some of {near.max() / 2:.3g} V, or what depends on the amplitude cannot be learned"
+                f"all drives beside the resonance at {_two(f0)} Hz have nearly one amplitude ({_two(near.max())} V): "
+                f"add some of {_two(near.max() / 2)} V, or what depends on the amplitude cannot be learned"
             )
         return lines
+
+
+def _two(value: float) -> str:
+    """Two digits, or all before the point."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
 
 
 def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Coverage | None:

@@ -25,6 +25,7 @@ _MOST = 300_000  # samples in all
 _ROUNDS = 3
 _NONE = 1e-3  # of the largest drive is none
 _HALVED = 6  # records, from which halves are tried
+_EXACT = 1e-6  # share left of a record without noise
 _FEWEST = 3  # records, of which one can differ from most
 _SPREADS, _GAIN, _LEFT = 5.0, np.log(2.0), 0.3  # robust deviations; the least change of gain and share left that count
 _UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
@@ -154,7 +155,7 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
         f, _ = block_means(force, np.ones(len(force)), step)
         f[0] = force[0]  # a drive that begins at 0 V is held there too, and at rest
         time = r.time[0] + step * r.dt * np.arange(len(y))
-        small.append(Record(r.name, time, f, np.where(share > 0.5, y, np.nan), source=r.source))
+        small.append(Record(r.name, time, f, np.where(share > 0, y, np.nan), source=r.source))
     return step, small
 
 
@@ -171,7 +172,7 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
     inverse = np.linalg.pinv((stacked / size).T @ (stacked / size))
     known = level * np.sqrt(max(inverse[1, 1], 0.0)) / size[1]
-    left, whole = float(error.std() / max(y.std(), 1e-300)), np.zeros(record.samples)
+    left, whole = max(float(error.std() / max(y.std(), 1e-300)), _EXACT), np.zeros(record.samples)
     whole[seen] = error
     direction = 1.0 if factors[1] >= 0 else -1.0
     tells = bool(abs(factors[1]) > _TELLS * known and left < 0.9)
