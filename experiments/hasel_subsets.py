@@ -73,7 +73,7 @@ def row(chosen, records, starts: int, settings) -> tuple[str, ...]:
 
 def main(argv=None):
     """Print and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared")
     parser.add_argument("--subsets", type=int, default=26, help="how many more")
     parser.add_argument("--starts", type=int, default=8, help="random ones to compare with")

@@ -232,7 +232,10 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             )
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
-                raise ComputationFailed(_nan_advice(f"stage {j + 1}, epoch {epoch + 1}"))
+                if not settings.refine_steps:
+                    raise ComputationFailed(_nan_advice(f"stage {j + 1}, epoch {epoch + 1}"))
+                yield best_model, {"stage": j + 1, "epochs": epoch + 1, "diverged": True}
+                return  # free runs begin at the best so far: at first the nominal
             if physics < best:
                 best, best_model = physics, replace(best_model, encoder=eqx.combine(params, static))
             left = (time.monotonic() - began) / count * (total - count)
