@@ -59,9 +59,9 @@ def _hasel(by_name):
 
 
 def _joint(by_name):
-    kept = [by_name[n] for n in ("large_amplitude", "multisine")]
-    rest = [r for r in by_name.values() if r not in kept and r.name not in ("static_holding",)]
-    return [by_name["chirp_sweep"]], rest, kept
+    kept = ("large_amplitude", "multisine")
+    rest = [r for name, r in by_name.items() if name not in (*kept, "static_holding")]
+    return [by_name["chirp_sweep"]], rest, [by_name[name] for name in kept]
 
 
 def _silverbox(by_name):
@@ -92,7 +92,9 @@ def pooled(model, records) -> float:
 def row(name: str, rig: Rig, root: Path, smoke: bool) -> tuple:
     """Name, verdict, first in the ranking, whether it is right, error before and after, share closed, seconds."""
     by_name = {r.name: r for r in pitp.read(root / rig.folder)}
-    first, told, kept = ([part(r, 0, 0.05, r.name) for r in rs] if smoke else rs for rs in rig.load(by_name))
+    first, told, kept = rig.load(by_name)
+    if smoke:
+        told, kept = ([part(r, 0, 0.1, r.name) for r in rs] for rs in (told, kept))
     nominal = pitp.identify(first, **rig.options).model
     began = time.perf_counter()
     found = pitp.diagnose(nominal, told, refit_nominal=rig.refit)
