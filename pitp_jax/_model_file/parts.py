@@ -110,7 +110,7 @@ MEMORIES = {
     "ringing": Part(
         RingingMemory,
         lambda m: {"lags": m.size - 2},
-        lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,)), jnp.zeros((2,)), jnp.zeros((3,))),
+        lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,))),
     ),
 }
 DRIVES = {
