@@ -66,9 +66,8 @@ def main(smoke: bool = False, argv=None):
     options = parser.parse_args([] if smoke and argv is None else argv)
     if smoke:
         options.kinds, options.noises, options.count, options.floors = ["short"], ["average"], 1, True
-    done = {}
-    if options.results and options.results.exists():
-        done = {json.loads(line)["key"]: json.loads(line) for line in options.results.read_text().splitlines()}
+    kept = options.results.read_text().splitlines() if options.results and options.results.exists() else []
+    done = {said["key"]: said for said in map(json.loads, kept)}
     rows = []
     for seed in range(options.seeds, options.seeds + options.count):
         for kind in options.kinds:

@@ -73,7 +73,12 @@ def test_the_floor_knows_the_colour_of_its_noise(case, colour):
     """A moving average over 20 samples, which has zeros but no peak, and AR(0.9): read as large as they are."""
     rng, found = np.random.default_rng(2), []
     for _ in range(5):
-        errors = 1e-3 * lfilter(*colour, rng.standard_normal((len(case.series), 2 * SAMPLES)))[:, SAMPLES:]
+        errors = (
+            1e-3
+            * np.asarray(lfilter(colour[0], colour[1], rng.standard_normal((len(case.series), 2 * SAMPLES))))[
+                :, SAMPLES:
+            ]
+        )
         noise = estimate(case, list(errors))
         found.append((noise.sigma / errors.std(), noise.sigma / noise.sensor))
     told, struck = np.mean(found, axis=0)

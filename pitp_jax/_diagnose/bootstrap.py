@@ -21,10 +21,10 @@ def means(case: Case, which: Sequence[int], square: Callable[[int], np.ndarray],
 
     Rows of one record are drawn together: they stay paired.
     """
-    rng, total = np.random.default_rng(0), 0.0
+    rng, total, shape = np.random.default_rng(0), 0.0, ()
     for k in which:
         counts, values = case.series[k].weight > 0, np.asarray(square(k))
-        rows = np.atleast_2d(values)
+        rows, shape = np.atleast_2d(values), values.shape[:-1]
         tau = max(memory(row[counts]) for row in rows)
         blocks = int(np.clip(counts.sum() / (_LONG * tau), _FEWEST, _MOST))
         edges = np.linspace(0, len(counts), blocks + 1).astype(int)[:-1]
@@ -35,7 +35,7 @@ def means(case: Case, which: Sequence[int], square: Callable[[int], np.ndarray],
         unseen = min(tau * blocks / (2 * max(counts.sum(), 1)), 0.5)
         wider = np.sqrt(blocks / (blocks - 1) / (1 - unseen))
         total = total + (middle + wider * (found - middle)) / len(which)
-    return np.reshape(total, (*values.shape[:-1], draws))
+    return np.reshape(total, (*shape, draws))
 
 
 def memory(values: np.ndarray) -> float:

@@ -327,6 +327,10 @@ def _logistic(make, params, args, equation):
     return [_each(lambda a: make.make("div", 1.0, make.make("add", 1.0, make.make("exp", make.make("neg", a)))), args)]
 
 
+def _summed(make, params, args, equation):
+    return [_each(lambda a, b: make.make("add", a, b), args)]
+
+
 def _rsqrt(make, params, args, equation):
     return [_each(lambda a: make.make("div", 1.0, make.make("sqrt", a)), args)]
 
@@ -337,5 +341,5 @@ _SPECIAL = {
     "clamp": _clamped, "reduce_sum": _reduced("add"), "reduce_max": _reduced("max"), "reduce_min": _reduced("min"),
     "reduce_and": _reduced("and"), "reduce_or": _reduced("or"), "dot_general": _product, "scatter": _scattered,
     "scatter-add": _scattered, "iota": _count, "scan": _scanned, "while": _repeated, "square": _square,
-    "logistic": _logistic, "rsqrt": _rsqrt,
+    "logistic": _logistic, "rsqrt": _rsqrt, "add_any": _summed,
 }  # fmt: skip

@@ -126,18 +126,19 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     check_model(model)
     check_set(records)
     model = at_rate(model, records[0].dt)
-    found, aged = {}, session_clock(records)
+    found, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
     for places in alike(records):
-        found.update(zip(places, _predicted(model, [records[k] for k in places], aged), strict=True))
+        some = _predicted(model, [records[k] for k in places], [starts[k] for k in places])
+        found.update(zip(places, some, strict=True))
     return tuple(found[k] for k in range(len(records)))
 
 
-def _predicted(model: Model, records: Sequence[Record], aged: bool) -> list[Prediction]:
-    """Padded to one length."""
+def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
+    """Padded to one length; `starts`: of every record what `begin` says."""
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
-    start, spent, begun = begin(model, records, aged)
-    states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, start)
+    start, spent, begun = zip(*starts, strict=True)
+    states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, jnp.stack(start))
     return [
         _prediction(model, r, np.asarray(s[: r.samples]), n, b)
         for r, s, n, b in zip(records, states, spent, begun, strict=True)
