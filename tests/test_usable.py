@@ -9,8 +9,8 @@ from played import SAMPLES, TIME, nominal_of, play
 
 import pitp_jax as pitp
 from pitp_jax._diagnose import select_records as rules
+from pitp_jax._diagnose.bootstrap import means
 from pitp_jax._diagnose.case import build_case, split
-from pitp_jax._diagnose.effect_selection import bootstrap
 from pitp_jax._diagnose.next_experiment import excitations
 from pitp_jax._diagnose.noise import estimate
 from pitp_jax._diagnose.select_records import usable
@@ -103,7 +103,7 @@ def test_blocks_are_drawn_of_what_counts(nominal):
     rng = np.random.default_rng(0)
     holes = rng.random(SAMPLES) < 0.3
     half = tuple(replace(s, weight=np.where(holes, 0.0, s.weight)) for s in case.series)
-    draws = bootstrap(replace(case, series=half), (0, 1), lambda k: np.where(holes, 7.0, 1.0) * np.ones(SAMPLES))
+    draws = means(replace(case, series=half), (0, 1), lambda k: np.where(holes, 7.0, 1.0) * np.ones(SAMPLES))
     np.testing.assert_allclose(draws, 1.0)
 
 

@@ -122,11 +122,15 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
 
 def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
     """A change is kept where it lowers the error; far above the model's own level neither holds."""
-    kept = new is not None and after is not None and after < _KEPT * before
-    model, changed, after = (new, changed, after) if kept else (model, {}, before)
-    if after is not None and after > _FAR * level:
-        return Adaptation(model, "retrain", changed, before, after, heldout, level, _ADVICE)
-    return Adaptation(model, "adapted" if kept else "unchanged", changed, before, after, heldout, level)
+    verdict: Verdict = "unchanged"
+    left = before
+    if new is not None and after is not None and after < _KEPT * before:
+        verdict, model, left = "adapted", new, after
+    else:
+        changed = {}
+    if left > _FAR * level:
+        return Adaptation(model, "retrain", changed, before, left, heldout, level, _ADVICE)
+    return Adaptation(model, verdict, changed, before, left, heldout, level)
 
 
 _ADVICE = (
@@ -144,14 +148,18 @@ def known_level(model: Model) -> float:
             return float(np.sqrt(min(entry["error"] for entry in history if entry["stage"] == "free runs")))
         row = next(row for row in told["identification"]["orders"] if row["order"] == model.order)
         long = model.provenance.long_record
-        return 100 * float(row["rms"]) / float(np.nanmax(y := np.frombuffer(long.displacement, "<f4")) - np.nanmin(y))
+        if long is None:
+            return _UNKNOWN
+        y = np.frombuffer(long.displacement, "<f4")
+        return 100 * float(row["rms"]) / float(np.nanmax(y) - np.nanmin(y))
     except (AttributeError, KeyError, StopIteration, ValueError, TypeError):
         return _UNKNOWN
 
 
 def _left(fit: Fit, seen: Session, level: float) -> float:
     """What a fit leaves beside noise, % of range; a share of the model's own level at least."""
-    return max(e_rms(fit, np.ones_like(seen.half), seen) ** 2 - np.mean(seen.noise**2), (_SURE * level) ** 2) ** 0.5
+    left = e_rms(fit, np.ones_like(seen.half), seen) ** 2 - float(np.mean(seen.noise**2))
+    return max(left, (_SURE * level) ** 2) ** 0.5
 
 
 def _moves(seen: Session, half: np.ndarray) -> bool:

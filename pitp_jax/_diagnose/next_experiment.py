@@ -84,7 +84,7 @@ def separate(case: Case, a: "Judged", b: "Judged", noise: Noise) -> Experiment:
         start = np.asarray(case.series[0].start)
         start = np.zeros_like(start) if not case.series[0].rest else start
         series.append(
-            Series(record, False, film, blank, motion, motion, blank, blank, blank, blank, True, start, 0.0, 1.0)
+            Series(record, False, film, blank, motion, motion, blank, blank, blank, blank, True, start, 0.0, 0.0, 1.0)
         )
     imagined = replace(case, series=tuple(series))
     lanes = Lanes(imagined, [(*a.candidate.forms, *b.candidate.forms)])
