@@ -1,6 +1,6 @@
 """The catalogue's pages, one per effect, made from its classes: equation, parameters, signature, what it resembles.
 
-    signature   d = y_effect - y_nominal                  on every drive of `drives`, at the strongest start of its first form
+    signature   d = y_effect - y_nominal        on every drive of `drives`, at a strong start of its first form
     refit       share of |d|^2 that the nominal's coefficients take up when they are fitted along
     resembles   b with the largest |cos(d_a, d_b)| over all drives;  parted by the drive with most of |d_a - beta d_b|^2
 
@@ -9,7 +9,8 @@ The nominal is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as
 """
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cache
 from inspect import cleandoc, getdoc
 from pathlib import Path
 from types import SimpleNamespace
@@ -98,6 +99,7 @@ def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str
     return nominal, slopes, made, numbers
 
 
+@cache
 def pages() -> dict[str, str]:
     """File names and their text: `index.md`, NAME.md and NAME-n.svg of every effect."""
     nominal, slopes, made, numbers = responses()
@@ -110,7 +112,7 @@ def pages() -> dict[str, str]:
             found[f"{name}-{k}.svg"] = draw(kind, nominal, y)
         near, left = resembles(name, moved, np.ptp(nominal, axis=1))
         found[f"{name}.md"] = page(name, form, values, absorbed(moved[name], slopes), near, left)
-    found["index.md"] = index()
+    found["index.md"] = index(tuple(made))
     return found
 
 
@@ -147,7 +149,8 @@ def page(name: str, form: type[AbstractEffect], values, share: float, near, left
     ports = ", ".join(dict.fromkeys(f"{PORTS[f.port]} ({f.port})" for f in forms))
     tells = rows_of_effects()[name][-1]
     text = [
-        f"# {name.replace('_', ' ').capitalize()}",
+        "---\nhide: [toc]\n---",
+        f"# {name}",
         f"`{name}` · family {form.family} · enters at {ports}",
         f"Tells itself by: **{tells}**.",
         "## Signature",
@@ -162,7 +165,7 @@ def page(name: str, form: type[AbstractEffect], values, share: float, near, left
         "| form | | parameters |\n|---|---|---|\n" + "\n".join(_row(f) for f in forms),
         "`x` in a unit stands for the unit of the displacement; k is the nominal's stiffness.",
         "## Confused with",
-        "Effects that move this actuator's output most alike (1: in proportion, on all five drives; strengths as drawn):",
+        "Effects that move this actuator's output most alike (1: in proportion on all five drives), strong as drawn:",
         "| effect | likeness |\n|---|---|\n" + "\n".join(f"| [`{b}`]({b}.md) | {c:.2f} |" for b, c in near),
         f"A refit of the nominal's three coefficients takes up {100 * share:.0f} % of what the effect does here: "
         + ("what is left is little, so keep a nominal from before the change." if share > 0.8 else
@@ -170,10 +173,10 @@ def page(name: str, form: type[AbstractEffect], values, share: float, near, left
            "most of it stays to be seen after `--refit-nominal`."),
         "## Which recording separates it",
         f"What is left of the difference from `{near[0][0]}`, both as strong as fits all five drives best:",
-        "| drive | rms, % of range |\n|---|---|\n" + "\n".join(
-            f"| {d} | {v:.2g} |" for d, v in sorted(left.items(), key=lambda p: -p[1])),
-        "For your own actuator `pitp diagnose` computes this, and writes the drive as a CSV to play where two names are "
-        "tied ([how a diagnosis is made](../effects.md#how-a-diagnosis-is-made)).",
+        "| drive | rms, % of range |\n|---|---|\n"
+        + "\n".join(f"| {d} | {v:.2g} |" for d, v in sorted(left.items(), key=lambda p: -p[1])),
+        "For your own actuator `pitp diagnose` computes this, and writes the drive as a CSV to play where two names "
+        "are tied ([how a diagnosis is made](../effects.md#how-a-diagnosis-is-made)).",
     ]  # fmt: skip
     return "\n\n".join(text) + "\n"
 
@@ -184,16 +187,15 @@ def _row(form: type[AbstractEffect]) -> str:
     return f"| {form.form} | {told} | {units} |"
 
 
-def index() -> str:
+def index(names: Sequence[str]) -> str:
     """The list, with what each tells itself by."""
     rows = rows_of_effects()
-    names = dict.fromkeys(f.name for f in CATALOGUE if f.name in rows)
-    lines = [f"| [`{n}`]({n}.md) | {rows[n][1]} | {rows[n][2]} | {rows[n][-1]} |" for n in names]
+    lines = [f"| [`{n}`]({n}.md) | {rows[n][-1]} |" for n in names]
     head = [
         "# The catalogue",
         "What a diagnosis can name, a page each. Every page is made from the effect's classes when this site is built; "
         "all forms in one table stand in [effects](../effects.md).",
-        "| effect | family | enters at | tells itself by |\n|---|---|---|---|\n" + "\n".join(lines),
+        "| effect | tells itself by |\n|---|---|\n" + "\n".join(lines),
     ]
     return "\n\n".join(head) + "\n"
 

@@ -6,10 +6,12 @@ Every link of a page is relative to where its text lies in the repository, so th
 
 import posixpath
 import re
+import shutil
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
-from catalogue import pages, rows_of_effects  # MkDocs loads hooks with their folder on the path
-from mkdocs.structure.files import File
+from catalogue import pages  # MkDocs loads hooks with their folder on the path
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = {
@@ -19,13 +21,15 @@ OUTSIDE = {
     "CONTRIBUTING.md": "project/contributing.md",
     "CHANGELOG.md": "project/changes.md",
 }
+WIDE = ("effects.md", "figures.md", "project/experiments.md", "project/benchmarks.md")  # tables that need the room
 FIGURES = "experiments/figures"
-NOT_DRAWN = ("parameter_change",)  # the nominal's own coefficients: no form
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 
 
 def on_files(files, config):
     """Add the catalogue and the pages that lie outside `docs/`."""
+    from mkdocs.structure.files import File
+
     for name, text in pages().items():
         files.append(File.generated(config, f"catalogue/{name}", content=text))
     for source, place in OUTSIDE.items():
@@ -41,7 +45,7 @@ def on_config(config):
     for entry in config.nav:
         (title, listed) = next(iter(entry.items())) if isinstance(entry, dict) else ("", [])
         if title == "The catalogue":
-            listed += [f"catalogue/{name}.md" for name in rows_of_effects() if name not in NOT_DRAWN]
+            listed += [f"catalogue/{name}" for name in pages() if name.endswith(".md") and name != "index.md"]
         for page in listed:
             if isinstance(page, dict) and "Decisions" in page:
                 page["Decisions"] += sorted(f"decisions/{p.name}" for p in folder.glob("*.md") if p.name != "README.md")
@@ -51,8 +55,19 @@ def on_config(config):
 def on_page_markdown(markdown, page, config, files):
     """Turn links as they stand in the repository into links of the site."""
     place = page.file.src_uri
+    if place == "effects.md":
+        markdown = with_pages(markdown)
+    if place in WIDE:
+        page.meta["hide"] = ["toc"]
     origin = {v: k for k, v in OUTSIDE.items()}.get(place, f"docs/{place}")
     return relinked(markdown, origin, place)
+
+
+def with_pages(markdown: str) -> str:
+    """The table of effects, each name a link to its page."""
+    made = pages()
+    return re.sub(r"^\| `(\w+)` \|", lambda m: f"| [`{m[1]}`](catalogue/{m[1]}.md) |" if f"{m[1]}.md" in made else m[0],
+                  markdown, flags=re.M)  # fmt: skip
 
 
 def relinked(markdown: str, origin: str, place: str) -> str:
@@ -64,7 +79,11 @@ def relinked(markdown: str, origin: str, place: str) -> str:
             return match.group()
         path, _, anchor = target.partition("#")
         there = posixpath.normpath(posixpath.join(posixpath.dirname(origin), path))
-        inside = OUTSIDE.get(there) or there.replace(FIGURES, "project/figures") * there.startswith(FIGURES) or (there.removeprefix("docs/") if there.startswith("docs/") else None)
+        inside = (
+            OUTSIDE.get(there)
+            or there.replace(FIGURES, "project/figures") * there.startswith(FIGURES)
+            or (there.removeprefix("docs/") if there.startswith("docs/") else None)
+        )
         if inside is None:
             return f"{text} (`{there}`)" if not mark else ""
         inside = posixpath.join(inside, "README.md") if path.endswith("/") or inside == "decisions" else inside
@@ -72,3 +91,31 @@ def relinked(markdown: str, origin: str, place: str) -> str:
         return f"{mark}[{text}]({goal}{'#' + anchor if anchor else ''})"
 
     return LINK.sub(moved, markdown)
+
+
+def write_sources(folder: Path) -> None:
+    """Everything as plain files and a configuration without hooks, for a builder that has none (Zensical)."""
+    import yaml
+
+    made = {f"catalogue/{name}": text for name, text in pages().items()}
+    made |= {place: (ROOT / source).read_text(encoding="utf-8") for source, place in OUTSIDE.items()}
+    docs = ROOT / "docs"
+    made |= {str(p.relative_to(docs).as_posix()): p.read_text(encoding="utf-8") for p in docs.rglob("*.md")}
+    made["site.css"] = (docs / "site.css").read_text(encoding="utf-8")
+    for place, text in made.items():
+        if place.endswith(".md"):
+            text = with_pages(text) if place == "effects.md" else text
+            text = relinked(text, {v: k for k, v in OUTSIDE.items()}.get(place, f"docs/{place}"), place)
+        (folder / "docs" / place).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "docs" / place).write_text(text, encoding="utf-8")
+    (folder / "docs" / "project" / "figures").mkdir(exist_ok=True)
+    for drawn in (ROOT / FIGURES).glob("*.png"):
+        shutil.copy(drawn, folder / "docs" / "project" / "figures")
+    told = on_config(SimpleNamespace(**yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))))
+    kept = {k: v for k, v in vars(told).items() if k != "hooks"}
+    kept["plugins"][1]["mkdocstrings"]["handlers"]["python"]["paths"] = [str(ROOT)]
+    (folder / "mkdocs.yml").write_text(yaml.safe_dump(kept, sort_keys=False), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_sources(Path(sys.argv[1]))

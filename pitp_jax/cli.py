@@ -19,6 +19,7 @@ from importlib import import_module
 from . import __version__
 from ._commands.cache import keep_programs
 from ._commands.console import say
+from ._commands.examples import ending
 from ._errors import BadInput, ComputationFailed
 
 _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of them"
@@ -132,13 +133,17 @@ def _number(text: str) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
-        prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False
-    )
+        prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False,
+        epilog="`pitp COMMAND --help` ends with examples. To begin: docs/start.md.",
+    )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"pitp {__version__}", help="show the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
 
     def command(name: str, text: str) -> argparse.ArgumentParser:
-        made = commands.add_parser(name, help=text, description=text.capitalize() + ".", allow_abbrev=False)
+        made = commands.add_parser(
+            name, help=text, description=text.capitalize() + ".", epilog=ending(name), allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
         made.set_defaults(runs=name)
         made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
         return made

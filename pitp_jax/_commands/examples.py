@@ -1,0 +1,56 @@
+"""The end of every command's help: two examples that run on what `pitp demo --quick` leaves, and the page to read."""
+
+_PAGES = {
+    "docs/start.md": ("demo", "identify", "fit", "predict", "invert", "simulate", "info"),
+    "docs/which_recordings.md": ("plan",),
+    "docs/my_rig_disagrees.md": ("diagnose",),
+    "docs/another_day.md": ("check", "adapt"),
+    "docs/to_the_rig.md": ("export",),
+}
+EXAMPLES = {
+    "demo": ("pitp demo --quick", "pitp demo --plant roll --out roll"),
+    "check": ("pitp check demo/records", "pitp check demo/held_out --model demo/model.pitp --out checked"),
+    "plan": (
+        "pitp plan --max-voltage 6000 --band 0.5 10 --out session",
+        "pitp plan demo/nominal.pitp --max-displacement 3 --out session_2",
+    ),
+    "identify": (
+        "pitp identify demo/records/sweep.csv --out nominal.pitp",
+        "pitp identify demo/records/sweep.csv --order 2 --learn delay --out nominal.pitp --json orders.json",
+    ),
+    "fit": (
+        "pitp fit demo/records --out model.pitp",
+        "pitp fit demo/records --nominal demo/nominal.pitp --learn delay --out model.pitp",
+    ),
+    "predict": (
+        "pitp predict demo/model.pitp demo/held_out",
+        "pitp predict demo/nominal.pitp demo/records/sweep.csv --out predicted --json scores.json",
+    ),
+    "simulate": (
+        "pitp simulate demo/model.pitp demo/held_out/triangle.csv",
+        "pitp simulate demo/nominal.pitp demo/held_out --out simulated --json ranges.json",
+    ),
+    "invert": (
+        "pitp invert demo/model.pitp demo/target.csv --out voltage.csv",
+        "pitp invert demo/model.pitp demo/target.csv --out voltage.csv --max-voltage 4500 --max-slew 2e5 --rate 2000",
+    ),
+    "diagnose": (
+        "pitp diagnose demo/held_out --nominal demo/model.pitp",
+        "pitp diagnose demo/records --nominal demo/nominal.pitp --refit-nominal --out report",
+    ),
+    "adapt": (
+        "pitp adapt demo/model.pitp demo/held_out/complex.csv --out today.pitp",
+        "pitp adapt demo/nominal.pitp demo/held_out/triangle.csv --out today.pitp --json changed.json",
+    ),
+    "export": (
+        "pitp export demo/model.pitp --to c --out rig_c",
+        "pitp export demo/nominal.pitp --to matlab --out rig_matlab --name cone",
+    ),
+    "info": ("pitp info demo/model.pitp", "pitp info demo/nominal.pitp --json nominal.json"),
+}
+
+
+def ending(command: str) -> str:
+    """What stands below a command's options."""
+    (page,) = [page for page, commands in _PAGES.items() if command in commands]
+    return "\n".join(["examples:", *(f"  {line}" for line in EXAMPLES[command]), "", f"more: {page}"])
