@@ -32,7 +32,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
     Raises:
         IndexError: shapes that differ.
 
-    Example:
+    Examples:
         >>> pitp.rmse(np.array([1.0, 2.0]), np.array([1.0, 4.0]))
         1.4142135623730951
     """
@@ -61,7 +61,7 @@ def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     Raises:
         IndexError: shapes that differ.
 
-    Example:
+    Examples:
         >>> pitp.e_rms_percent(np.array([1.0, 2.0]), np.array([0.0, 2.0]))  # 100 sqrt(1/2) / 2
         35.35533905932738
     """
@@ -85,7 +85,7 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     Raises:
         IndexError: shapes that differ.
 
-    Example:
+    Examples:
         >>> pitp.nrmse_percent(np.zeros(4), np.array([1.0, -1.0, 1.0, -1.0]))
         100.0
     """
@@ -120,7 +120,7 @@ def rmhe_percent(
     Raises:
         IndexError: shapes that differ.
 
-    Example:
+    Examples:
         >>> phase = np.linspace(0, 2 * np.pi, 1000)
         >>> round(pitp.rmhe_percent(np.sin(phase), np.sin(phase - 0.1)), 1)  # 100 sin 0.1
         10.0

@@ -34,7 +34,7 @@ def records_mesh(devices: Sequence | None = None) -> Mesh:
     Returns:
         a mesh with one axis, the records.
 
-    Example:
+    Examples:
         >>> pitp.records_mesh(jax.devices()[:1]).size
         1
     """
@@ -111,7 +111,7 @@ def sharded_rollout(
     Returns:
         scaled states, shape (records, T, n + K).
 
-    Example:
+    Examples:
         >>> mesh, start = pitp.records_mesh(jax.devices()[:1]), pitp.rest_state(model)[None]
         >>> pitp.sharded_rollout(model, np.zeros((1, 64)), 1e-3, np.asarray(start), mesh).shape
         (1, 64, 2)
@@ -135,7 +135,7 @@ def sharded_inverse(
     Returns:
         voltages, shape (records, T).
 
-    Example:
+    Examples:
         >>> mesh = pitp.records_mesh(jax.devices()[:1])
         >>> pitp.sharded_inverse(model, np.full((1, 64), 1e-3), 1e-3, mesh).shape
         (1, 64)

@@ -48,7 +48,7 @@ def test_every_public_function_says_what_it_takes_gives_and_shows():
         if not inspect.isfunction(f):
             continue
         doc, signature = f.__doc__ or "", inspect.signature(f)
-        wanted = ["Example:"] + (["Args:"] if signature.parameters else [])
+        wanted = ["Examples:"] + (["Args:"] if signature.parameters else [])
         wanted += [] if signature.return_annotation in (None, "None") else ["Returns:"]
         missing += [f"{name}: {part}" for part in wanted if part not in doc]
     assert missing == []

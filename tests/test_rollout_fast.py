@@ -1,12 +1,14 @@
 """The row-wise rollout against the plain one."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from typed import untyped
 
 from pitp_jax._model.drive import ElectrodeLag
+from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.memory import ElapsedTime
 from pitp_jax._simulate.batched_rollout import fast_rollout
 from pitp_jax._simulate.decoder import rest_state, rollout, rollout_batch
@@ -66,7 +68,8 @@ def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
 @pytest.mark.parametrize("part", ["effects", "encoder"])
 def test_what_is_not_written_out_takes_the_plain_way(linear, monkeypatch, part):
     volts, start = runs(linear(2), 1)
-    model = eqx.tree_at(lambda m: getattr(m, part), linear(2), (jnp.ones(()),))
+    other = {"effects": (jnp.ones(()),), "encoder": PaperEncoder(2, 3, key=jax.random.key(0))}[part]
+    model = eqx.tree_at(lambda m: getattr(m, part), linear(2), other)
     plain = jnp.zeros((*volts.shape, start.shape[1]))
     monkeypatch.setattr("pitp_jax._simulate.batched_rollout.rollout_batch", lambda *_: plain)
     assert untyped(fast_rollout).__wrapped__(model, volts, DT, start) is plain

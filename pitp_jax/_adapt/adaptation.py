@@ -88,6 +88,13 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
 
     Raises:
         BadInput: no record, none that moves, several sampling rates, or a model that diverges on one.
+
+    Returns:
+        the verdict, what changed by how much, and the model to go on with.
+
+    Examples:
+        >>> pitp.adapt(model, records[0]).verdict
+        'unchanged'
     """
     records = [records] if isinstance(records, Record) else list(records)
     check_set(records)

@@ -124,7 +124,7 @@ def check(records: Sequence[Record], model: Model | None = None) -> Check:
     Raises:
         BadInput: no records, or something else than records or a model.
 
-    Example:
+    Examples:
         >>> found = pitp.check(records)
         >>> found.records["sweep"].begins, found.records["sweep"].problems
         ('rest', ())

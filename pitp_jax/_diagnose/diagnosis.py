@@ -138,7 +138,7 @@ def diagnose(
         BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one; a
             mesh over several processes.
 
-    Example:
+    Examples:
         >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
         verdict: no_gap ...
     """

@@ -35,7 +35,7 @@ def export_c(
     Raises:
         BadInput: with nothing written.
 
-    Example:
+    Examples:
         >>> pitp.export_c(model, folder / "c")  # doctest: +SKIP
     """
     plan = planning.plan(model, name, rate, precision)

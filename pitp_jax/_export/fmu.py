@@ -54,7 +54,7 @@ def export_fmu(
     Raises:
         BadInput: with nothing written.
 
-    Example:
+    Examples:
         >>> pitp.export_fmu(model, folder / "fmu", fmi=3)  # doctest: +SKIP
     """
     if fmi not in _MISSING:

@@ -24,7 +24,7 @@ def export_matlab(model: Model, folder: str | Path, *, name: str = "model", rate
     Raises:
         BadInput: with nothing written.
 
-    Example:
+    Examples:
         >>> pitp.export_matlab(model, folder / "matlab")  # doctest: +SKIP
     """
     plan = planning.plan(model, name, rate, "double")

@@ -106,7 +106,7 @@ def identify(
         BadInput: unknown order or input map, no variation in voltage or displacement.
         ComputationFailed: the asked order cannot be identified from these records.
 
-    Example:
+    Examples:
         >>> found = pitp.identify(records, order=2)
         >>> found.model.order, found.beginnings["sweep"].begins
         (2, 'rest')

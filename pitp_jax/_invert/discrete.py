@@ -55,7 +55,7 @@ def discrete_inverse(
         ValueError: the model has effects (use `feedforward`), takes substeps (tokens change inside a sample; invert on
             the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
 
-    Example:
+    Examples:
         >>> u = jnp.linspace(0.0, 1000.0, 50)
         >>> states = pitp.rollout_scaled(model, u, 1e-3, pitp.rest_state(model))
         >>> bool(jnp.allclose(pitp.discrete_inverse(model, states, 1e-3)[5:], u[5:-1], rtol=0.05))

@@ -75,7 +75,7 @@ def feedforward(
     Raises:
         BadInput: a limit that is not positive, or a target of fewer samples than the model's order needs.
 
-    Example:
+    Examples:
         >>> plan = pitp.feedforward(model, target, shots=0)
         >>> plan.self_check_e_rms_percent < 1
         True

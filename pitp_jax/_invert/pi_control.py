@@ -42,7 +42,7 @@ def pi_trim(
     Returns:
         Displacement (m) and the voltage at each sample (V), both of shape (T,).
 
-    Example:
+    Examples:
         >>> lag = lambda x, u, u_next: (0.9 * x + 1e-7 * u, 0.9 * x + 1e-7 * u)  # or `stepper`
         >>> x, u = pitp.pi_trim(lag, jnp.zeros(()), jnp.zeros(20), jnp.zeros(20), 1e-3)
         >>> x.shape, u.shape

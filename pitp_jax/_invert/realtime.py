@@ -60,7 +60,7 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
     Raises:
         BadInput: the model has effects, or dt is not positive.
 
-    Example:
+    Examples:
         >>> step = pitp.inverse_step(model, dt=1e-3)
         >>> carry, volts = step.run(step.carry, np.array([1e-3, 0, 0], np.float32))
         >>> round(float(volts))  # 1 mm at 1 kV
@@ -99,7 +99,7 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
         BadInput: the model has effects, dt is not positive, or the voltage between samples is read from later ones
             (hold "bandlimited").
 
-    Example:
+    Examples:
         >>> step = pitp.decoder_step(model, dt=1e-3)
         >>> carry, x = step.run(step.carry, np.array([1000.0], np.float32))
         >>> 0 < float(x) < 1e-6  # m, one sample after rest
@@ -131,7 +131,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
     Returns:
         fn(carry, input) -> (carry, output), compiled.
 
-    Example:
+    Examples:
         >>> run = pitp.restore_step(pitp.decoder_step(model, 1e-3).exported.serialize())  # doctest: +SKIP
     """
     return _compile(export.deserialize(bytearray(exported)))

@@ -57,7 +57,7 @@ def invert_stream(
         BadInput: the model has effects, dt is not positive or the window too small; on the way, a sample is missing or
             all blocks together are too short for its order.
 
-    Example:
+    Examples:
         >>> pieces = pitp.invert_stream(model, np.split(target.displacement, 4), target.dt)
         >>> sum(len(piece.voltage) for piece in pieces) == len(target.displacement)
         True

@@ -44,7 +44,7 @@ def save(path: str | os.PathLike, model: Model) -> None:
     Raises:
         BadInput: a part this format has no name for (an own encoder, an effect), or an unwritable file.
 
-    Example:
+    Examples:
         >>> pitp.save(folder / "model.pitp", model)
     """
     rest = _body(model)
@@ -98,7 +98,7 @@ def load(path: str | os.PathLike) -> Model:
     Raises:
         BadInput: missing, a folder, not a model file, from a newer version, or damaged in any bit.
 
-    Example:
+    Examples:
         >>> pitp.save(folder / "model.pitp", model)
         >>> pitp.load(folder / "model.pitp").order
         2

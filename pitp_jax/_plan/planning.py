@@ -98,6 +98,14 @@ def plan(
 
     Raises:
         BadInput: limits that are missing or cannot be met.
+
+    Returns:
+        the recordings in the order of playing, each with its voltage and what it is for.
+
+    Examples:
+        >>> session = pitp.plan(max_voltage=3000.0, band=(0.5, 5.0), duration=60.0)
+        >>> max(float(np.abs(r.voltage).max()) for r in session.recordings) <= 3000.0
+        True
     """
     if records:
         check_set(records)

@@ -77,7 +77,7 @@ def plant(name: str) -> Plant:
     Raises:
         ValueError: no such plant; the message lists those there are.
 
-    Example:
+    Examples:
         >>> pitp.plant("roll").rate_hz
         5000.0
     """
@@ -103,7 +103,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
         ValueError: shapes that do not fit, non-uniform time, unknown hold or method.
         ComputationFailed: the motion left the range of the spring.
 
-    Example:
+    Examples:
         >>> time = np.arange(100) / 1000
         >>> bool(pitp.simulate(pitp.plant("cone100"), time, np.zeros(100)).max() < 1e-9)
         True
@@ -146,7 +146,7 @@ def record(
     Raises:
         ValueError, ComputationFailed: as `simulate`.
 
-    Example:
+    Examples:
         >>> time = np.arange(100) / 1000
         >>> pitp.record(pitp.plant("cone100"), "step", time, 2000 * (time > 0), seed=0).samples
         100
@@ -175,7 +175,7 @@ def stepper(plant: Plant, *, hold: str = "foh"):
     Raises:
         ValueError: unknown hold.
 
-    Example:
+    Examples:
         >>> step, state = pitp.stepper(pitp.plant("cone100"))
         >>> state, x = step(state, 0.0, 100.0)
     """

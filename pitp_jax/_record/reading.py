@@ -97,7 +97,7 @@ def read(
     Raises:
         BadInput: nothing to read, or files are refused: one line with all of them (file, column, sample, remedy).
 
-    Example:
+    Examples:
         >>> records = read("recordings/", input_scale=1000.0)  # doctest: +SKIP
     """
     options = ReadOptions(
@@ -177,7 +177,7 @@ def read_target(
     Raises:
         BadInput: as for a record, and where a sample is missing.
 
-    Example:
+    Examples:
         >>> pitp.read_target(folder / "target.csv").displacement_unit
         'mm'
     """

@@ -69,7 +69,7 @@ def read_voltage(
     Raises:
         BadInput: one line with all files that are refused.
 
-    Example:
+    Examples:
         >>> drive = pitp.read_voltage(folder / "drive.csv")[0]
         >>> drive.name, drive.voltage_unit
         ('drive', 'V')

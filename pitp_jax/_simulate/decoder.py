@@ -154,7 +154,7 @@ def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array
     Returns:
         state, then memory, then effects' states; scaled.
 
-    Example:
+    Examples:
         >>> pitp.rest_state(model).shape
         (2,)
     """
@@ -183,7 +183,7 @@ def rollout(
     Returns:
         scaled states (state, memory, effects), shape (T, n + K).
 
-    Example:
+    Examples:
         >>> states = pitp.rollout_scaled(model, jnp.ones(64), 1e-3, pitp.rest_state(model))
         >>> states.shape
         (64, 2)

@@ -118,7 +118,7 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     Raises:
         BadInput: no records, of several rates, or something else than a model and records.
 
-    Example:
+    Examples:
         >>> run = pitp.predict(model, records)[0]
         >>> run.displacement.shape == records[0].displacement.shape
         True

@@ -36,7 +36,7 @@ def rollout(
     Raises:
         BadInput: no model, a voltage that is no finite array of these shapes, no positive dt.
 
-    Example:
+    Examples:
         >>> x = pitp.rollout(model, 1000 * np.ones(200), dt=1e-3, begins="rest")
         >>> x.shape, bool(x[0] == 0.0), bool(x[-1] > 0)
         ((200,), True, True)

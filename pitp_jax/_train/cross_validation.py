@@ -50,6 +50,12 @@ def cross_validate(
 
     Raises:
         BadInput: fewer than two records move.
+
+    Returns:
+        per record its error when fitted and when left out.
+
+    Examples:
+        >>> left_out = pitp.cross_validate(nominal, records, model, key=jax.random.key(0))  # doctest: +SKIP
     """
     moving, _ = in_motion(records)
     if len(moving) < 2:

@@ -84,7 +84,7 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
     Raises:
         ValueError: fewer than 2 members.
 
-    Example:
+    Examples:
         >>> ensemble = pitp.train_ensemble(model, records, members=2, key=jax.random.key(0))  # doctest: +SKIP
     """
     _enough(members)
@@ -110,7 +110,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     Raises:
         ValueError: a level that is no share between 0 and 1.
 
-    Example:
+    Examples:
         >>> pitp.predict_band(pitp.Ensemble((model, model), error=0.01), records)[0].half_width.shape
         (2000,)
     """

@@ -103,7 +103,7 @@ def train(
         ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
 
-    Example:
+    Examples:
         >>> trained = pitp.train(model, records, key=jax.random.key(0)).model  # doctest: +SKIP
     """
     settings = preset_of(preset) if settings is None else settings
