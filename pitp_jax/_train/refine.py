@@ -71,7 +71,7 @@ def refine(
     slow: SlowBalance | None = None,
     mesh: Mesh | None = None,
     windows: bool = True,
-    emphasis: Sequence[float] | None = None,
+    emphasis: Float[np.ndarray, " records"] | None = None,
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
 
@@ -199,10 +199,12 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
     return 1e4 / span**2 * (1 + (100 * noise.min()) ** 2) / (1 + (100 * noise) ** 2)
 
 
-def _free(model: Model, records: Sequence[Record], emphasis: Sequence[float] | None = None) -> tuple[Runs, ...]:
+def _free(
+    model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
+) -> tuple[Runs, ...]:
     """All records, or some that stand for all and the beginnings of the others; each of the two counts half."""
     size = run_samples(records)
-    each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else np.asarray(emphasis))
+    each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
     if sum(min(r.samples, size) for r in records) <= max(_BUDGET, _SHORTEST * len(records)):
         sets = alike(records)
         sizes, shares = (

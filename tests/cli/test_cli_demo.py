@@ -60,7 +60,8 @@ def test_end_to_end(call, bench, tmp_path, monkeypatch):
     monkeypatch.setitem(settings.PRESETS, "default", short)
     nominal, model, records = tmp_path / "nominal", tmp_path / "model", bench / "records"
     assert call("identify", records / "sweep.csv", "--out", nominal, "--order", "2")[0] == 0
-    assert call("fit", records, "--nominal", nominal, "--out", model)[0] == 0
+    code, text, err = call("fit", records, "--nominal", nominal, "--out", model)
+    assert code == 0, err
     assert call("info", model)[0] == 0
     assert call("predict", model, records, "--json", tmp_path / "j", "--out", tmp_path / "d")[0] == 0
     assert json.loads((tmp_path / "j").read_text())["median_e_rms_percent"] < 5

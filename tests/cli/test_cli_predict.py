@@ -33,7 +33,7 @@ def test_predict_writes_scores_and_records_in_their_own_units(call, bench, tmp_p
     assert result["median_e_rms_percent"] == np.median([row["e_rms_percent"] for row in result["records"].values()])
     assert "median e_rms" in text
     assert tree(tmp_path) == sorted(
-        ["new", "new/folder", "scores.json", *(f"new/folder/{name}.csv" for name in DRIVES)]
+        ["new", "new/folder", "new/folder/report.html", "scores.json", *(f"new/folder/{name}.csv" for name in DRIVES)]
     )
 
 
