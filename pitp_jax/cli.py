@@ -145,6 +145,7 @@ def _parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         made.set_defaults(runs=name)
+        made.add_argument("--json", dest="json_file", metavar="FILE", help="also write the result for machines")
         made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
         return made
 
@@ -165,7 +166,6 @@ def _parser() -> argparse.ArgumentParser:
     info = command("info", "what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("other", metavar="OTHER", nargs="?", help="another one: what differs")
-    info.add_argument("--json", dest="json_file", metavar="FILE", help="also write it for machines")
     return parser
 
 
@@ -212,7 +212,6 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--model", metavar="MODEL", help="also say which records this model does not explain")
     parser.add_argument("--out", metavar="DIR", help="write every record as understood, and a page, here")
-    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
     _columns(parser)
 
 
@@ -220,7 +219,6 @@ def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("voltages", nargs="+", metavar="VOLTAGE", help="files of time and voltage, and folders of them")
     parser.add_argument("--out", metavar="DIR", help="write one CSV per drive here")
-    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the ranges for machines")
     _columns(parser, drive=True)
 
 
@@ -252,9 +250,6 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--learn", action="append", default=[], choices=("delay",), help="also fit a pure delay behind the drive"
     )
-    parser.add_argument(
-        "--json", dest="json_file", metavar="FILE", help="also write the comparison of orders for machines"
-    )
     _columns(parser)
 
 
@@ -274,7 +269,6 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cross-validate", action="store_true", help="also train without each record in turn, and predict it"
     )
-    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write all errors for machines")
     _columns(parser)
 
 
@@ -282,7 +276,6 @@ def _predict_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--out", metavar="DIR", help="write one CSV per record and a page here")
-    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the scores for machines")
     _columns(parser)
 
 
@@ -302,7 +295,6 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--input-scale", type=_positive, default=1.0, metavar="S", help="amplifier's gain: volts / S are written"
     )
-    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the counts for machines")
     _columns(parser, target=True)
 
 
@@ -314,7 +306,6 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=_positive, metavar="S", help="of computing; then the best so far is told")
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
-    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
     _columns(parser)
 
 
@@ -322,7 +313,6 @@ def _adapt_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--out", required=True, metavar="MODEL", help="model file to write; as given if unchanged")
-    parser.add_argument("--json", dest="json_file", metavar="FILE", help="also write the finding for machines")
     _columns(parser)
 
 

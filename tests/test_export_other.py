@@ -1,5 +1,6 @@
 """FMUs and MATLAB functions against the same steps by JAX in float64; the command line."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -143,7 +144,10 @@ def test_a_held_voltage_is_a_zoh_step(linear, tmp_path):
 def test_the_command_line(actuator, tmp_path, capsys):
     model, out = str(tmp_path / "model"), tmp_path / "out"
     pitp.save(model, actuator)
-    assert main(["export", model, "--to", "c", "--out", str(out), "--precision", "single", "--name", "cone"]) == 0
+    names = ["--precision", "single", "--name", "cone", "--json", str(tmp_path / "j")]
+    assert main(["export", model, "--to", "c", "--out", str(out), *names]) == 0
+    told = json.loads((tmp_path / "j").read_text())
+    assert told["rate_hz"] == pytest.approx(1000) and told["rate_costs_e_rms_percent"] is None
     assert "pitp_cone" in capsys.readouterr().out
     assert "float" in (out / "pitp_cone.h").read_text()
 

@@ -229,7 +229,8 @@ def test_an_identified_model_gets_a_space_filling_set(actuator):
 def test_the_command_writes_drives_that_are_read_back_as_played(tmp_path, capsys):
     out = tmp_path / "plan"
     limits = ["--max-voltage", "6000", "--band", "1", "10", "--rate", "200", "--rest", "2", "--max-displacement", "3"]
-    assert main(["plan", *limits, "--out", str(out)]) == 0
+    assert main(["plan", *limits, "--out", str(out), "--json", str(tmp_path / "j")]) == 0
+    assert (tmp_path / "j").read_text() == (out / "plan.json").read_text()
     told, expected = json.loads((out / "plan.json").read_text()), pitp.plan(**RIG, rest=2.0, max_displacement=3e-3)
     assert len(told["files"]) == len(told["recordings"]) == len(expected.recordings)
     text = (out / "plan.html").read_text()

@@ -12,13 +12,13 @@ from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
 from .compatibility import check_suits
 from .console import number, print_table
-from .outputs import check_folder, staged_folder, write_json
+from .outputs import check_files, check_folder, staged_folder, write_json
 from .recordings import is_square, read_records
 
 PAGE, JSON = "plan.html", "plan.json"
 
 
-def plan(paths, out, choose_from, max_displacement, band, reading, **limits) -> None:
+def plan(paths, out, choose_from, max_displacement, band, reading, json_file=None, **limits) -> None:
     """Plan, write the drives, the page and the JSON, and print the order.
 
     Args:
@@ -28,6 +28,7 @@ def plan(paths, out, choose_from, max_displacement, band, reading, **limits) -> 
         max_displacement: limit in mm from the displacement at 0 V, or None.
         band: lowest and highest frequency in Hz, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+        json_file: where to write plan.json once more, or None.
         limits: max_voltage, max_slew, duration, rest, rate, alternate, seed of `pitp.plan`.
 
     Raises:
@@ -35,6 +36,7 @@ def plan(paths, out, choose_from, max_displacement, band, reading, **limits) -> 
     """
     given, records = (paths[0], paths[1:]) if paths else (None, [])
     check_folder(out, [PAGE, JSON], inputs=paths)
+    check_files(json_file, inputs=paths)
     model = None if given is None else load(given)
     square = model is None or is_square(model)
     read_in = read_records(records, reading, square=square) if records else ()
@@ -49,11 +51,14 @@ def plan(paths, out, choose_from, max_displacement, band, reading, **limits) -> 
     files = [f"{r.name.replace('/', '_')}.csv" for r in found.recordings]
     sources = [r.source for r in (*read_in, *others)]
     check_folder(out, [PAGE, JSON, *files], inputs=[*paths, *sources])
+    told = found.as_json() | {"files": files}
     with staged_folder(out) as stage:
         for file, r in zip(files, found.recordings, strict=True):
             write_csv(stage / file, {"time_s": r.time, "voltage_V": r.voltage})
         write_text_atomic(stage / PAGE, page(found, given or ""))
-        write_json(str(stage / JSON), found.as_json() | {"files": files})
+        write_json(str(stage / JSON), told)
+    if json_file:
+        write_json(json_file, told)
     _print(found, given is not None)
     print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
 

@@ -45,9 +45,10 @@ def test_demo_trains_on_every_cell_of_the_tables(name, quick):
 
 @pytest.mark.slow
 def test_demo_quick(call, tmp_path):
-    code, text, _ = call("demo", "--plant", "cone100", "--quick", "--out", tmp_path / "d")
+    code, text, _ = call("demo", "--plant", "cone100", "--quick", "--out", tmp_path / "d", "--json", tmp_path / "j")
     assert code == 0
     assert "Table I" in text
+    assert all(table["title"] in text for table in json.loads((tmp_path / "j").read_text())["tables"])
     left = {*files.FILES, *files.recordings("cone100", quick=True), files.RECORDS, files.HELD_OUT}
     assert tree(tmp_path / "d") == sorted(left)
     assert call("predict", tmp_path / "d" / "model.pitp", tmp_path / "d" / "held_out")[0] == 0
