@@ -44,8 +44,11 @@ def _table(found: Check) -> list[str]:
         "outliers", "read as",
     )  # fmt: skip
     rows = [("named" if row.problems else "", (name, *_cells(row))) for name, row in found.records.items()]
-    note = "Bold: with problems. measured = direction × displacement + zero; a dash where it cannot be known."
-    return [tag("p", note, "soft"), html.table(header, rows, {1: "left", 5: "left", 11: "long"})]
+    note = (
+        "Bold: with problems. measured = direction × displacement + zero; a dash where it cannot be known. Columns of "
+        "zeros are left out."
+    )
+    return [tag("p", note, "soft"), html.telling_table(header, rows, {1: "left", 5: "left", 11: "long"})]
 
 
 def _cells(row: CheckedRecord) -> Sequence[str]:

@@ -94,7 +94,7 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     time = np.arange(len(voltage)) / limits.rate
     hz, top = points[:, 0], np.abs(voltage).max()
     spread = f"{hz.min():.3g} to {hz.max():.3g}" if len(points) > 1 else f"{hz[0]:.3g}"
-    text = f"motion at {spread} Hz, up to {top:.3g} V: one of a set that fills frequency, swing and bias"
+    text = f"motion at {spread} Hz, up to {top:.0f} V: one of a set that fills frequency, swing and bias"
     return Planned(f"sine_{hz[0]:.3g}Hz_{top:.0f}V", "sine", text, time, voltage, limits.rest)
 
 

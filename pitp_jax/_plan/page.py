@@ -78,7 +78,7 @@ def _table(plan: Plan) -> str:
         ))
         for r in plan.recordings
     ]  # fmt: skip
-    return html.table(header, rows, {1: "left", 7: "long"})
+    return html.telling_table(header, rows, {1: "left", 7: "long"})
 
 
 def _pictures(plan: Plan) -> str:

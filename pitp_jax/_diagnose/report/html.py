@@ -87,6 +87,13 @@ def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css:
     )
 
 
+def telling_table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
+    """The same without columns in which every row has a dash or a zero."""
+    told = [k for k in range(len(header)) if any(cells[k] not in ("–", "0", "") for _, cells in rows)]
+    kept = [(kind, [cells[k] for k in told]) for kind, cells in rows]
+    return table([header[k] for k in told], kept, {i: css[k] for i, k in enumerate(told) if k in css})
+
+
 def picture(name: str, drawn: Figure, caption: str) -> str:
     """A figure as inline SVG with a caption; its black, greys and blue follow the page's colours."""
     with rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):  # the same diagnosis is the same page
