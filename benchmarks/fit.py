@@ -15,8 +15,10 @@ import jax.numpy as jnp
 
 import pitp_jax as pitp
 from pitp_jax._demo import protocol
-from pitp_jax._train import settings, training
+from pitp_jax._train import training
 from pitp_jax._train.dataset import build_dataset
+from pitp_jax._train.parameters import trainable
+from pitp_jax._train.settings import PRESETS, memory_of, with_encoder
 
 from .clock import take_turns
 
@@ -28,24 +30,24 @@ def records(name: str):
     folder = _DATA / name
     if folder.is_dir():
         parts = [pitp.read(folder / part) for part in ("sweep", "train", "test")]
-        return *parts, settings.PRESETS["default"], "recordings"
+        return *parts, PRESETS["default"], "recordings"
     actuator = pitp.plant(name)
     parts = [protocol.measure(actuator, protocol.excitations(name, part, True)) for part in ("sweep", "train", "test")]
-    return *parts, replace(settings.PRESETS["default"], **protocol.QUICK_TRAINING), "virtual, quick"
+    return *parts, replace(PRESETS["default"], **protocol.QUICK_TRAINING), "virtual, quick"
 
 
 def step_ways(nominal, train, settings) -> tuple[dict, str]:
     """One epoch of ours, a few steps of PyTorch's; both report per step through `scale`."""
-    memory = partial(settings.memory_of, settings, nominal, None)
+    memory = partial(memory_of, settings, nominal, None)
     data = build_dataset(nominal, train, scaling=settings.scaling, difference=settings.difference, memory=memory)
-    model = settings.with_encoder(data, settings, jax.random.key(0))
-    params, static = eqx.partition(model, training._trainable(model))
-    state, box = training._OPTIMISER.init(params), jnp.asarray([0.6, 1.5])
-    rows = data.equation
-    few = rows.take(slice(0, 20 * settings.batch))
+    model = with_encoder(data, settings, jax.random.key(0))
+    params, static = eqx.partition(model.encoder, trainable(model).encoder)
+    state = training._OPTIMISER.init(params)
+    box_rate = jnp.asarray([0.6, 1.5]), jnp.asarray(1e-3)
+    few, how = data.equation.take(slice(0, 20 * settings.batch)), training._in_an_epoch(settings)
 
     def ours():
-        return training._epoch(params, static, state, few, box, jnp.asarray(1e-3), settings, jax.random.key(1))[2]
+        return training._epoch(params, static, state, model, few, *box_rate, jax.random.key(1), **how)[2]
 
     steps = max(few.force.shape[0] // settings.batch, 1)
     try:

@@ -6,7 +6,9 @@ import time
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from motions import DT, respond
 
+import pitp_jax as pitp
 from benchmarks.__main__ import duration, main, table, written
 from benchmarks.clock import row, take_turns
 from benchmarks.machine import floor, operations
@@ -69,6 +71,20 @@ def test_table_and_file_keep_earlier_rows(tmp_path, monkeypatch, capsys):
             "ratio": 4.5, "peak_mb": 100}  # fmt: skip
     assert "| 9 ms" in table({"a": line}) and "| 4.5" in table({"a": line})
     assert "| 25%" in table({"a": line | {"floor_ms": 0.5}})
+
+
+@pytest.mark.long
+def test_the_step_of_training_runs_as_the_table_times_it(linear):
+    from benchmarks.fit import step_ways
+    from pitp_jax._train.settings import Settings
+
+    time = np.arange(1500) * DT
+    drive = 500 * (1 - np.cos(2 * np.pi * 2 * time))
+    model = linear(2)
+    ways, why = step_ways(model, [pitp.Record("sine", time, drive, respond(model, drive)[:, 0])], Settings())
+    run, steps = ways["pitp_jax"]
+    assert steps >= 1 and np.isfinite(run()).all()
+    assert why or len(ways) == 2
 
 
 def test_operations_are_those_of_the_arithmetic():

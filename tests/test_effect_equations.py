@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
 from pitp_jax._effects import CATALOGUE, key
-from pitp_jax._effects.base import physical_factor
+from pitp_jax._effects.physical import physical_factor
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rollout, settled_state
 

@@ -41,6 +41,7 @@ def test_every_script_runs_in_smoke(name, cache, tmp_path, monkeypatch, capsys):
     assert "held-out" in printed.lower() and size > 5000
 
 
+@pytest.mark.long
 def test_the_cheapest_script_runs_in_smoke(cache, tmp_path, monkeypatch, capsys):
     printed, size = run("fig06_orders", cache, tmp_path, monkeypatch, capsys)
     assert "cone100, tokens (order + 1)" in printed and size > 5000

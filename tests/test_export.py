@@ -114,6 +114,7 @@ def inputs(model, inverse):
     return motion(model) if inverse else DRIVE
 
 
+@pytest.mark.long
 @kinds("linear", "effects")
 def test_a_step_is_pythons(models, truths, tmp_path, kind):
     """From the same state to 1e-12 of its range; free runs to 1e-9. The inverse in force: a root magnifies bits."""
@@ -143,6 +144,7 @@ def test_single_precision(models, truths, tmp_path, kind):
     assert np.abs(found.predict(DRIVE, rest) - out[:, 0]).max() < 1e-4 * np.ptp(out)
 
 
+@pytest.mark.long
 @kinds("effects")
 def test_predict_steps_are_the_rollout(models, truths, kind):
     model = double(models(kind))

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import pickle
-import time
 
 import equinox as eqx
 import jax
@@ -93,6 +92,7 @@ def assert_same(left, right):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_round_trip_is_exact(tmp_path, case):
     path, saved = tmp_path / "model", CASES[case]()
@@ -325,10 +325,9 @@ def test_weights_that_are_not_finite_are_refused(tmp_path):
         model_file.load(tmp_path / "m")
 
 
-def test_a_hundred_thousand_effects_are_refused_at_once(stored):
+def test_a_hundred_thousand_effects_are_refused_before_any_is_built(stored, monkeypatch):
     path, content = stored
     many = b", ".join([b'{"name": "coulomb_friction"}'] * 100_000)
     data = resealed(content, lambda rest: rest.replace(b'"effects": []', b'"effects": [' + many + b"]", 1))
-    begun = time.process_time()
+    monkeypatch.setattr(parts, "_part", None)  # whoever builds a part fails
     assert "100000 effects" in refused(path, data)
-    assert time.process_time() - begun < 1.0  # about 0.15 s

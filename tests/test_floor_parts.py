@@ -8,9 +8,10 @@ from played import DT, HZ, SAMPLES, TIME, nominal_of, play
 from scipy.signal import lfilter
 
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.noise import band_edges, estimate
-from pitp_jax._diagnose.repeatability import _period
+from pitp_jax._diagnose.noise import estimate
 from pitp_jax._diagnose.steady_tone import steady_tone
+from pitp_jax._numerics.noise_spectrum import band_edges
+from pitp_jax._record.repeatability import _period
 
 HUM = 17.3
 

@@ -73,6 +73,7 @@ def follow(page, start, tmp_path, monkeypatch):
 SHORT = [p for p in pages() if runnable(p) and named(p) not in LONG]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", SHORT, ids=named)
 def test_a_page_runs(page, small, tmp_path, monkeypatch):
     follow(page, small, tmp_path, monkeypatch)

@@ -73,6 +73,7 @@ def error(model, records):
     return max(e_rms_percent(p.displacement, r.displacement) for p, r in zip(runs, records, strict=True))
 
 
+@pytest.mark.long
 def test_a_planted_lag_is_found(plant, start, refined):
     """Tau within 10 %, the error of a free run on a drive never seen cut fivefold."""
     found = refined[0][-1][0]
@@ -169,6 +170,7 @@ def how(**changes):
     return refining._How(DT, quiet, 1e-4, None, None)
 
 
+@pytest.mark.long
 def test_a_diverging_start_is_scaled_down(plant, start, runaway):
     (runs,) = refining._free(runaway, plant[1])
     assert lost(runaway, runs)
@@ -216,7 +218,7 @@ def test_no_start_at_all_is_told(plant, start):
 
 @pytest.mark.parametrize(("hz", "every"), [(0.2, 8), (5.0, 8), (20.0, 2), (100.0, 1)])
 def test_ten_errors_to_a_period(linear, hz, every):
-    assert refining._thinning(linear(2, hz), DT) == every
+    assert refining.thinning(linear(2, hz), DT) == every
 
 
 def test_records_shorter_than_the_filter_still_have_a_window(plant, start):
@@ -231,6 +233,7 @@ def squares(net):
     return float(sum(np.sum(np.square(leaf)) for leaf in jax.tree.leaves(eqx.filter(net, eqx.is_array))))
 
 
+@pytest.mark.long
 def test_firm_nets_stay_small(plant, start):
     """Firmness holds the nets of spring and damping, and nothing else."""
     model, data = start
@@ -243,6 +246,7 @@ def test_firm_nets_stay_small(plant, start):
     assert squares(held.past) == squares(held.spring_poly) == squares(held.fading) == 0
 
 
+@pytest.mark.long
 def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch):
     """Half of the budget for whole records, half for the beginnings of the others; each half of the weight."""
     model, records = start[0], [replace(plant[1][0], name=f"r{k}") for k in range(20)]
@@ -257,6 +261,7 @@ def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch)
     assert whole.voltage.shape == (6, SAMPLES)
 
 
+@pytest.mark.long
 def test_a_long_record_among_short_ones_runs_to_its_end(plant, start, monkeypatch):
     """Its padding is not charged: sets of like length, each record of the same weight."""
     model, long = start[0], plant[1][1]

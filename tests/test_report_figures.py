@@ -12,6 +12,7 @@ from typed import of_kind, some
 from pitp_jax._diagnose.report import figures, formatting, gap_figure
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._effects import CATALOGUE
+from pitp_jax._plot import numbers
 
 
 def test_a_line_in_every_recording_is_a_disturbance(unknown):
@@ -79,9 +80,9 @@ def test_maps_and_bars_show_the_shares(tied):
 
 
 def test_numbers_have_sensible_digits():
-    assert formatting.with_error(0.00047808, 2.1e-7, "s") == "(4.781 ± 0.002)·10⁻⁴ s"
-    assert formatting.with_error(7623.0, 10804.0, "V²") == "8000 ± 11000 V²"
-    assert formatting.with_error(-1.5, None, "V") == "−1.50 V"
+    assert numbers.with_error(0.00047808, 2.1e-7, "s") == "(4.781 ± 0.002)·10⁻⁴ s"
+    assert numbers.with_error(7623.0, 10804.0, "V²") == "8000 ± 11000 V²"
+    assert numbers.with_error(-1.5, None, "V") == "−1.50 V"
     assert (
         formatting.parameter("tau", {"value": 0.00047808, "unit": "s", "stderr": 2.1e-7}, "mm")[1]
         == "0.4781 ± 0.0002 ms"
@@ -90,18 +91,19 @@ def test_numbers_have_sensible_digits():
     assert formatting.parameter("inverse", {"value": 2e-5, "unit": "s/V", "stderr": 1.2e-6}, "m") == (
         "limit", "50000 ± 3000 V/s",
     )  # fmt: skip
-    assert [formatting.percent(v) for v in (-1e-9, 0.999, 0.9999, 1.0, None, float("nan"))] == [
+    assert [numbers.percent(v) for v in (-1e-9, 0.999, 0.9999, 1.0, None, float("nan"))] == [
         "0 %", "99.9 %", "100 %", "100 %", "–", "–",
     ]  # fmt: skip
-    assert formatting.interval(0.9767, 0.9816) == "97.7 % to 98.2 %"
-    assert formatting.interval(0.5, 0.8) == "50 % to 80 %"
-    assert [formatting.figure(v) for v in (0.0, 41686, 1e-9, None)] == ["0", "41700", "1.00·10⁻⁹", "–"]
+    assert numbers.interval(0.9767, 0.9816) == "97.7 % to 98.2 %"
+    assert numbers.interval(0.5, 0.8) == "50 % to 80 %"
+    assert [numbers.figure(v) for v in (0.0, 41686, 1e-9, None)] == ["0", "41700", "1.00·10⁻⁹", "–"]
 
 
 def test_every_effect_has_plain_words():
     assert {c.name for c in CATALOGUE} | {"parameter_change"} == set(formatting.PLAIN)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["cost_$5_and_$6", "$\\frac{", "back\\slash$", "<b>&amp;--></b>", "µ\u202ename"])
 def test_any_name_of_a_record_can_be_drawn(explained, name):
     odd = replace(explained, where={**explained.where, "records": {name: 0.7, "other": 0.3}})

@@ -58,6 +58,7 @@ def test_it_is_found(ringing):
     assert left < 0.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cubic", [0.0, 0.3])
 def test_none_is_found_where_none_hangs(cubic):
     assert second_mass(motion([hanging(f, a, 0.0, cubic) for f in HERTZ for a in (0.6, 1.0)]), OMEGA, LAGS) is None
@@ -97,6 +98,7 @@ def test_a_free_run_is_better_for_it(ringing):
     assert after * 2 < before
 
 
+@pytest.mark.long
 def test_it_is_only_looked_for_where_asked(ringing):
     nominal = identify(ringing, order=2).model
     kinds = [type(memory_of(Settings(ringing=r), nominal, None, motion(ringing))) for r in (True, False)]

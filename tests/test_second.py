@@ -12,8 +12,7 @@ from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.effect_pairs import _around
 from pitp_jax._diagnose.evaluation import judge
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._diagnose.noise import estimate
-from pitp_jax._diagnose.repeatability import scatter
+from pitp_jax._diagnose.noise import estimate, scatter
 from pitp_jax._effects import CATALOGUE, coupling, dissipation
 
 QUIET = 1e-3
@@ -65,6 +64,7 @@ def test_no_drive_that_repeats_no_floor_from_it(nominal):
     assert scatter(only, [s.error for s in only.series]) is None
 
 
+@pytest.mark.long
 def test_the_second_effect_is_what_screens_best_around_the_first(nominal):
     """A coupling that zips up beside dry friction: around the fitted coupling, friction leads."""
     force = 600.0**2 / nominal.scales.force

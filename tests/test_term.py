@@ -21,8 +21,8 @@ from pitp_jax._diagnose.report import figures
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._diagnose.term import Drawn, Term
 from pitp_jax._diagnose.term_search import search
-from pitp_jax._effects.base import in_scales
 from pitp_jax._effects.found_term import KNEES, LIBRARY, NAMES, FoundTerm, Values
+from pitp_jax._effects.physical import in_scales
 from pitp_jax._export import steps
 from pitp_jax._export.c99 import export_c
 from pitp_jax._simulate import ports
@@ -66,6 +66,7 @@ def test_what_no_name_explains_is_an_equation_with_units_and_intervals(nominal, 
     }
 
 
+@pytest.mark.long
 def test_the_model_handed_back_carries_it(nominal, described, tmp_path):
     pitp.save(tmp_path / "m", described.model)
     model = pitp.load(tmp_path / "m")
@@ -137,6 +138,7 @@ def test_the_inverse_solves_for_the_force_that_is_in_the_term(driven):
     assert f == pytest.approx(float(driven.coefficients @ row) + value, rel=1e-5)
 
 
+@pytest.mark.long
 def test_its_inverse_is_exported(driven, tmp_path):
     export_c(driven, tmp_path / "c")
     library, dt = Exported(tmp_path / "c", 2), driven.provenance.dt

@@ -124,6 +124,7 @@ def test_whole_cases_have_the_gap_they_claim(kit, name):
 STEEP = [("coulomb_friction", 1), ("end_stop", 0), ("slew_limit", 1), ("hysteresis", 1), ("slack", 0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "which"), [("hysteresis", 0), *(pytest.param(*s, marks=pytest.mark.slow) for s in STEEP)]
 )
@@ -188,6 +189,7 @@ def test_cells_follow_the_missing_force(kit):
     assert kit.cells.f1(case, cells) == 1.0
 
 
+@pytest.mark.long
 def test_a_whole_run_resumes_and_reports(kit, tmp_path, monkeypatch, capsys):
     calls = []
 

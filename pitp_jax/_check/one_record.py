@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._diagnose.noise import band_edges, band_levels
+from .._numerics.noise_spectrum import band_edges, band_levels
 from .._record.checks import TIME_TOLERANCE
 from .._record.excitation_kind import kind, loudest
 from .._record.initial_state import in_motion, noise_std

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._diagnose.report import html
-from .._diagnose.report.formatting import figure, with_error
-from .._diagnose.report.html import tag
+from .._plot import html
+from .._plot.html import tag
 from .._plot.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
+from .._plot.numbers import figure, with_error
 from .._record.record import Record
 from .._record.units import from_base
 from .check import Check, CheckedRecord

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._diagnose.repeatability import repeat_scatter
 from .._record.record import Record
+from .._record.repeatability import repeat_scatter
 
 _SAME = 0.01  # of the drive's range
 _MOST = 400  # records, of which all pairs are looked at

@@ -18,11 +18,12 @@ from .._train.settings import preset_of
 from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
+from .fit_errors import errors_told, print_errors, suspects
 from .fit_page import REPORT, fit_page
 from .outputs import check_files, check_folder, staged_folder, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
-from .reports import describe, errors_told, in_words, listed, print_errors, print_history, suspects
+from .reports import describe, in_words, listed, print_history
 
 
 def fit(

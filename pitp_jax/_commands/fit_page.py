@@ -13,12 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import welch
 
-from .._diagnose.report import html
-from .._diagnose.report.formatting import figure, shown_unit
-from .._diagnose.report.html import tag
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
+from .._plot import html
+from .._plot.html import tag
 from .._plot.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, own_axes
+from .._plot.numbers import figure, shown_unit
 from .._plot.paper_figures import prediction as beside
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record

@@ -22,16 +22,15 @@ like. Records without noise, as a simulation leaves them, are known to the round
 range for a nominal beside its own, which a floor of 2e-8 had called a gap.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from .._numerics.noise_spectrum import band_edges, colour_of, levels_of, periodogram, rise_at_the_low_end
+from .._record.repeatability import repeat_scatter
 from .case import Case, Series
-from .repeatability import scatter
 
-_QUARTILE = -np.log(0.75)
-_BINS = 24
 _SHORT = 8  # times shorter than the longest record: its few bins would be everyone's
 _CLEAR = 0.8  # of the spectrum's: cycles that repeat better than that are believed
 _COARSE = 0.1  # of the samples: with more values than that the steps are fine beside the noise
@@ -40,7 +39,6 @@ _ROUNDING = 1e-5  # of the range: no floor is lower
 _FLAT = (
     3.0  # most by which noise rises to its low end: between 1.2 and 7, whose quartiles scatter by 0.45 of themselves
 )
-_NEAR = 0.25  # in ln f: bins that tell the colour at f, a quarter of a band's distance to the next but one
 _RISE = 3.0  # of a level into the resonance: quartiles of two dozen bins scatter by 0.4; 14 at a damping ratio of 0.12
 STRUCK = 1.5  # sigma over sensor from where the actuator itself is disturbed
 
@@ -74,9 +72,9 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     counted = [(e, s.weight > 0) for e, s in zip(errors, case.series, strict=True) if len(e) >= long]
     fewest = min(len(e) for e, _ in counted)
     edges = band_edges(int(0.6 * fewest), dt)
-    powers = [_power(e, seen, dt) for e, seen in counted]
-    colour = _colour(powers)
-    levels = np.array([_levels(*p, edges, colour) for p in powers])
+    powers = [periodogram(e, seen, dt) for e, seen in counted]
+    colour = colour_of(powers)
+    levels = np.array([levels_of(*p, edges, colour) for p in powers])
     bins = np.maximum(np.diff(edges) * 0.6 * fewest * dt, 4.0)
     spread = 2.0 / np.sqrt(bins)  # relative standard deviation of one record's quartile
     low = 0.67 if len(levels) > 3 else 1.0  # how many of them the quartile (the least of few) lies below the mean
@@ -86,7 +84,7 @@ def estimate(case: Case, errors: list[np.ndarray]) -> Noise:
     middle = np.sqrt(edges[:-1] * np.maximum(edges[1:], 1e-12))
     resonance = case.surroundings.omega / (2 * np.pi)
     slow = middle < resonance / 4
-    if _rises(powers) > _FLAT and slow.any() and (~slow).any():
+    if rise_at_the_low_end(powers) > _FLAT and slow.any() and (~slow).any():
         level[slow] = np.minimum(level[slow], 2 * level[~slow][0])
     sigma, sensor = (
         float(np.sqrt(np.sum(v * np.diff(edges)))) for v in (level, _without_peak(middle, level, resonance, colour))
@@ -128,58 +126,8 @@ def _digit(s: Series) -> float:
     return float(np.median(np.diff(values))) if 1 < len(values) < _COARSE * np.count_nonzero(s.weight) else 0.0
 
 
-def band_edges(samples: int, dt: float) -> np.ndarray:
-    """Bands of at least 24 bins and a fifth of their frequency."""
-    width, top = _BINS / (samples * dt), 0.5 / dt
-    edges = [0.0]
-    while edges[-1] + width < top:
-        edges.append(edges[-1] + max(width, 0.2 * edges[-1]))
-    edges[-1:] = [top] if len(edges) > 1 else [0.0, top]
-    return np.array(edges)
-
-
-def _power(error: np.ndarray, counts: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz, but for those of the mean, and the one-sided density there (per Hz)."""
-    tail = error[int(0.4 * len(error)) :]
-    seen = counts[int(0.4 * len(error)) :]
-    tail = tail - tail[seen].mean() if seen.any() else tail
-    window = np.hanning(len(tail)) * seen
-    power = 2 * dt * np.abs(np.fft.rfft(tail * window)) ** 2 / max(np.sum(window**2), 1e-30)
-    return np.fft.rfftfreq(len(tail), dt)[2:], power[2:]
-
-
-def band_levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
-    """One-sided density (per Hz) of every band in one record's residual."""
-    power = _power(error, counts, dt)
-    return _levels(*power, edges, _colour([power]))
-
-
-def _colour(powers) -> Callable[[np.ndarray], np.ndarray]:
-    """S(f) up to a factor: lower quartiles over all records' bins near a frequency, joined in logarithms."""
-    f, p = (np.concatenate(v) for v in zip(*powers, strict=True))
-    order = np.argsort(f)
-    place, p = np.log(f[order]), p[order]
-    at = np.linspace(place[0], place[-1], 64)
-    first, last = (np.searchsorted(place, at + side * _NEAR) for side in (-1, 1))
-    few = np.maximum(_BINS - (last - first), 0) // 2 + 1  # as many as a band has, at least
-    ends = zip(np.maximum(first - few, 0), last + few, strict=True)
-    found = np.log(np.maximum([np.quantile(p[a:b], 0.25) for a, b in ends], 1e-200))
-    return lambda hz: np.exp(np.interp(np.log(hz), at, found))
-
-
-def _rises(powers) -> float:
-    """By how much bins 2 to 5 of the shortest record lie above bins 6 to 14: lower quartiles, all records together."""
-    f, p = (np.concatenate(v) for v in zip(*powers, strict=True))
-    step = max(hz[0] for hz, _ in powers) / 2
-    low, up = (np.quantile(p[(f >= a * step) & (f < b * step)], 0.25) for a, b in ((1.9, 5.5), (5.5, 14.5)))
-    return float(low / max(up, 1e-300))
-
-
-def _levels(frequency: np.ndarray, power: np.ndarray, edges: np.ndarray, colour) -> np.ndarray:
-    """The density of every band."""
-    shape, found = colour(frequency), []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
-        here = (frequency >= low) & (frequency < high)
-        bins = np.quantile(power[here] / shape[here], 0.25) / _QUARTILE if here.any() else 0.0
-        found.append(bins * shape[here].mean() if here.any() else 0.0)
-    return np.array(found)
+def scatter(case: Case, errors: Sequence[np.ndarray]) -> float | None:
+    """Standard deviation of what does not repeat (scaled displacement), middle of the records; None if none repeats."""
+    found = [repeat_scatter(s.record, e, s.weight > 0) for s, e in zip(case.series, errors, strict=True)]
+    found = [v for v in found if v is not None]
+    return float(np.sqrt(np.median(found))) if found else None

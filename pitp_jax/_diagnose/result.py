@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._effects import CATALOGUE
-from .._effects.base import Parameter, physical_factor
-from .._model.model import Model
-from .._record.units import base_unit
+from .._effects.physical import physical
 from .bootstrap import means
 from .case import Case
 from .effect_selection import Attribution
@@ -104,14 +102,6 @@ def gap_of(case: Case, found: Attribution, after: Judged, low: float, held) -> G
         closed_fraction=closed(before, after.heldout, low), 
         ci95=_interval(case, found.base, after, low, held, found.noise.doubt),
     )  # fmt: skip
-
-
-def physical(model: Model, p: Parameter, value: float) -> tuple[float, str]:
-    """A number stored in an effect, in physical units."""
-    unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))
-    if p.force:
-        unit = unit.replace("V^2", model.input_map.unit)
-    return value * physical_factor(p, model.scales.state, model.scales.force), unit
 
 
 def added_of(case: Case, judged: Judged) -> tuple[Added, ...]:

@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from .._effects.found_term import LIBRARY, NAMES, FoundTerm
+from .._effects.physical import physical
 from .._model.model import Model
 from .case import Case
 from .effect_selection import Attribution
 from .evaluation import Judged, augmented, floor, sides
 from .fit import Candidate
 from .parameter_uncertainty import doubted
-from .result import closed, gap_of, physical
+from .result import closed, gap_of
 from .term_regression import Point, evaluated
 from .term_search import CLOSE, LEAST, NEAR, search
 from .where import missing_force

@@ -9,7 +9,6 @@ known. An effect at its neutral parameters vanishes exactly, so a model may carr
 """
 
 from abc import abstractmethod
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -270,17 +269,6 @@ class Wanted(Known):
     def highest(self, tokens, offset):
         """As given."""
         return self.last
-
-
-def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float:
-    """What takes a stored value to physical units, `state` and `force` being a model's scales."""
-    s = (*state, 1.0, 1.0)
-    return float(s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * force**p.force)
-
-
-def in_scales(effect: AbstractEffect, old: tuple, new: tuple) -> AbstractEffect:
-    """The same effect in a model of other scales (state, force)."""
-    return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 
 
 def bounded(values, low, high) -> Start:

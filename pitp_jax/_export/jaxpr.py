@@ -79,7 +79,7 @@ def _apply(make: Builder, equation, args: list[np.ndarray]) -> list[np.ndarray]:
         return [_each(lambda *a: make.make(name, *a), args)]
     if name in _SAME:
         return args
-    return [_moved(equation, args)]
+    return _moved(equation, args)
 
 
 def _opened(jaxpr) -> tuple[Jaxpr, Sequence]:
@@ -91,16 +91,16 @@ def _each(function: Callable, args: Sequence[np.ndarray]) -> np.ndarray:
     return _array([function(*a) for a in zip(*(b.ravel() for b in args), strict=True)], args[0].shape)
 
 
-def _moved(equation, args: list[np.ndarray]) -> np.ndarray:
-    """What a primitive that only moves elements makes of them: it is run on their places."""
+def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
+    """Run a primitive that only moves elements on their places; return where each output's elements come from."""
     name, params = equation.primitive.name, equation.params
     if name in ("reshape", "squeeze") and params.get("dimensions") is None or name == "squeeze":
-        return args[0].reshape(equation.outvars[0].aval.shape)
+        return [args[0].reshape(equation.outvars[0].aval.shape)]
     if name == "slice" and params["strides"] is None:
         ends = zip(params["start_indices"], params["limit_indices"], strict=True)
-        return args[0][tuple(slice(a, b) for a, b in ends)]
+        return [args[0][tuple(slice(a, b) for a, b in ends)]]
     if name == "concatenate":
-        return np.concatenate(args, params["dimension"])
+        return [np.concatenate(args, params["dimension"])]
     if name not in _MOVES:
         raise BadInput(f"a step with the operation {name} cannot be written as C: report it with the model")
     moving = _MOVES[name]
@@ -109,13 +109,15 @@ def _moved(equation, args: list[np.ndarray]) -> np.ndarray:
     places = [jnp.asarray(f + np.arange(a.size).reshape(a.shape)) for f, a in zip(firsts, args, strict=False)][:moving]
     still = [_number(a, equation) for a in args[moving:]]
     found = equation.primitive.bind(*places, *still, **params)
-    return pool[np.asarray(found[0] if isinstance(found, (list, tuple)) else found)]
+    outputs = found if equation.primitive.multiple_results else [found]
+    outputs = [np.asarray(output) for output in outputs]
+    return [pool[o.ravel()].reshape(o.shape) for o in outputs]  # a bare pool[o] of no axes would be its element
 
 
 # primitives that move elements, and how many of their first arguments are moved; the others say where to
 _MOVES = {
     "broadcast_in_dim": 1, "transpose": 1, "rev": 1, "slice": 1, "reshape": 1, "gather": 1, "dynamic_slice": 1,
-    "stack": 99, "pad": 2, "split": 1, "expand_dims": 1,
+    "stack": 99, "unstack": 1, "pad": 2, "split": 1, "expand_dims": 1,
 }  # fmt: skip
 
 

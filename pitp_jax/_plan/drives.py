@@ -3,7 +3,10 @@
     u(t) = w(t) [ (h + l)/2 - (h - l)/2 cos(phi(t)) ],   phi' = 2 pi f,   (f, l, h) through points p_1 ... p_K
     w: smooth steps from 0 and back to 0;  swing shrunk about its mean until |u_{i+1} - u_i| <= slew dt
 
-A point: frequency uniform in its logarithm, highest voltage h and lowest l uniform in u^2, as the force has them.
+A point: frequency uniform in its logarithm; the highest force h^2 dense towards the largest (a share that grows as the
+root of a uniform number); the lowest voltage zero at three points of four, else its force uniform below h^2. On the
+simulated cone this took the median error on withheld drives from 0.120, 0.095, 0.095 to 0.070, 0.082, 0.086 %
+(docs/decisions/plan.md).
 """
 
 from dataclasses import dataclass
@@ -16,6 +19,8 @@ from .limits import Limits
 
 _LEAST = 0.15  # of the largest force: what a drive reaches at least
 _MOST = 0.7  # of its highest force: where its lowest one lies at most
+_DENSE = 0.5  # exponent of a uniform number: below 1, more points near the largest force
+_FROM_ZERO = 0.75  # of the points have the lowest voltage of the limits, as most drives that a rig is tested with
 _SLEW = 0.999  # of the limit: rounding in a file must not exceed it
 
 
@@ -63,10 +68,10 @@ def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
     sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
     drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]
     first, last = np.log(limits.band)
-    force = _LEAST + (1 - _LEAST) * drawn[:, 1]
+    force = _LEAST + (1 - _LEAST) * drawn[:, 1] ** _DENSE
     high = limits.high * np.sqrt(force)
-    squared = limits.high * np.sqrt(_MOST * force * drawn[:, 2])
-    low = squared if limits.low == 0 else limits.low + _MOST * (high - limits.low) * drawn[:, 2]
+    bias = _MOST * np.maximum(0.0, (drawn[:, 2] - _FROM_ZERO) / (1 - _FROM_ZERO))
+    low = high * np.sqrt(bias) if limits.low == 0 else limits.low + bias * (high - limits.low)
     return np.stack([np.exp(first + (last - first) * drawn[:, 0]), low, high], 1)
 
 

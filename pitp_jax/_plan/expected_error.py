@@ -25,8 +25,7 @@ from .._simulate.decoder import rest_state
 from .._simulate.prediction import FAR, at_rate, predict
 from .._train.forward_sensitivity import Runs, run_slopes
 from .._train.parameters import parameters
-from .._train.refine import _prior as prior_weights
-from .._train.refine import _thinning as thinning
+from .._train.refine import prior_weights, thinning
 from .._train.settings import Settings, firmness_of
 
 _AT_ONCE = 8  # runs a batch: their slopes are (errors, numbers) each

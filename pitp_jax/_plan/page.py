@@ -4,10 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .._diagnose.report import html
-from .._diagnose.report.formatting import figure
-from .._diagnose.report.html import tag
+from .._plot import html
+from .._plot.html import tag
 from .._plot.lines import DRIVE, finish, line, own_axes, volts
+from .._plot.numbers import figure
 from .drives import Planned
 from .planning import Plan
 

@@ -97,7 +97,7 @@ def refine(
 def _problem(model: Model, batches: Sequence[Runs], how: _How) -> FreeRuns:
     start, sizes = parameters(model)
     centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near where they began
-    prior, every = _prior(model, sizes, how.firmness), _thinning(model, how.dt)
+    prior, every = prior_weights(model, sizes, how.firmness), thinning(model, how.dt)
     return FreeRuns(model, batches, how.dt, every, prior=(prior, centre), slow=how.slow, mesh=how.mesh)
 
 
@@ -129,14 +129,14 @@ def _miss(model: Model, batches: Sequence[Runs], how: _How) -> float:
     return _problem(model, batches, how).miss(parameters(model)[0])
 
 
-def _prior(model: Model, sizes, firmness: float) -> np.ndarray:
+def prior_weights(model: Model, sizes, firmness: float) -> np.ndarray:
     """Rho of every trained number."""
     nets = eqx.filter(model.encoder.token_nets(), trainable(model).encoder)
     share = np.asarray(ravel_pytree(nets)[0], np.float64)
     return np.append(_PRIOR + (firmness - _PRIOR) * share, np.full(sum(sizes) - sizes[0], _PRIOR))
 
 
-def _thinning(model: Model, dt: float) -> int:
+def thinning(model: Model, dt: float) -> int:
     """Every how many samples the error is taken: ten to a period of the resonance, at most every eighth."""
     return int(np.clip(_period(model) / dt / 10, 1, 8))
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._effects.amplifier import Delay
-from .._effects.base import in_scales
+from .._effects.physical import in_scales
 from .._effects.sensor import SensorLag
 from .._errors import BadInput
 from .._model.drive import ElectrodeLag

@@ -55,6 +55,7 @@ def test_demo_quick(call, tmp_path):
     assert model_file.load(tmp_path / "d" / "model.pitp").order >= 2
 
 
+@pytest.mark.long
 def test_end_to_end(call, bench, tmp_path, monkeypatch):
     """The four verbs themselves, on a linear actuator, with little training."""
     short = replace(settings.PRESETS["default"], epochs=3, stages=1, refine_steps=3, width=4, memories=2)

@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from ..._plot import html
+from ..._plot.html import tag
+from ..._plot.numbers import figure, interval, of_range, percent
 from ..diagnosis import Diagnosis
 from ..result import GAP
 from ..verdict import ENOUGH, HELPS
-from . import html
-from .formatting import figure, gathers, interval, named, of_range, percent, plain_words
+from .formatting import gathers, named, plain_words
 from .gap_figure import output_unit, outside_line, refitted, time_spent, worst
-from .html import tag
 from .which import crowd, share_closed, which
 
 NEXT_CSV = "next_experiment.csv"

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ..._plot.lines import DRIVE, ERROR, MEASURED, PREDICTED, finish, line, own_axes, volts
+from ..._plot.numbers import figure as digits
+from ..._plot.numbers import percent
 from ..diagnosis import Diagnosis
-from .formatting import figure as digits
-from .formatting import percent
 from .gap_figure import gap, output_unit
 
 TIED, PALE = "#e69f00", "#b9cfe0"

@@ -2,15 +2,15 @@
 
 import numpy as np
 
+from ..._plot import html
+from ..._plot.html import tag
+from ..._plot.numbers import figure, interval, percent
 from .. import verdict as rule
 from ..diagnosis import Diagnosis
 from ..result import Gap, Ranked
-from . import html
 from .answers import NEXT_CSV, cards, headline, next_step, verdict_text
 from .figures import figures
-from .formatting import figure, interval, percent
 from .gap_figure import left, output_unit, worst
-from .html import tag
 from .which import parameter_lines
 
 

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from ..._effects.physical import physical
+from ..._plot import html
+from ..._plot.html import tag
+from ..._plot.numbers import of_range, percent, with_error
 from ..diagnosis import Diagnosis
-from ..result import Ranked, physical
-from . import html
-from .formatting import coefficient_name, equation, named, of_range, parameter, percent, with_error
+from ..result import Ranked
+from .formatting import coefficient_name, equation, named, parameter
 from .gap_figure import refitted
-from .html import tag
 
 _NEAREST = 3  # rejected candidates named
 

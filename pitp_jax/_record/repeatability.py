@@ -7,25 +7,15 @@ Whatever the model lacks repeats with the drive and drops out; noise does not, n
 of sines leaves lines so broad that the spectrum between them read 3.7 % of range; its cycles repeat to 0.1 %.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from .._record.excitation_kind import spectrum
-from .._record.record import Record
-from .case import Case
+from .excitation_kind import spectrum
+from .record import Record
 
 _PERIODS = 8  # up to so many apart
 _SAME = 0.03  # of the drive's standard deviation
 _FEWEST = 3  # windows of two periods, or records of no use
 _MOVING = 0.1  # of the record's largest standard deviation over a window
-
-
-def scatter(case: Case, errors: Sequence[np.ndarray]) -> float | None:
-    """Standard deviation of what does not repeat (scaled displacement), middle of the records; None if none repeats."""
-    found = [repeat_scatter(s.record, e, s.weight > 0) for s, e in zip(case.series, errors, strict=True)]
-    found = [v for v in found if v is not None]
-    return float(np.sqrt(np.median(found))) if found else None
 
 
 def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> float | None:

@@ -1,0 +1,63 @@
+"""Rounded numbers as people read them.
+
+value +- stderr     two digits of the standard error where it begins with 1, else one; the value to the same place
+"""
+
+import math
+
+_DIGITS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A number with so many digits, powers of ten written out; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value and not 1e-3 <= abs(value) < 1e6:
+        head, power = f"{value:.{digits - 1}e}".split("e")
+        return f"{head}·10{str(int(power)).translate(_DIGITS)}".replace("-", "−")
+    places = digits - 1 - _power(value) if value else 0
+    return f"{round(value, places):.{max(places, 0)}f}".replace("-", "−")
+
+
+def percent(share: float | None) -> str:
+    """A share as a percentage without decimals, but for the last one before all."""
+    if share is None or not math.isfinite(share):
+        return "–"
+    text = f"{100 * share:.1f}" if 0.985 < share < 0.9995 else f"{100 * share:.0f}"
+    return f"{'0' if text == '-0' else text.replace('-', '−')} %"
+
+
+def interval(low: float, high: float) -> str:
+    """A 95 % interval of shares; one more digit where its ends would read alike."""
+    ends = [percent(low), percent(high)]
+    if ends[0] == ends[1] and low < high:
+        ends = [f"{100 * end:.1f} %".replace("-", "−") for end in (low, high)]
+    return " to ".join(ends)
+
+
+def of_range(value: float | None) -> str:
+    """An error in % of range."""
+    return f"{figure(value, 2 if value is not None and value < 10 else 3)} %"
+
+
+def with_error(value: float, stderr: float | None, unit: str) -> str:
+    """`0.4781 ± 0.0002 ms`; without ± where the standard error is not known."""
+    if not stderr or not math.isfinite(stderr):
+        return f"{figure(value)} {unit}".strip()
+    power = _power(value) if value and not 1e-3 <= abs(value) < 1e6 else 0
+    value, stderr = value / 10.0**power, stderr / 10.0**power
+    lead = _power(stderr)
+    places = -lead + (stderr / 10.0**lead < 2)
+    text = " ± ".join(f"{round(v, places):.{max(places, 0)}f}" for v in (value, stderr)).replace("-", "−")
+    if power:
+        text = f"({text})·10{str(power).translate(_DIGITS)}"
+    return f"{text} {unit}".strip()
+
+
+def shown_unit(unit: str) -> str:
+    """A unit as it is printed."""
+    return unit.replace("um", "µm")
+
+
+def _power(value: float) -> int:
+    return math.floor(math.log10(abs(value)))
