@@ -279,7 +279,7 @@ def outcome(mutant: Mutant, folder: Path, limit: float) -> dict:
     cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(folder.parent / "compiled"))
     settings = {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "JAX_COMPILATION_CACHE_DIR": cache,
                 "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}  # fmt: skip
-    options = ("-x", "-q", "--durations=0", "-p", "no:cacheprovider", "-m", "not slow")
+    options = ("-x", "-q", "--durations=0", "-p", "no:cacheprovider", "-m", "not exhaustive")
     command = [sys.executable, "-m", "pytest", *options, *tests]
     try:
         run = subprocess.Popen(

@@ -100,7 +100,7 @@ def test_late_electrodes_are_a_time_and_no_factor_where_there_were_none(actuator
     assert slower.changed["electrode_tau"].ci95[0] <= 1.5 <= slower.changed["electrode_tau"].ci95[1]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_creep_and_stiffness_of_a_trained_encoder_come_back(creeping):
     truth = {"stiffness": 0.9, "creep": 1.6}
     found = pitp.adapt(creeping, measured(with_factors(creeping, **truth)))
@@ -123,7 +123,7 @@ def test_factors_of_one_leave_the_model_as_it_is(nonlinear):
     np.testing.assert_allclose(fast_rollout(wrapped, u, 1e-3, start), fast_rollout(model, u, 1e-3, start), atol=2e-5)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 3])
 def test_an_adapted_encoder_is_one_formula_and_survives_its_file(nonlinear, order, tmp_path):
     model = with_factors(nonlinear(order), stiffness=0.8, creep=1.5)

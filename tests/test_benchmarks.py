@@ -73,7 +73,7 @@ def test_table_and_file_keep_earlier_rows(tmp_path, monkeypatch, capsys):
     assert "| 25%" in table({"a": line | {"floor_ms": 0.5}})
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_step_of_training_runs_as_the_table_times_it(linear):
     from benchmarks.fit import step_ways
     from pitp_jax._train.settings import Settings

@@ -96,7 +96,7 @@ def test_faults_are_counted_and_do_not_hide_the_others(good, tmp_path):
     assert found.records["sine5"].begins == "rest"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -134,7 +134,7 @@ def test_coloured_noise_is_told_from_white(good):
     assert [n for n, row in found.records.items() if row.noise_colour == "coloured"] == ["sine2"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_with_a_model_what_it_does_not_explain(good):
     model = pitp.identify(good[:4], order=2, hold="foh").model
     found = pitp.check(with_(good, "sine5", lambda r: record(r.name, r.voltage, hz=6.5)), model)
@@ -142,7 +142,7 @@ def test_with_a_model_what_it_does_not_explain(good):
     assert all(some(row.e_rms_percent) < 1 for name, row in found.records.items() if name != "sine5")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_whatever_is_given_the_json_is_strict_and_every_record_is_there(good):
     flat = pitp.Record("flat", TIME, 0 * TIME, NOISE * np.random.default_rng(1).standard_normal(SAMPLES))
     other = pitp.Record("other", TIME * 2, sine(1.0), actuator(sine(1.0)))

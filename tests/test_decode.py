@@ -56,7 +56,7 @@ def error(model, truth, factor=1):
     return float(np.abs(np.asarray(found)[::factor, 0] - truth[:, 0]).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_constant_tokens_are_fourth_order(linear, double, order):
     """The voltage is squared inside the step: with u^2 taken linear, halving dt would gain 4, not 16."""
@@ -75,7 +75,7 @@ def test_constant_tokens_are_fourth_order(linear, double, order):
             assert error(model, truth, 64) < 1e-9
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(("drag", "order"), [(False, 2), (True, 1)])
 def test_state_dependent_tokens_have_their_order(nonlinear, double, drag, order):
     """Tokens are read where the state drifts to by half a step: order 2. What x^(n-1), the one derivative whose drift
@@ -124,7 +124,7 @@ def test_rest_stays_at_rest_without_voltage(nonlinear):
     )  # its offset token pushes
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["compact", "paper"])
 def test_a_fresh_encoder_is_the_identified_model(linear, kind):
     model, key = linear(3, substeps=2), jax.random.key(4)
@@ -158,7 +158,7 @@ def test_predictions_follow_the_rig(linear, coefficients):
     assert np.abs(found.displacement - record.displacement).max() < 2e-3 * np.ptp(record.displacement)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_ragged_records_are_predicted_one_by_one(nonlinear, coefficients):
     model, a = nonlinear(2), coefficients(2)
     records = [measured(a, stop=stop, name=str(stop)) for stop in (1500, 200, 1100)]
@@ -184,7 +184,7 @@ def test_divergence_is_told(linear, coefficients):
     assert finite[:lost].all() and not finite[lost:].any()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("fading", [False, True])
 def test_a_moving_start_is_estimated(linear, coefficients, fading):
     """Cut at high velocity: the free run from the planted state is recovered; the samples it cost are not scored."""

@@ -36,7 +36,7 @@ def test_a_planted_spring_is_named_with_its_number(nominal, hardened):
     assert hardened.where["tone"] is None  # its lines are the drives', each its own
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_augmented_model_predicts_what_was_not_fitted(nominal, hardened):
     planted = replace(nominal, effects=(stiffness.GentStiffening(jnp.asarray(0.25)),))
     records = play(planted, noise=0.0, seed=4)
@@ -46,7 +46,7 @@ def test_the_augmented_model_predicts_what_was_not_fitted(nominal, hardened):
         assert after < 0.1 * before
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_interval_of_what_is_closed_holds_what_is_closed_without_noise(nominal, hardened):
     planted = replace(nominal, effects=(stiffness.GentStiffening(jnp.asarray(0.25)),))
     records = [r for r in play(planted, noise=0.0) if r.name in hardened.heldout]
@@ -70,14 +70,14 @@ def test_shares_sum_to_one_and_the_loud_cells_are_the_large_motions(hardened):
     assert loudest["flagged"] and loudest["amplitude"][1] > middle
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_no_gap_where_there_is_none(nominal):
     found = pitp.diagnose(nominal, play(nominal, seed=7))
     assert found.verdict == "no_gap" and found.effects == () and found.equivalent == ()
     assert found.gap.closed_fraction is None and found.model.effects == ()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nominal):
     """Fitted on the quiet sines nothing clips: the fit is done again on those that were held out."""
     planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1100)),))
@@ -86,7 +86,7 @@ def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nomi
     assert some(found.gap.closed_fraction) > 0.95
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_clip_that_only_one_drive_reaches_is_judged_where_it_is(nominal):
     """Nothing else than the sweep comes near the limit: no gap on what is held out, and none either way round."""
     planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1340)),))
@@ -95,7 +95,7 @@ def test_a_clip_that_only_one_drive_reaches_is_judged_where_it_is(nominal):
     assert found.added[0].parameters["inverse"]["value"] == pytest.approx(1 / 1340, rel=0.01)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_clip_that_only_one_sine_reaches_is_found_with_nothing_held_out(nominal):
     """Either way round one side shows nothing: the fit never sees the clip, or no drive is left to judge it on."""
     planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1340)),))
@@ -105,7 +105,7 @@ def test_a_clip_that_only_one_sine_reaches_is_found_with_nothing_held_out(nomina
     assert some(found.gap.closed_fraction) > 0.95
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_two_effects_are_both_named(nominal):
     """A hard spring behind a slow electrode: no single effect comes near, and the strongest is named first."""
     parts = stiffness.GentStiffening(jnp.asarray(0.25)), electrode.ElectrodeRC(jnp.asarray(0.02))
@@ -114,7 +114,7 @@ def test_two_effects_are_both_named(nominal):
     assert some(found.gap.closed_fraction) > 0.95 and found.gap.after < 0.5 * found.ranking[0].heldout
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_two_effects_are_both_named_beside_a_refit(nominal):
     """Where a gain's column, less the coefficients', is the whole error, every pair once had the gain for a half."""
     parts = amplifier.VoltageClip(jnp.asarray(1 / 850.0)), sensor.SensorLag(jnp.asarray(0.02))
@@ -126,7 +126,7 @@ def test_two_effects_are_both_named_beside_a_refit(nominal):
     assert not {"sensor_gain", "added_mass"} & {r.effect for r in found.ranking}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_effects_the_nominal_has_are_kept(nominal):
     """A model with three lags of its own: no gap on its own records, and a new effect stands beside them."""
     own = (
@@ -142,8 +142,8 @@ def test_effects_the_nominal_has_are_kept(nominal):
     assert [e.name for e in found.model.effects] == ["electrode_rc", "delay", "sensor_lag", "stiffening"]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("exclude", [FEW, pytest.param((), marks=pytest.mark.slow)], ids=("few", "all"))
+@pytest.mark.slow
+@pytest.mark.parametrize("exclude", [FEW, pytest.param((), marks=pytest.mark.exhaustive)], ids=("few", "all"))
 def test_hum_is_unknown(nominal, exclude):
     told: list[str] = []
     found = pitp.diagnose(nominal, play(nominal, extra=4e-5), exclude=exclude, progress=told.append)
@@ -153,7 +153,7 @@ def test_hum_is_unknown(nominal, exclude):
     assert found.where["summary"].startswith("A steady tone at 17")
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_moved_coefficient_is_a_parameter_change_and_a_heavier_load_added_mass(nominal):
     a = np.asarray(nominal.coefficients)
     changed = replace(nominal, coefficients=jnp.asarray(a * [0.9, 1.3, 1.1], jnp.float32))
@@ -169,7 +169,7 @@ def test_a_moved_coefficient_is_a_parameter_change_and_a_heavier_load_added_mass
     np.testing.assert_allclose(refitted.shift, [1.0, 1.0, 1.2], rtol=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_excluded_effect_does_not_come_back_inside_another_form(nominal):
     """A slew limit with a lag, its limit out of reach, is the lag: left out with it."""
     records = play(replace(nominal, effects=(electrode.ElectrodeRC(jnp.asarray(0.02)),)))

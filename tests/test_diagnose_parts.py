@@ -29,7 +29,7 @@ def nominal(linear):
     return nominal_of(linear)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_kinds_and_the_split(nominal):
     records = play(nominal)
     assert [kind(r) for r in records] == ["sweep", "broadband", "sine", "sine", "sine", "sine", "steps"]
@@ -124,7 +124,7 @@ def test_a_start_that_diverges_is_left_where_it_is(nominal, monkeypatch):
     assert tame.train < 0.2 and abs(tame.values[0][0]) < 0.01
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_refit_starts_where_the_screening_saw_the_coefficients(nominal):
     """Beside the effect, in both: a nominal 25 % too soft and 20 % too light starts within 3 %, not at what it is."""
     truth = np.array([1.25, 0.9, 1.2])
@@ -153,7 +153,7 @@ def test_what_cannot_come_near_is_given_up(nominal):
     assert left[np.inf] <= left[1e-6] < 4 * left[np.inf]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_lane_is_the_same_in_any_group(nominal):
     """Alone, or in a composite with all forms of other names; a drive that is late among them."""
     case = build_case(nominal, play(nominal))
@@ -181,7 +181,7 @@ def test_a_long_delay_is_read(nominal):
     assert min(fitted, key=lambda c: c.train).values[0][0] == pytest.approx(0.13, rel=1e-3)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_actuator_that_is_struck_is_unknown(linear):
     """Blows at random are as broad as noise, and no effect explains them; but no sensor's noise has the resonance."""
     fast = linear(hz=4 * HZ, dt=DT)

@@ -69,7 +69,7 @@ def dialects(draw):
     return (gzip.compress(data) if zipped else data), suffix, missing
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @given(dialect=dialects())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_dialect_is_read_back(tmp_path, dialect):
@@ -185,7 +185,7 @@ def test_structs_and_groups(tmp_path):
     assert len(read(tmp_path / "b.h5", **picked)) == 1
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".mat", ".npz", ".h5"])
 def test_a_minute_at_ten_kilohertz_is_read_in_a_second(tmp_path, suffix):
     count, path = 600_000, tmp_path / f"a{suffix}"

@@ -94,7 +94,7 @@ def float32_bound(w_dt, hold, reach):
     return max(1e-4, 20 * eps / w_dt, eps / w_dt**2 if hold == "foh" else 0.0) * max(1.0, reach)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("input_map", [SquareInput, LinearInput])
 @pytest.mark.parametrize("hold", ["zoh", "foh"])

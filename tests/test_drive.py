@@ -126,7 +126,7 @@ def test_a_rollout_sees_the_film(linear, start):
     assert float(jnp.abs(truth - rollout(model, u, DT, state)).max()) > 1e-2
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_feedforward_leads_the_lag(linear):
     """u = V + tau V' is all but right before shooting; without the lead the target is missed twentyfold."""
     known = linear(2).provenance.with_(voltage_range=(0.0, 3e3), slew=1e9)

@@ -125,7 +125,7 @@ def runs(case, lanes):
     return {f: found[4 * i : 4 * i + 4] for i, f in enumerate(CATALOGUE)}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_all_forms_neutral_together_are_the_nominal(case, lanes):
     for k, y in enumerate(lanes.run([Lane((), (), np.ones(3), k) for k in range(4)])):
         np.testing.assert_allclose(y, case.series[k].run, atol=2e-6 * case.series[k].span)
@@ -153,10 +153,10 @@ def test_half_the_step_changes_little(case, runs, form):
 
 
 GROUPS = [CATALOGUE[k::8] for k in range(8)]
-MARKED = [GROUPS[0], *(pytest.param(g, marks=pytest.mark.slow) for g in GROUPS[1:])]
+MARKED = [GROUPS[0], *(pytest.param(g, marks=pytest.mark.exhaustive) for g in GROUPS[1:])]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("group", MARKED, ids=[str(k) for k in range(8)])
 def test_a_form_is_found_again_in_its_own_data(case, runs, group):
     """From a start 40 % off (a stop still touched), the error falls to 2 % of what the effect does."""
@@ -174,7 +174,7 @@ def test_a_form_is_found_again_in_its_own_data(case, runs, group):
         assert np.sqrt(found.train) < (0.05 if form.name == "coulomb_friction" else 0.02) * moved, key(form)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @FORMS
 def test_feedforward_undoes_it(case, form):
     """The model with the effect follows a smooth target to 0.5 %; the hard ones at least better than without it."""

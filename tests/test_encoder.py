@@ -56,7 +56,7 @@ def points(order, count=8, reach=1.0, seed=0):
     return reach * jax.random.normal(jax.random.key(seed), (count, order + MEMORIES))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "order"), CASES)
 def test_a_fresh_encoder_is_exactly_the_nominal(make, linear, kind, order):
     fresh, pushed = make(kind, order)

@@ -114,7 +114,7 @@ def test_a_record_that_starts_moving_is_scored_later(linear):
     np.testing.assert_allclose(band.displacement, moving.displacement, atol=2e-2 * np.ptp(moving.displacement))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.5, 0.95])
 def test_a_known_spread_is_covered(linear, level):
     """Members and plants drawn alike, springs of 1 +- 0.5 %: the level's share of plants lies in the band.

@@ -32,7 +32,7 @@ def run(name, cache, tmp_path, monkeypatch, capsys):
     return capsys.readouterr().out, (tmp_path / SCRIPTS[name]).stat().st_size
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [n for n in SCRIPTS if n != "fig06_orders"])
 def test_every_script_runs_in_smoke(name, cache, tmp_path, monkeypatch, capsys):
     printed, size = run(name, cache, tmp_path, monkeypatch, capsys)
@@ -41,7 +41,7 @@ def test_every_script_runs_in_smoke(name, cache, tmp_path, monkeypatch, capsys):
     assert "held-out" in printed.lower() and size > 5000
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_cheapest_script_runs_in_smoke(cache, tmp_path, monkeypatch, capsys):
     printed, size = run("fig06_orders", cache, tmp_path, monkeypatch, capsys)
     assert "cone100, tokens (order + 1)" in printed and size > 5000

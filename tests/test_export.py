@@ -75,7 +75,7 @@ def models(linear, nonlinear, bounded):
 def kinds(*default):
     """These, and all others where long tests run."""
     every = ("linear", "trained", "effects", "paper", "first", "looped", "ringing", "bandlimited")
-    later = [pytest.param(k, marks=pytest.mark.slow) for k in every if k not in default]
+    later = [pytest.param(k, marks=pytest.mark.exhaustive) for k in every if k not in default]
     return pytest.mark.parametrize("kind", [*default, *later])
 
 
@@ -114,7 +114,7 @@ def inputs(model, inverse):
     return motion(model) if inverse else DRIVE
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @kinds("linear", "effects")
 def test_a_step_is_pythons(models, truths, tmp_path, kind):
     """From the same state to 1e-12 of its range; free runs to 1e-9. The inverse in force: a root magnifies bits."""
@@ -144,7 +144,7 @@ def test_single_precision(models, truths, tmp_path, kind):
     assert np.abs(found.predict(DRIVE, rest) - out[:, 0]).max() < 1e-4 * np.ptp(out)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @kinds("effects")
 def test_predict_steps_are_the_rollout(models, truths, kind):
     model = double(models(kind))
@@ -294,7 +294,7 @@ def test_pi_trims_a_softer_plant(linear, bounded, tmp_path):
 # ------------------------------------------------------------------------------------------------ the folder
 
 
-@pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.exhaustive)])
 def test_the_folder_checks_itself(models, tmp_path, precision):
     pitp.export_c(models("linear"), tmp_path / "out", name="cone", precision=precision)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
@@ -333,7 +333,7 @@ def test_only_libm_is_needed(models, tmp_path):
     assert all(row.endswith("static") for row in stack if row)  # no alloca, no arrays of variable length
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_another_rate_tells_what_it_costs(models, tmp_path):
     assert pitp.export_c(models("trained"), tmp_path / "own") is None
     fine = pitp.export_c(models("trained"), tmp_path / "fine", rate=2000.0)

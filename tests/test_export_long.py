@@ -16,7 +16,7 @@ from pitp_jax._effects.base import Surroundings
 from pitp_jax._export import steps
 from pitp_jax._numerics.spline_derivative import derivatives
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
 COUNT = 100_000
 TIME = np.arange(COUNT) * DT
 AROUND = Surroundings(

@@ -98,7 +98,7 @@ def test_a_state_comes_back(fmus, fmi):
     shutil.rmtree(folder, ignore_errors=True)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.skipif(not shutil.which("cmake"), reason="no cmake")
 def test_its_sources_compile(fmus, fmi, tmp_path):

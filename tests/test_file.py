@@ -92,7 +92,7 @@ def assert_same(left, right):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_round_trip_is_exact(tmp_path, case):
     path, saved = tmp_path / "model", CASES[case]()

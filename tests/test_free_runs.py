@@ -55,7 +55,7 @@ def close(found, truth):
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-5 * np.abs(b).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_they_are_the_normal_equations_and_the_prior(problem):
     model, batches, (rho, centre), vector = problem
     parts = [normal_equations(model, runs, DT, EVERY, vector) for runs in batches]
@@ -68,7 +68,7 @@ def test_they_are_the_normal_equations_and_the_prior(problem):
     close(sums(built(problem), vector), truth)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("cores", [1, 2, 3, 64])
 def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
     """Thirteen runs in parts of equal size, a core has at least four: the sums of all at once, to rounding."""
@@ -82,7 +82,7 @@ def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
     close(sums(shared, problem[3]), truth)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_very_many_are_cut(problem, monkeypatch):
     """Beyond what stays in a core's memory: more parts than cores."""
     monkeypatch.setattr(free_run_problem, "_cores", lambda: 2)

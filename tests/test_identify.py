@@ -102,10 +102,10 @@ def test_coefficients_follow_the_units(coefficients):
     np.testing.assert_allclose(second.stderr, first.stderr * 1e-3, rtol=1e-3)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("begin", [sweep, moving])  # offset taken from rest; offset and start fitted
 @pytest.mark.parametrize(("order", "noise"), [(1, 1e-2), (2, 5e-3), (3, 1e-3)])
-@pytest.mark.parametrize("count", [5, pytest.param(14, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [5, pytest.param(14, marks=pytest.mark.exhaustive)])
 def test_standard_errors_cover(coefficients, monkeypatch, order, noise, begin, count):
     """Errors over seeds are of the size the standard errors say, neither hidden nor inflated."""
     monkeypatch.setitem(globals(), "NOISE", noise)

@@ -41,7 +41,7 @@ def judged(errors):
     return Judged(Candidate((), (), (), np.ones(3), False), tuple(errors), rms, rms)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("pole", [0.0, 0.9, 0.97])
 def test_a_95_percent_interval_holds_the_truth_in_95_of_100_draws(case, pole):
     rng, truth = np.random.default_rng(2), closed(np.hypot(GIVEN, NOISE), np.hypot(LEFT, NOISE), NOISE)

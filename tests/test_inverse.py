@@ -35,7 +35,7 @@ def test_eq_13_is_the_closed_form_force_of_a_sine(linear, double, order):
         assert features.shape == (SAMPLES, order)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "hold", "coarsest", "order_in_dt"),
     [
@@ -78,7 +78,7 @@ def test_an_independent_integration_of_the_ode_follows_the_target(actuator):
     assert found.self_check_e_rms_percent < 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("shots", [0, 6])
 def test_the_self_check_is_the_models_rollout_of_the_returned_voltage(nonlinear, bounded, shots):
     model, target = bounded(nonlinear(2, key=3)), hump()
@@ -89,7 +89,7 @@ def test_the_self_check_is_the_models_rollout_of_the_returned_voltage(nonlinear,
     assert found.self_check_e_rms_percent == pytest.approx(again, rel=0.02, abs=1.2e-5)  # abs: 100 eps in %
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_vmapped_inverse_is_the_loop(nonlinear):
     model = nonlinear(2, key=5)
     paths = [swing(1e-3, 4e-4, hz) for hz in (2.0, 3.0, 4.0)]

@@ -81,7 +81,7 @@ def test_a_clip_is_asked_about_what_leaves_it(actuator, behind):
     np.testing.assert_array_equal(found.infeasible[found.target], beyond[found.target])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_offset_behind_a_clip_is_within_its_reach(actuator):
     model = replace(actuator, effects=(VoltageClip(number(1 / 700)), VoltageOffset(number(60.0))))
     wanted = 6.3e-4 * np.sin(2 * np.pi * TIME) ** 4
@@ -90,7 +90,7 @@ def test_an_offset_behind_a_clip_is_within_its_reach(actuator):
     assert not found.infeasible[found.target][wanted > 1e-4].any()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_overlapping_clocks_tell_no_age(actuator):
     """Two files that both begin at an hour are no session: nothing is known of their age."""
     model = replace(actuator, effects=(SettlingDrift(number(-0.3), number(60.0)),))

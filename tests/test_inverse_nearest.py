@@ -67,7 +67,7 @@ def test_the_programme_is_the_one_scipy_solves():
     assert slack(w).min() > -1e-5
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["order 1", "order 2", "order 3", "lag", "zoh", "delay"])
 @pytest.mark.parametrize("length", [1, 4])
 def test_a_small_change_of_the_voltage_does_what_the_stages_say(nonlinear, double, monkeypatch, kind, length):
@@ -114,7 +114,7 @@ def keeps_the_bars(model, target, **limits):
     return cut, found
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2, 3])
 @settings(
     max_examples=5,
@@ -141,7 +141,7 @@ def test_a_push_is_approached(actuator):
     assert found.self_check_e_rms_percent < 0.5 * cut.self_check_e_rms_percent
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_single_time_constant_under_a_limit_is_the_least_squares_of_scipy(linear, bounded):
     """x = H u, H by impulses: bounded least squares of the target over u within its range."""
     model = bounded(linear(1, input_map=LinearInput()), -1e6, 1e6, slew=1e12)
@@ -170,7 +170,7 @@ def test_where_no_limit_bites_it_is_eq_13_and_shooting(nonlinear, bounded, monke
     assert found.self_check_e_rms_percent < 0.5 * found.equation_e_rms_percent
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_membrane_is_not_driven_farther_than_allowed(actuator):
     target = Target(TIME, swing(1e-3, 5e-4, 2.0))
     found = feedforward(actuator, target, max_displacement=1.2e-3)

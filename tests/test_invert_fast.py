@@ -82,7 +82,7 @@ def instant_by_instant(model, equation):
     return found, model.drive.lead(model.input_map.voltage(found * model.scales.force), DT), features
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @example(name="second mass", size=3e-4, hz=2.0, seed=1)
 @example(name="frugal", size=3e-4, hz=2.0, seed=1)
 @settings(max_examples=24, deadline=None, derandomize=True)

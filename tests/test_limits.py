@@ -36,7 +36,7 @@ def test_a_voltage_limit_is_kept_and_flagged(actuator):
     assert free.warnings == ()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_target_that_asks_for_a_push_says_how_much_of_it_does(actuator):
     """Twice as fast as the resonance, the force swings about that of rest by three times the motion: below zero."""
     found = feedforward(actuator, Target(TIME, swing(3e-4, 3e-4, 10.0)))
@@ -44,7 +44,7 @@ def test_a_target_that_asks_for_a_push_says_how_much_of_it_does(actuator):
     assert any(f"{100 * share:.0f} % of the target needs negative force" in line for line in found.warnings)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_jump_of_acceleration_at_the_start_is_cut_and_flagged(actuator):
     """x'' of this target jumps at its first sample: u = 0 before, hundreds of volts after."""
     target = Target(TIME, 1e-3 * (1 - np.cos(4 * np.pi * TIME)))
@@ -62,7 +62,7 @@ def test_the_linear_maps_limit_holds_both_ways(linear, bounded):
     assert 0.1 < found.saturated[found.target].mean() < 0.9
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("slew", [5e4, 1e4, 5e3, 1e3, 200.0])
 @pytest.mark.parametrize("kind", ["moving", "resonant", "hump", "corners"])
 def test_every_sample_keeps_the_slew_limit(actuator, kind, slew):

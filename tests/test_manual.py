@@ -73,13 +73,13 @@ def follow(page, start, tmp_path, monkeypatch):
 SHORT = [p for p in pages() if runnable(p) and named(p) not in LONG]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("page", SHORT, ids=named)
 def test_a_page_runs(page, small, tmp_path, monkeypatch):
     follow(page, small, tmp_path, monkeypatch)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", LONG)
 def test_a_tutorial_runs(name, demo, tmp_path, monkeypatch):
     if name == "docs/start.md":  # its first command has made this folder
@@ -132,7 +132,7 @@ def test_examples_run(command, small, tmp_path, monkeypatch):
     example(command, small, tmp_path, monkeypatch)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("command", [e for name in parsers() if name in HEAVY for e in EXAMPLES[name]])
 def test_long_examples_run(command, demo, tmp_path, monkeypatch):
     if command == EXAMPLES["demo"][0]:
@@ -196,7 +196,7 @@ def test_links_out_of_docs_lead_into_the_site(monkeypatch):
     assert moved("[a](../docs/figures.md)", "experiments/README.md", "project/experiments.md") == "[a](../figures.md)"
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.skipif(importlib.util.find_spec("mkdocs") is None, reason="needs the extra [docs]")
 def test_the_site_builds_without_a_warning(tmp_path):
     pytest.importorskip("material")

@@ -23,7 +23,7 @@ def nominal(linear):
     return nominal_of(linear)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_nominals_own_doubt_widens_an_effects_interval(nominal):
     """All coefficients off by one common 1 % are a gain off by 1 %: that much the sensor's gain is not known."""
     told = nominal.provenance.with_(covariance=((1e-4,) * 3,) * 3)
@@ -36,7 +36,7 @@ def test_the_nominals_own_doubt_widens_an_effects_interval(nominal):
     assert unsure["stderr"] == pytest.approx(0.01 * 1.3, rel=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_refit_reads_the_sensors_zero_anew(nominal):
     """A nominal whose zero is 4 um off, twice the noise, as one that was identified without the effect."""
     off = replace(nominal, output=replace(nominal.output, offset=4e-6))
@@ -77,7 +77,7 @@ def test_a_refit_settles_the_hold_once_the_effect_is_known(nominal, hold):
     assert found.candidate.values[0][0] == pytest.approx(0.02, rel=5e-3)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_what_has_one_form_has_no_excuse_for_what_it_leaves(nominal):
     """A sensor's lag passes for a delay in part only: excused for a nominal of unknown quality, not for a good one."""
     lag = replace(nominal, effects=(sensor.SensorLag(jnp.asarray(0.015)),))

@@ -34,7 +34,7 @@ def test_scan_of_affine_maps_equals_the_loop(seed):
     np.testing.assert_allclose(found, np.stack(states), rtol=0, atol=1e-12 * np.abs(states).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_equals_the_rollout(nonlinear):
     model = nonlinear(2, size=0.3)
     u, start = jnp.asarray(voltage(500.0), jnp.float32), rest_state(model)
@@ -44,7 +44,7 @@ def test_equals_the_rollout(nonlinear):
     np.testing.assert_allclose(found.states, truth, rtol=0, atol=1e-4 * np.abs(truth).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_equals_the_rollout_in_double_with_a_lag_and_a_moving_start(nonlinear, double):
     with jax.enable_x64(True):
         lag = ElectrodeLag(jnp.asarray(np.log(5e-3)))
@@ -56,7 +56,7 @@ def test_equals_the_rollout_in_double_with_a_lag_and_a_moving_start(nonlinear, d
     np.testing.assert_allclose(found.states, truth, rtol=0, atol=1e-10 * np.abs(truth).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_linear_model_needs_no_iteration_but_the_last(linear):
     model = linear(2)
     u = jnp.asarray(voltage(900.0), jnp.float32)

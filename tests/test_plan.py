@@ -160,7 +160,7 @@ def following(model, records):
     return pitp.plan(model, records, **LENGTHS)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_runs_information_is_that_of_its_jacobian(model, records):
     u, every = jnp.asarray(records[0].voltage, jnp.float32), 4  # ten samples to a period of 5 Hz at 200 Hz
     here = jnp.asarray(parameters(model)[0], jnp.float32)
@@ -194,7 +194,7 @@ def test_nothing_is_left_to_learn_where_everything_is_known(model, records):
     assert worth == 0 and len(places) == 2 and expected[0] < 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_drives_beyond_the_membranes_stroke_are_left_out(model, records, following):
     strokes = sorted(r.stroke for r in following.recordings)
     limit = 0.75 * strokes[-1]
@@ -206,7 +206,7 @@ def test_drives_beyond_the_membranes_stroke_are_left_out(model, records, followi
         pitp.plan(model, records, max_displacement=1e-9, **LENGTHS)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_existing_recordings_are_ranked_without_their_output(model, records):
     blind = [pitp.Record(r.name, r.time, r.voltage, np.zeros(600)) for r in records]
     found = pitp.plan(model, records, choose_from=[STILL, *blind])

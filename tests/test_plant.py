@@ -53,7 +53,7 @@ def test_unknown_names_are_refused_with_the_list():
         simulate(p, t**2, 0 * t)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_resonances_are_the_papers():
     assert plant("cone100").resonance_hz == pytest.approx(7.4, rel=0.01)
     assert plant("roll").resonance_hz == pytest.approx(142.0, rel=0.01)
@@ -122,7 +122,7 @@ def test_a_step_creeps_on_towards_static(name, least, most):
     assert means[-1] < p.static(u)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 @pytest.mark.parametrize(("name", "frequency", "seconds"), [("cone100", 7.0, 4.0), ("roll", 130.0, 0.5)])
 def test_fixed_steps_match_diffrax(name, frequency, seconds, hold):

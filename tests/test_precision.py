@@ -10,7 +10,7 @@ import pytest
 
 from pitp_jax._metrics import e_rms_percent
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 WORKER = Path(__file__).with_name("precision_worker.py")
 
 

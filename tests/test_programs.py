@@ -72,7 +72,7 @@ def traces(monkeypatch):
     return count
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 3])
 def test_models_of_one_structure_share_their_programs(order, nonlinear, traces):
     one = another(nonlinear(order, size=0.05, dt=DT), 2)
@@ -96,7 +96,7 @@ def test_models_of_one_structure_share_their_programs(order, nonlinear, traces):
         np.testing.assert_array_equal(np.asarray(a), b)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_shared_programs_read_the_models_own_numbers(nonlinear):
     """A program compiled for one model gives another the same states as no program at all."""
     one = nonlinear(2, size=0.05, dt=DT)
@@ -128,7 +128,7 @@ def test_scales_and_output_are_exact_numbers_and_not_trained(nonlinear):
     assert len(parameters(scaled)[0]) == len(parameters(model)[0])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRITTEN)
 def test_files_written_before_load_and_predict_the_same(name, tmp_path):
     path = FILES / f"{name}_508a6f1.model"

@@ -54,7 +54,7 @@ def test_every_public_function_says_what_it_takes_gives_and_shows():
     assert missing == []
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_examples_run(known, records, tmp_path):
     record = records[0]
     write_csv(tmp_path / "drive.csv", {"time_s": record.time, "voltage_V": record.voltage})
@@ -105,7 +105,7 @@ for f in (
 """
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_mistakes_are_told_in_one_line():
     """Outside pytest's own checks of types."""
     done = subprocess.run([sys.executable, "-c", _MISTAKES], capture_output=True, text=True)

@@ -39,7 +39,7 @@ def drive(count=300):
     return 500 * np.sin(9 * t) ** 2 * (1 + 0.2 * np.sin(70 * t))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"hold": "zoh", "substeps": 2}])
 def test_decoder_steps_are_the_rollout(nonlinear, options):
     model = nonlinear(2, offset=1e-3, polarity=-1.0, **options)
@@ -71,7 +71,7 @@ def wanted(dt, count):
     return derivatives(3e-4 * np.sin(2.5 * t) ** 4, dt, 2)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fading", "elapsed", "ringing"])
 def test_inverse_steps_are_the_path(nonlinear, kind):
     if kind == "elapsed":
@@ -84,7 +84,7 @@ def test_inverse_steps_are_the_path(nonlinear, kind):
     np.testing.assert_allclose(found**2, truth**2, rtol=0, atol=2e-5 * truth.max() ** 2)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_inverse_through_an_electrode_is_of_second_order(lagging):
     """Halving dt: at least 3 times nearer to the central difference of 4th order."""
     errors = []
@@ -129,7 +129,7 @@ def test_a_lost_sample_is_lost_alone(lagging, make):
     np.testing.assert_array_equal(np.delete(found, 2), play(compiled, rows))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [inverse_step, decoder_step])
 @pytest.mark.parametrize("made_wide", [False, True])
 def test_a_step_runs_with_and_without_64_bit_numbers(lagging, double, make, made_wide):

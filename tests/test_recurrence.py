@@ -90,7 +90,7 @@ def test_one_sample_is_one_step_of_many():
     np.testing.assert_allclose(found, truth, rtol=1e-13)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 2, 17, 1000])
 @pytest.mark.parametrize("zeta", [0.003, 0.5])
 def test_an_oscillator_driven_by_noise_against_scipy(steps, zeta):

@@ -73,7 +73,7 @@ def error(model, records):
     return max(e_rms_percent(p.displacement, r.displacement) for p, r in zip(runs, records, strict=True))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_planted_lag_is_found(plant, start, refined):
     """Tau within 10 %, the error of a free run on a drive never seen cut fivefold."""
     found = refined[0][-1][0]
@@ -170,7 +170,7 @@ def how(**changes):
     return refining._How(DT, quiet, 1e-4, None, None)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_diverging_start_is_scaled_down(plant, start, runaway):
     (runs,) = refining._free(runaway, plant[1])
     assert lost(runaway, runs)
@@ -233,7 +233,7 @@ def squares(net):
     return float(sum(np.sum(np.square(leaf)) for leaf in jax.tree.leaves(eqx.filter(net, eqx.is_array))))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_firm_nets_stay_small(plant, start):
     """Firmness holds the nets of spring and damping, and nothing else."""
     model, data = start
@@ -246,7 +246,7 @@ def test_firm_nets_stay_small(plant, start):
     assert squares(held.past) == squares(held.spring_poly) == squares(held.fading) == 0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch):
     """Half of the budget for whole records, half for the beginnings of the others; each half of the weight."""
     model, records = start[0], [replace(plant[1][0], name=f"r{k}") for k in range(20)]
@@ -261,7 +261,7 @@ def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch)
     assert whole.voltage.shape == (6, SAMPLES)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_long_record_among_short_ones_runs_to_its_end(plant, start, monkeypatch):
     """Its padding is not charged: sets of like length, each record of the same weight."""
     model, long = start[0], plant[1][1]

@@ -142,7 +142,7 @@ def test_unknown_names_nothing_but_says_what_was_near(unknown):
     assert "Unknown: 5 effects explain the gap alike" in read(alike)[1]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_page_says_what_to_do_next_and_decides_by_the_verdicts_thresholds(explained, unknown):
     text = read(explained)[1]
     assert "Next: predict and invert with model_augmented" in text
@@ -154,7 +154,7 @@ def test_the_page_says_what_to_do_next_and_decides_by_the_verdicts_thresholds(ex
     assert f"within {rule.DOUBT:g} times" in text and f"more than {rule.TOO_LARGE:g} % of range" in text
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_report_is_reproducible_and_leaves_no_trace(explained):
     before, had = dict(rcParams), "matplotlib.pyplot" in sys.modules
     assert report(explained) == report(explained)

@@ -103,7 +103,7 @@ def test_every_effect_has_plain_words():
     assert {c.name for c in CATALOGUE} | {"parameter_change"} == set(formatting.PLAIN)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cost_$5_and_$6", "$\\frac{", "back\\slash$", "<b>&amp;--></b>", "µ\u202ename"])
 def test_any_name_of_a_record_can_be_drawn(explained, name):
     odd = replace(explained, where={**explained.where, "records": {name: 0.7, "other": 0.3}})

@@ -144,7 +144,7 @@ def planted(kind, seed, *, voltage, zero, direction):
     return Record(f"{kind}{seed}", TIME, voltage, y)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("one_zero", [True, False])
 def test_planted_beginnings_zeros_and_directions_come_back(one_zero):
     """Kinds and directions exactly, zeros within their errors: 95 % within 2, all within 5 (60 records in 10 sets)."""

@@ -58,7 +58,7 @@ def test_it_is_found(ringing):
     assert left < 0.5
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("cubic", [0.0, 0.3])
 def test_none_is_found_where_none_hangs(cubic):
     assert second_mass(motion([hanging(f, a, 0.0, cubic) for f in HERTZ for a in (0.6, 1.0)]), OMEGA, LAGS) is None
@@ -84,7 +84,7 @@ def test_none_is_taken_that_the_sampling_cannot_follow(ringing):
     assert found[1] is None
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_free_run_is_better_for_it(ringing):
     """Without it (`ringing=False`) 0.84 of the nominal's error are left after as many steps."""
     nominal = identify(ringing, order=2).model
@@ -98,7 +98,7 @@ def test_a_free_run_is_better_for_it(ringing):
     assert after * 2 < before
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_it_is_only_looked_for_where_asked(ringing):
     nominal = identify(ringing, order=2).model
     kinds = [type(memory_of(Settings(ringing=r), nominal, None, motion(ringing))) for r in (True, False)]

@@ -46,7 +46,7 @@ CASES = {
 }
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_equals_the_plain_rollout(nonlinear, linear, case):
     make, records = CASES[case]
@@ -66,7 +66,7 @@ def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
     np.testing.assert_allclose(scanned, rollout(model, volts[0], DT, start[0]), rtol=0, atol=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["effects", "encoder"])
 def test_what_is_not_written_out_takes_the_plain_way(linear, monkeypatch, part):
     volts, start = runs(linear(2), 1)

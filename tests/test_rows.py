@@ -74,7 +74,7 @@ def _jitted(encoder, rows):
     return jax.jit(lambda r: jnp.stack(encoder.over()(list(r))))(rows)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("instants", [5, 2300])
 def test_paper_logits(instants):
     """Few instants take the plain way, many the tables, the last block of them padded."""
@@ -85,7 +85,7 @@ def test_paper_logits(instants):
     np.testing.assert_allclose(found, truth, rtol=0, atol=1e-5 * np.abs(truth).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_tables_are_exact_between_at_and_beyond_the_knots():
     """In float64, with a branch that has no slope and two that share a knot."""
     with jax.enable_x64(True):
@@ -130,7 +130,7 @@ def test_tokens(linear, order):
     np.testing.assert_array_equal(offset, truth_offset)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [ElapsedTime(3.0), FadingMemory(jnp.array([-1.0, 0.5])), RINGING])
 @pytest.mark.parametrize("shape", [(), (4,)])
 def test_memory_rates(memory, shape, double):

@@ -64,7 +64,7 @@ def test_no_drive_that_repeats_no_floor_from_it(nominal):
     assert scatter(only, [s.error for s in only.series]) is None
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_second_effect_is_what_screens_best_around_the_first(nominal):
     """A coupling that zips up beside dry friction: around the fitted coupling, friction leads."""
     force = 600.0**2 / nominal.scales.force

@@ -73,7 +73,7 @@ def against_the_plain_rollout(m, runs, vector):
     return j
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "substeps", "hold"), CASES)
 def test_normal_equations_are_those_of_the_plain_rollout(model, double, order, substeps, hold):
     """Every trained kind of number, at every order, with and without substeps."""
@@ -87,7 +87,7 @@ def test_normal_equations_are_those_of_the_plain_rollout(model, double, order, s
     assert (np.abs(j).max(0) > 0).mean() > 0.9
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_effects_are_trained_along(model, double):
     """A delay, a drag and a sensor's lag: their columns too, in logarithms, against the plain rollout's."""
     with jax.enable_x64(True):
@@ -101,7 +101,7 @@ def test_effects_are_trained_along(model, double):
     assert (np.abs(j[:, -3:]).max(0) > 1e-4).all()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "substeps"), [(2, 2), (3, 1)])
 def test_the_gradient_is_that_of_the_cost(model, double, order, substeps):
     """Central differences of C alone, so that a wrong C with a matching J would show; along every fifth number."""
@@ -118,7 +118,7 @@ def test_the_gradient_is_that_of_the_cost(model, double, order, substeps):
     np.testing.assert_allclose(2 * found.gradient[some], slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_thinned_errors(model, double):
     """Every seventh sample counts seven times; the incomplete last block is left out."""
     with jax.enable_x64(True):
@@ -129,7 +129,7 @@ def test_thinned_errors(model, double):
         assert found.cost == pytest.approx(r @ r, rel=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_float32_is_enough_for_a_step(model, double):
     """As training runs: cost, gradient and H of 400 samples within 1e-3 of float64."""
     single = model(size=0.1)
@@ -163,7 +163,7 @@ def test_parameters_go_round(model):
     assert counts.tolist() == [len(vector) - 4, 3, 1, 0]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_models_with_fewer_parts(model):
     """No memory, no drive, no encoder: the numbers that are there, down to none."""
     bare = eqx.tree_at(lambda m: m.drive, model(), DirectDrive())

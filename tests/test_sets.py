@@ -59,7 +59,7 @@ def test_records_are_padded_beside_their_like(lengths, sets):
     assert alike(cut(lengths)) == sets
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_predictions_come_in_the_order_of_the_records(linear):
     model, records = linear(2, dt=DT), cut([100, 800, 120, 90, 110])
     for found, r in zip(pitp.predict(model, records), records, strict=True):
@@ -71,7 +71,7 @@ def test_only_absolute_clocks_have_a_start():
     assert clock_start([record("b", begins=EPOCH + 50), record("a", begins=EPOCH)]) == EPOCH
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_drift_is_the_same_by_either_clock(linear):
     """A spring that settles within a minute, records one to four minutes into a session."""
     drift = SettlingDrift(*(jnp.asarray(v, jnp.float32) for v in (0.3, 60.0)))

@@ -47,7 +47,7 @@ def running():
         some(process.stdout).close()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_equal_on_one_device(running, nonlinear):
     model, t = nonlinear(2), np.arange(100) * 1e-3
     volts = np.stack([300 * np.sin((1 + r) * 4 * t) ** 2 for r in range(3)])
@@ -57,7 +57,7 @@ def test_equal_on_one_device(running, nonlinear):
     np.testing.assert_allclose(found, truth, rtol=0, atol=2e-5 * np.abs(truth).max())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_equal_on_eight_devices(running):
     """11 records on eight devices: some are padding."""
     found = answer(running[0])
@@ -66,7 +66,7 @@ def test_equal_on_eight_devices(running):
     assert max(found["errors"].values()) < 2e-5
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_equal_on_two_processes(running):
     """Every process checks its own records."""
     for found in map(answer, running[1]):

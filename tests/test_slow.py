@@ -131,7 +131,7 @@ def cost(balance, model, vector):
     return left @ left
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_slopes_are_those_of_the_residuals(nominal, records, double):
     """Central differences along random directions, in float64."""
     memory = FadingMemory(jnp.log(jnp.asarray([0.3, 5.0, 30.0], jnp.float32)))
@@ -190,14 +190,14 @@ def test_what_training_covers_counts_and_nothing_else(nominal, records):
     assert (rows[:, :2] >= low).all() and (rows[:, :2] <= high).all() and rows.shape[1] == 3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{"memory": "none"}, {"memory": "elapsed"}, {"refine_steps": 0}])
 def test_other_memories_take_no_notice(nominal, records, changes):
     assert _prepared(nominal, records, replace(PRESETS["default"], **changes))[1] is None
     assert _prepared(nominal, records, PRESETS["default"])[1] is not None
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_creep_that_outlasts_training_is_learned_from_the_sweep(nominal, records):
     """A minute of a sine after 8 s of training; its last 20 s are 2.9 % off where the nominal keeps no sweep."""
     settings = replace(PRESETS["default"], stages=1, epochs=2, refine_steps=15, width=4, memories=4)

@@ -37,7 +37,7 @@ def models(nonlinear):
                                              (ElapsedTime(7.0), nonlinear(2, tau=(0.1,)).encoder))}  # fmt: skip
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(
     key=st.sampled_from((2, 3, "elapsed", "ringing")),

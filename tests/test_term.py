@@ -66,7 +66,7 @@ def test_what_no_name_explains_is_an_equation_with_units_and_intervals(nominal, 
     }
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_model_handed_back_carries_it(nominal, described, tmp_path):
     pitp.save(tmp_path / "m", described.model)
     model = pitp.load(tmp_path / "m")
@@ -138,7 +138,7 @@ def test_the_inverse_solves_for_the_force_that_is_in_the_term(driven):
     assert f == pytest.approx(float(driven.coefficients @ row) + value, rel=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_its_inverse_is_exported(driven, tmp_path):
     export_c(driven, tmp_path / "c")
     library, dt = Exported(tmp_path / "c", 2), driven.provenance.dt

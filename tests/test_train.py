@@ -73,7 +73,7 @@ def leaves(model):
     return jax.tree.leaves(eqx.filter(model, eqx.is_array))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_equation_error_alone_beats_the_nominal_threefold(plant, first):
     nominal, _, held_out = plant
     assert (errors(first.model, held_out) * 3 < errors(nominal, held_out)).all()
@@ -82,7 +82,7 @@ def test_equation_error_alone_beats_the_nominal_threefold(plant, first):
     assert len(first.history) == 2 and first.history[1]["physics"] <= first.history[0]["physics"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_few_records_behind_a_square_get_a_frugal_encoder(plant, first):
     """And it is held more firmly the fewer they are; a linear input or many records keep nets that see memories."""
     nominal, records, _ = plant
@@ -95,7 +95,7 @@ def test_few_records_behind_a_square_get_a_frugal_encoder(plant, first):
     assert firmness_of(replace(TINY, firmness=0.5), first.model, 3) == 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_mesh_of_one_trains_the_same_model(plant):
     """What it shares among devices are its `FreeRuns`, tested on eight in `test_shard`."""
     short = replace(TINY, epochs=2, stages=1, refine_steps=2)
@@ -116,7 +116,7 @@ def test_an_unknown_part_is_refused():
         Settings(parts=("typo",))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_delay_and_a_sensors_lag_are_learned_with_the_model(plant, coefficients):
     """Both planted in scipy, found by name and number, and worth it on a drive that was not seen."""
     a, late = coefficients(2, 5.0, 0.15), {"delay": 0.012, "sensor": 0.02}
@@ -130,7 +130,7 @@ def test_a_delay_and_a_sensors_lag_are_learned_with_the_model(plant, coefficient
     assert (errors(found, held_out) * 3 < errors(plain, held_out)).all()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_effects_of_the_nominal_are_fitted_along(plant, coefficients):
     """A delay given in a model of other scales, half of what it is: it stays an effect, and grows to its length."""
     a = coefficients(2, 5.0, 0.15)
@@ -141,7 +141,7 @@ def test_effects_of_the_nominal_are_fitted_along(plant, coefficients):
     assert float(found.effects[0].time) == pytest.approx(0.012, rel=0.1)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_free_runs_end_at_the_noise(plant):
     nominal, records, held_out = plant
     settings = replace(TINY, epochs=4, stages=1, refine_steps=15)
@@ -168,7 +168,7 @@ def test_the_nominal_and_the_records_stay(plant, first):
     assert region[0, 1] == pytest.approx(top, rel=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_limits_and_rate_are_those_of_what_was_seen(plant):
     """A sweep at half the voltage bounds nothing that training went beyond; its rate is not that of the records."""
     nominal, records, _ = plant
@@ -180,7 +180,7 @@ def test_limits_and_rate_are_those_of_what_was_seen(plant):
     assert found.slew == pytest.approx(2000 * np.pi * 3.2, rel=1e-2)  # of 2000 V (1 - cos) / 2 at 3.2 Hz
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_same_key_gives_the_same_model(plant):
     nominal, records, _ = plant
     quick = replace(TINY, epochs=2, stages=1)
@@ -202,7 +202,7 @@ def test_interrupted_before_the_first_stage_there_is_nothing(plant):
         train(plant[0], plant[1], settings=TINY, progress=stop_at("stage 1"), key=KEY)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_interrupted_later_the_best_so_far_is_kept(plant):
     nominal, records, held_out = plant
     found = train(nominal, records, settings=TINY, progress=stop_at("stage 2"), key=KEY)
@@ -211,7 +211,7 @@ def test_interrupted_later_the_best_so_far_is_kept(plant):
     assert (errors(found.model, held_out) < errors(nominal, held_out)).all()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_gaps_are_masked(plant):
     """A fifth of the samples missing: the model is as good (free runs with a gap: `test_refine`)."""
     nominal, records, held_out = plant
@@ -239,7 +239,7 @@ def test_what_does_not_move_is_left_out_and_told(plant, first):
         train(nominal, still[1:], settings=TINY, key=KEY)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_records_coarser_than_the_nominals_get_substeps(plant):
     """Identified at a fine rate, trained on every fourth sample: one step between them would be four times as long."""
     nominal, records, _ = plant
@@ -259,7 +259,7 @@ def test_nothing_left_to_train_on(plant):
         train(nominal, records, preset="fast", key=KEY)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_loss_that_is_not_finite_is_told(plant):
     nominal, records, _ = plant
     broken = eqx.tree_at(lambda m: m.coefficients, nominal, nominal.coefficients * jnp.array([1.0, jnp.nan, 1.0]))
@@ -267,7 +267,7 @@ def test_a_loss_that_is_not_finite_is_told(plant):
         train(broken, records, settings=replace(TINY, memory="none"), key=KEY)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_paper_preset(plant):
     nominal, records, held_out = plant
     settings = replace(PRESETS["paper"], epochs=6, stages=1, batch=256)
@@ -289,7 +289,7 @@ def after_standstill(r, at=600):
     return replace(r, voltage=voltage, displacement=x)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_bursts_after_standstill_train_where_the_equation_error_diverges(plant):
     """The equation error diverges at once: the free runs, from the nominal, are met nevertheless by the first start."""
     records = [after_standstill(r) for r in plant[1]]
@@ -311,7 +311,7 @@ def test_training_that_fails_hands_back_the_nominal(plant):
         assert e.trained <= 1.01 * e.nominal and not e.worse
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_left_out_is_a_split_made_by_hand(plant):
     nominal, records, _ = plant
     records = records[:2]

@@ -85,7 +85,7 @@ def test_the_kind_does_not_ask_for_the_sampling_rate(rate):
     assert [kind(pitp.Record(name, t, u, t)) for name, u in drives.items()] == list(drives)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_short_record_does_not_blur_the_floor(nominal):
     records = play(nominal, noise=0.0)
     brief = replace(records[0], name="brief", **{
@@ -99,7 +99,7 @@ def test_a_short_record_does_not_blur_the_floor(nominal):
     assert estimate(alone, [1e-3 * rng.standard_normal(70)]).sigma == pytest.approx(1e-3, rel=0.5)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_blocks_are_drawn_of_what_counts(nominal):
     case = build_case(nominal, play(nominal, noise=0.0)[:2])
     rng = np.random.default_rng(0)

@@ -112,7 +112,7 @@ def test_every_effect_makes_a_gap(kit, bench, name):
     assert 4 < kit.scale.gap(y, bench.base) < 16 and abs(y[0][0]) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [*INSIDE, *OUTSIDE])
 def test_whole_cases_have_the_gap_they_claim(kit, name):
     case = kit.case.make(kit.case.Spec((name,), "cone", 0))
@@ -124,9 +124,9 @@ def test_whole_cases_have_the_gap_they_claim(kit, name):
 STEEP = [("coulomb_friction", 1), ("end_stop", 0), ("slew_limit", 1), ("hysteresis", 1), ("slack", 0)]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "which"), [("hysteresis", 0), *(pytest.param(*s, marks=pytest.mark.slow) for s in STEEP)]
+    ("name", "which"), [("hysteresis", 0), *(pytest.param(*s, marks=pytest.mark.exhaustive) for s in STEEP)]
 )
 def test_fixed_steps_agree_with_diffrax(kit, bench, name, which):
     form, last = kit.catalogue.FORMS[name][which], 400
@@ -189,7 +189,7 @@ def test_cells_follow_the_missing_force(kit):
     assert kit.cells.f1(case, cells) == 1.0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_whole_run_resumes_and_reports(kit, tmp_path, monkeypatch, capsys):
     calls = []
 

@@ -15,7 +15,7 @@ from pitp_jax._record.writing import write_bytes_atomic, write_csv, write_text_a
 VALUES = st.floats(-1e6, 1e6, allow_subnormal=False)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     dt=st.sampled_from([1e-3, 2e-4, 0.0016384, 1 / 3000, 5e-5]),

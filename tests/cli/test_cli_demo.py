@@ -43,7 +43,7 @@ def test_demo_trains_on_every_cell_of_the_tables(name, quick):
     assert len(protocol.excitations(name, "sweep", quick)) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_demo_quick(call, tmp_path):
     code, text, _ = call("demo", "--plant", "cone100", "--quick", "--out", tmp_path / "d", "--json", tmp_path / "j")
     assert code == 0
@@ -55,7 +55,7 @@ def test_demo_quick(call, tmp_path):
     assert model_file.load(tmp_path / "d" / "model.pitp").order >= 2
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_end_to_end(call, bench, tmp_path, monkeypatch):
     """The four verbs themselves, on a linear actuator, with little training."""
     short = replace(settings.PRESETS["default"], epochs=3, stages=1, refine_steps=3, width=4, memories=2)

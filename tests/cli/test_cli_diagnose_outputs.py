@@ -48,7 +48,7 @@ def test_options_reach_the_diagnosis(bench, quick, call):
     assert "wrote" not in out
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_experiment_is_written_and_named_and_an_old_one_goes(bench, quick, call, tmp_path):
     time = np.arange(500) / 500
     experiment = Experiment(("electrode_rc", "delay"), "sine of 5 Hz", time, 900 * np.sin(10 * np.pi * time), 12.0)
@@ -128,7 +128,7 @@ def test_a_failed_diagnosis_leaves_nothing(bench, quick, call, tmp_path, error, 
     assert err.splitlines()[-1].startswith("pitp: interrupted" if code == 130 else "pitp: error: ")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("files", [1, 2, 3])
 def test_a_full_disk_leaves_nothing(bench, quick, call, tmp_path, full_disk, files):
     full_disk(files)

@@ -64,7 +64,7 @@ def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
     assert "physics 0.5" in text
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_parts_to_learn(call, bench, tmp_path, trainer):
     options = ["--nominal", bench / "nominal", "--learn", "sensor_lag", "--learn", "delay", "--learn", "delay"]
     options += ["--report", tmp_path / "page"]

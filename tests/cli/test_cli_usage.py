@@ -63,14 +63,14 @@ def test_the_parser_needs_no_jax():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_module_is_the_program_and_a_closed_pipe_is_quiet(bench):
     command = f"set -o pipefail; '{sys.executable}' -m pitp_jax info '{bench / 'nominal'}' | true"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 def test_standard_output_on_a_full_disk(bench):
     with open("/dev/full", "w") as full:
@@ -80,7 +80,7 @@ def test_standard_output_on_a_full_disk(bench):
     assert done.stderr.startswith("pitp: error: ")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_compiled_programs_are_kept_unless_told_otherwise(bench, tmp_path):
     """In the user's cache folder, by a process that starts without JAX; a second one adds nothing."""
     home = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE"))}
