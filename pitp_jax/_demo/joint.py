@@ -114,16 +114,15 @@ def write(folder: Path, *, quick: bool) -> None:
     rng = np.random.default_rng(1)
     for home in (SIMULATED, ROBOT):
         (folder / home).mkdir()
-    for k, (name, command) in enumerate(commands(seconds).items()):
+    for name, command in commands(seconds).items():
         time = np.arange(round(200 * (seconds + 1.0))) / 200
         columns = {"time_s": time, "input_rad": command(time), "output_rad": simulate(IDEAL, command, time)}
         write_csv(folder / SIMULATED / f"{name}.csv", columns)
-        # the robot's log starts 0.7 s before the command, on a clock that began with the session
+        # the robot's log starts 0.7 s before the command
         time = np.arange(round(500 * (seconds + 1.7))) / 500 - 0.7
         angle = simulate(REAL, command, time)
         angle = _ENCODER * np.round((angle + 0.2 * _ENCODER * rng.standard_normal(len(angle))) / _ENCODER)
-        clock = 60.0 * k + 12.0 + time - time[0]
-        columns = {"time_s": clock, "input_deg": np.degrees(command(time)), "output_deg": np.degrees(angle)}
+        columns = {"time_s": time - time[0], "input_deg": np.degrees(command(time)), "output_deg": np.degrees(angle)}
         write_csv(folder / ROBOT / f"{name}.csv", columns)
 
 
