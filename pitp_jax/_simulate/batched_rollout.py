@@ -4,7 +4,7 @@
 
 The states of `decoder.rollout` to rounding. One record is a chain of scalars, one kernel a step: 0.3 us instead of 1.1.
 Many records are rows, with walls behind clipping, hidden layers and tokens so that nothing is computed twice: 32
-records 4 us a step instead of 7-15. Time is one scan; for parallel in time see `parallel_in_time`.
+records 4 us a step instead of 7-15.
 """
 
 import jax

@@ -19,9 +19,9 @@ from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned,
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
 from . import ports
+from .batched_rollout import fast_rollout
 from .beginnings import beginnings
 from .decoder import rollout, settled_state
-from .parallel_in_time import rollout_by_size
 
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
@@ -138,7 +138,7 @@ def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple])
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     start, spent, begun = zip(*starts, strict=True)
-    states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, jnp.stack(start))
+    states = fast_rollout(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, jnp.stack(start))
     return [
         _prediction(model, r, np.asarray(s[: r.samples]), n, b)
         for r, s, n, b in zip(records, states, spent, begun, strict=True)
