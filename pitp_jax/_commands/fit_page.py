@@ -15,14 +15,14 @@ from scipy.signal import welch
 
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
-from .._plot import html
-from .._plot.html import tag
-from .._plot.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, own_axes
-from .._plot.numbers import figure, shown_unit
-from .._plot.paper_figures import prediction as beside
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
 from .._record.units import base_unit, from_base
+from .._report import html
+from .._report.html import tag
+from .._report.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, own_axes
+from .._report.numbers import figure, shown_unit
+from .._report.paper_figures import prediction as beside
 from .._simulate.prediction import Prediction
 
 REPORT = "report.html"
