@@ -12,6 +12,7 @@ from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
 from .._record.record import Record
 from .._record.writing import write_text_atomic
+from .._report.description import describe, in_words
 from .._simulate.prediction import predict
 from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.settings import preset_of
@@ -23,7 +24,7 @@ from .fit_page import REPORT, fit_page
 from .outputs import check_files, check_folder, staged_folder, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
-from .reports import describe, in_words, listed, print_history
+from .reports import listed, print_history
 
 
 def fit(
