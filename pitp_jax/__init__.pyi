@@ -3,6 +3,8 @@ from ._adapt import adapt as adapt
 from ._check import Check as Check
 from ._check import CheckedRecord as CheckedRecord
 from ._check import check as check
+from ._compare import Comparison as Comparison
+from ._compare import compare as compare
 from ._diagnose import Diagnosis as Diagnosis
 from ._diagnose import diagnose as diagnose
 from ._errors import BadInput as BadInput
