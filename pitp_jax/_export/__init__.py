@@ -3,7 +3,8 @@
     make_jaxpr(one step, the model's numbers in it) -> scalar expressions -> text; templates around it
 
 `steps` says what is written, `jaxpr` and `scalars` take it apart, `writing` writes it, `c99`, `fmu` and `matlab` frame
-it; `pi_gains` tunes the controller, `differentiator` weighs a target's window. An effect stays written once, in Python: what can be stepped can be exported.
+it; `pi_gains` tunes the controller, `differentiator` weighs a target's window. An effect stays written once, in
+Python: what can be stepped can be exported.
 """
 
 from .c99 import export_c as export_c
