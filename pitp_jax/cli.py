@@ -111,6 +111,18 @@ def _seed(text: str) -> int:
     raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to {2**32 - 1}")
 
 
+def _zero(text: str) -> str | float:
+    if text in ("rest", "sensor"):
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither rest nor sensor nor a number in the target's unit")
+    return value
+
+
 def _positive(text: str) -> float:
     try:
         value = float(text)
@@ -301,6 +313,13 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest trained on")
     parser.add_argument(
         "--max-displacement", type=_positive, metavar="MM", help="from 0 V either way, for the membrane"
+    )
+    parser.add_argument(
+        "--zero", type=_zero, default="rest", metavar="rest|sensor|VALUE",
+        help="where the target is 0: at 0 V (default), where the sensor reads 0, or what it is at 0 V",
+    )  # fmt: skip
+    parser.add_argument(
+        "--start-input", type=float, default=0.0, metavar="U", help="V at both ends, which holds it where it stands (0)"
     )
     parser.add_argument(
         "--rate", type=_positive, metavar="HZ", help="what the voltage is played at; default: the target's"

@@ -138,9 +138,33 @@ def test_offset_and_polarity_are_undone(linear, bounded, actuator):
     x = swing(1e-3, 5e-4, 3.0)
     mirrored = bounded(linear(2, offset=7e-3, polarity=-1.0))
     plain = feedforward(actuator, Target(TIME, x))
-    found = feedforward(mirrored, Target(TIME, 7e-3 - x))
-    np.testing.assert_allclose(found.voltage, plain.voltage, atol=0.05)
-    assert found.self_check_e_rms_percent < 1e-3
+    for zero, at_rest in (("rest", 0.0), ("sensor", 7e-3), (2e-3, 2e-3)):
+        found = feedforward(mirrored, Target(TIME, at_rest - x), zero=zero)
+        np.testing.assert_allclose(found.voltage, plain.voltage, atol=0.05)
+        assert found.self_check_e_rms_percent < 1e-3
+        np.testing.assert_array_equal(found.wanted[found.target], at_rest - x)
+        assert np.isnan(found.wanted[~found.target]).all()
+
+
+@pytest.mark.parametrize("held", [0.0, 3e5])
+def test_a_file_begins_and_ends_at_the_input_that_holds_the_machine(linear, bounded, held):
+    """Exactly; from there a linear machine swings about where it stands as another does about 0."""
+    model = bounded(linear(2, input_map=LinearInput()), -2e6, 2e6, 1e9)
+    stands = held / model.physical_coefficients[0]
+    found = feedforward(model, Target(TIME, stands + swing(0.0, 5e-4, 3.0)), start_input=held)
+    plain = feedforward(model, Target(TIME, swing(0.0, 5e-4, 3.0)))
+    assert found.voltage[0] == found.voltage[-1] == held
+    np.testing.assert_allclose(found.voltage, held + plain.voltage, atol=2e-3 * np.abs(plain.voltage).max())
+
+
+def test_a_fast_lag_beside_the_resonance_shortens_no_way_out(linear, bounded):
+    """Order 3: after the end the actuator swings by less than a hundredth of the target, as at order 2."""
+    model = bounded(linear(3, 5.0, 0.1, substeps=4), slew=1e6)
+    found = feedforward(model, Target(TIME, swing(4e-4, 2.5e-4, 3.0)), shots=0)
+    assert found.voltage[0] == found.voltage[-1] == 0
+    still = np.append(found.voltage, np.zeros(400))
+    x = np.asarray(rollout(model, jnp.asarray(still, jnp.float32), DT, rest_state(model))[:, 0])
+    assert np.abs(x[-400:]).max() < 0.01 * 0.65
 
 
 @pytest.mark.parametrize("samples", [2, 3, 5])
@@ -152,7 +176,8 @@ def test_a_target_too_short_for_the_order_is_refused(actuator, samples):
 def test_a_target_held_still_is_reached_though_eq_15_has_no_normaliser(actuator):
     found = feedforward(actuator, Target(TIME, np.full(SAMPLES, 1e-3)))
     assert np.isnan(found.self_check_e_rms_percent)
-    (line,), (alone,) = found.warnings, feedforward(actuator, Target(TIME, np.full(SAMPLES, 1e-3)), shots=0).warnings
+    alone = feedforward(actuator, Target(TIME, np.full(SAMPLES, 1e-3)), shots=0).warnings[-1]
+    line = found.warnings[-1]
     assert float(line.split()[-4]) < 0.5 * float(alone.split()[-4]) < 2e-10  # m: shooting brings it nearer
     np.testing.assert_allclose(respond(actuator, found.voltage)[found.target, 0], 1e-3, rtol=1e-4)
 

@@ -16,6 +16,11 @@ def slew_of(found, dt=DT):
     return np.abs(np.diff(found.voltage, prepend=0.0)).max() / dt
 
 
+def others(found):
+    """Warnings but for the one that a target begins high, which most of these do."""
+    return [line for line in found.warnings if "begins where the model needs" not in line]
+
+
 # ---- limits ----
 
 
@@ -30,10 +35,10 @@ def test_a_voltage_limit_is_kept_and_flagged(actuator):
     wanted = np.sqrt(swing_force(actuator, 2e-3, 1e-3, 2.0))
     sure = np.abs(wanted - 1500.0) > 1.0
     np.testing.assert_array_equal(found.saturated[found.target][sure], wanted[sure] > 1500.0)
-    (line,) = found.warnings
+    begins, line = found.warnings
     assert f"{100 * np.mean(wanted > 1500.0):.0f} % of the target" in line
     assert "1500 V" in line
-    assert free.warnings == ()
+    assert free.warnings == (begins,) and "begins where the model needs" in begins
 
 
 @pytest.mark.slow
@@ -45,13 +50,16 @@ def test_a_target_that_asks_for_a_push_says_how_much_of_it_does(actuator):
 
 
 @pytest.mark.slow
-def test_a_jump_of_acceleration_at_the_start_is_cut_and_flagged(actuator):
-    """x'' of this target jumps at its first sample: u = 0 before, hundreds of volts after."""
+def test_a_jump_of_acceleration_at_the_start_is_led_in(actuator):
+    """x'' of this target jumps at its first sample: the voltage is at its hundreds of volts by then, from 0 V."""
     target = Target(TIME, 1e-3 * (1 - np.cos(4 * np.pi * TIME)))
-    found = feedforward(actuator, target, max_slew=2e3)
-    assert found.target[0]
-    assert found.voltage[0] <= 2e3 * DT * (1 + 1e-9)
-    assert found.saturated[0]
+    found = feedforward(actuator, target)
+    first = int(np.argmax(found.target))
+    assert found.voltage[0] == found.voltage[-1] == 0
+    a, w = actuator.physical_coefficients, 4 * np.pi
+    assert found.voltage[first] == pytest.approx(np.sqrt(a[2] * 1e-3 * w**2), rel=0.02)
+    assert any("begins where the model needs" in line for line in found.warnings)
+    assert np.abs(respond(actuator, found.voltage)[:, 0]).min() > -1e-4
 
 
 def test_the_linear_maps_limit_holds_both_ways(linear, bounded):
@@ -82,10 +90,10 @@ def test_every_sample_keeps_the_slew_limit(actuator, kind, slew):
 
 def test_a_higher_voltage_than_trained_warns(actuator):
     target = Target(TIME, swing(2e-3, 1e-3, 2.0))
-    (line,) = feedforward(actuator, target, max_voltage=2500.0).warnings
+    (line,) = others(feedforward(actuator, target, max_voltage=2500.0))
     assert "2500 V" in line
     assert "2000 V" in line
-    assert feedforward(actuator, target, max_voltage=HIGH).warnings == ()
+    assert others(feedforward(actuator, target, max_voltage=HIGH)) == []
 
 
 @pytest.mark.parametrize("name", ["max_voltage", "max_slew"])
@@ -168,14 +176,14 @@ def test_the_clock_runs_back_into_the_lead_in(actuator):
 def test_corners_warn_and_a_smooth_target_does_not(actuator):
     triangle = 1e-3 + 5e-4 * (2 * np.abs(2 * ((2 * TIME) % 1) - 1) - 1)
     assert any("not smooth enough" in line for line in feedforward(actuator, Target(TIME, triangle)).warnings)
-    assert feedforward(actuator, Target(TIME, swing(1e-3, 5e-4, 2.0))).warnings == ()
+    assert others(feedforward(actuator, Target(TIME, swing(1e-3, 5e-4, 2.0)))) == []
 
 
 def test_a_coarser_target_warns_and_is_still_inverted(actuator):
     time = np.arange(500) * 2e-3
     target = Target(time, swing(1e-3, 5e-4, 2.0, time=time))
     found = feedforward(actuator, target)
-    (line,) = found.warnings
+    (line,) = others(found)
     assert "coarser" in line
     x = respond(actuator, found.voltage, dt=2e-3)[found.target, 0]
     assert e_rms_percent(x, target.displacement) < 0.01
@@ -192,7 +200,7 @@ def test_a_target_outside_the_trained_region_warns_with_the_share(linear, bounde
     outside = float((x * 1e3 > 1.2 + 0.05 * 1.2).mean())
     assert 0.3 < outside < 0.4
     assert found.outside_training_share == pytest.approx(outside, abs=2e-3)
-    (line,) = found.warnings
+    (line,) = others(found)
     assert f"{100 * found.outside_training_share:.0f} %" in line
     assert feedforward(model, Target(TIME, swing(6e-4, 2e-4, 2.0))).outside_training_share == 0
 

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
+from pitp_jax._plan import scaled_to_limits, strokes
 from pitp_jax._plan.expected_error import knowledge, motions
 from pitp_jax._plan.information import choose, gains, variance
 from pitp_jax._plan.next_recordings import greedy
@@ -59,7 +61,44 @@ def test_a_first_session_grows_then_sweeps_then_fills_and_repeats():
     assert found.seconds == pytest.approx(60.0, rel=0.02) and all(r.rest == 3.0 for r in found.recordings)
     for before, r in zip(found.recordings, found.recordings[1:4], strict=False):  # the stroke grows by the square
         ratio = before.voltage.max() / r.voltage.max()
-        assert r.go_on == pytest.approx(2e-3 * ratio**2)
+        assert r.go_on == pytest.approx(2e-3 * ratio**2, rel=0.1)
+
+
+@pytest.mark.parametrize("hz", [1.4, 3.1, 8.3])
+def test_a_recording_that_may_follow_keeps_the_stroke_at_any_damping(hz):
+    """An actuator of damping 0.01 whose strokes so far are just below what the row asks for."""
+    found = pitp.plan(**RIG, duration=60.0, max_displacement=1e-3)
+    w, dt = 2 * np.pi * hz, found.recordings[0].time[1]
+    b, a, _ = cont2discrete(([w * w], [1, 0.02 * w, w * w]), dt, method="foh")
+    reached = [np.abs(lfilter(np.ravel(b), np.ravel(a), r.voltage**2)).max() for r in found.recordings]
+    for k in range(1, len(reached)):
+        scale = found.recordings[k].go_on / max(reached[:k])
+        assert scale * reached[k] <= 1e-3 * 1.05
+
+
+def test_no_drive_exceeds_the_stroke_with_half_the_damping(linear, bounded):
+    """By an independent integration of the equation, at a resonance the band holds."""
+    model = bounded(linear(2, 5.0, 0.04), high=1000.0, slew=1e5)
+    found = pitp.plan(model, max_displacement=1.2e-3, duration=40.0, rate=500.0)
+    a = model.physical_coefficients * [1, 0.5, 1]
+    b, c, _ = cont2discrete(([1.0], a[::-1]), 1 / 500, method="foh")
+    assert found.recordings
+    for r in found.recordings:
+        reached = np.abs(lfilter(np.ravel(b), np.ravel(c), r.voltage**2)).max()
+        assert reached <= 1.2e-3 * 1.01
+        assert r.stroke_half_damped == pytest.approx(reached, rel=0.02)
+        assert r.stroke <= r.stroke_half_damped * 1.01
+
+
+def test_a_drive_is_made_small_enough_for_stroke_and_slew(linear, bounded):
+    """A sine at the resonance with the whole voltage, on a model of damping 0.02."""
+    model = bounded(linear(2, 5.0, 0.02), high=1000.0)
+    t = np.arange(4000) * 1e-3
+    asked = 1000 * np.sin(np.pi * 5 * t) ** 2 * np.minimum(1, t / 0.5)
+    kept = scaled_to_limits(model, asked, 1e-3, 1e-3, 8e3)
+    assert kept is not None and np.abs(np.diff(kept)).max() <= 8.0 * (1 + 1e-9)
+    own, half = strokes(model, [kept], 1e-3)[0]
+    assert 0.5e-3 < half <= 1e-3 and own <= half
 
 
 def test_a_plan_is_the_same_for_a_seed_and_another_for_another():

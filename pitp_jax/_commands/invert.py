@@ -7,6 +7,7 @@ from .._invert.feedforward_plan import Feedforward, feedforward
 from .._invert.playback import at_faster_rate, at_slower_rate
 from .._model_file.model_file import load
 from .._record.reading import read_target
+from .._record.units import from_base, to_base
 from .._record.writing import write_csv
 from .compatibility import check_kind
 from .console import number, say
@@ -16,8 +17,9 @@ _UNITS = {"V": 1.0, "kV": 1e-3}
 
 
 def invert(
-    model, target, out, max_voltage, max_slew, max_displacement, rate, unit, input_scale, json_file, reading
-) -> None:
+    model, target, out, max_voltage, max_slew, max_displacement, zero, start_input, rate, unit, input_scale, json_file,
+    reading,
+) -> None:  # fmt: skip
     """Invert, write the voltage, and print how much of the target is out of reach.
 
     Args:
@@ -27,6 +29,8 @@ def invert(
         max_voltage: limit in V, or None for what the model was trained on.
         max_slew: limit in V/s, or None for what the model was trained on.
         max_displacement: limit in mm from the displacement at 0 V, or None.
+        zero: "rest", "sensor", or what the target is at 0 V, in its own unit.
+        start_input: V at the first and last sample.
         rate: at which the voltage is played, Hz, or None for the target's.
         unit: of the voltage written, V or kV.
         input_scale: what the amplifier makes of one unit played; the voltage is divided by it.
@@ -40,7 +44,9 @@ def invert(
     loaded = load(model)
     wanted = read_target(target, **reading)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
-    limits = {"max_voltage": max_voltage, "max_slew": max_slew}
+    length = wanted.displacement_unit
+    zero = zero if isinstance(zero, str) else float(to_base(zero, length, "displacement"))
+    limits = {"max_voltage": max_voltage, "max_slew": max_slew, "zero": zero, "start_input": start_input}
     if max_displacement is not None:
         if wanted.displacement_unit in ("V", "mV"):
             raise BadInput(f"{target}: --max-displacement is in mm, and this output is in {wanted.displacement_unit}")
@@ -52,12 +58,15 @@ def invert(
         "samples": len(found.time),
         "infeasible": int(found.infeasible.sum()),
         "saturated": int(found.saturated.sum()),
+        "target_start_s": float(found.time[np.flatnonzero(found.target)[0]] - found.time[0]),
+        "target_end_s": float(found.time[np.flatnonzero(found.target)[-1]] - found.time[0]),
         "outside_training_share": float(found.outside_training_share),
         "self_check_e_rms_percent": float(found.self_check_e_rms_percent),
     }
     columns = {
         "time_s": found.time - found.time[0],
         f"voltage_{unit}": found.voltage * (_UNITS[unit] / input_scale),
+        f"target_{length}": from_base(found.wanted, length, "displacement"),
         "infeasible": found.infeasible,
         "saturated": found.saturated,
     }

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._model_file.model_file import load
 from .._plan.page import headline, page
-from .._plan.planning import Plan
+from .._plan.planning import REACHED, Plan
 from .._plan.planning import plan as make_plan
 from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
@@ -67,10 +67,13 @@ def _print(found: Plan, modelled: bool) -> None:
     print(headline(found, modelled))
     rows = [
         (r.name, number(r.seconds), number(float(np.abs(r.voltage).max())), number(r.slew), number(1e3 * r.stroke, 3),
-         r.purpose)
+         number(1e3 * r.stroke_half_damped, 3), "" if np.isinf(r.go_on) else number(1e3 * r.go_on, 3), r.purpose)
         for r in found.recordings
     ]  # fmt: skip
     if rows:
-        print_table(("recording", "seconds", "max |V|", "max V/s", "stroke (mm)", "what it is for"), rows)
+        strokes = ("stroke (mm)", "with half the damping", "play if the stroke is below")
+        print_table(("recording", "seconds", "max |V|", "max V/s", *strokes, "what it is for"), rows)
+    if any(np.isfinite(r.go_on) for r in found.recordings):
+        print(REACHED)
     for note in found.notes:
         print(f"note: {note}")

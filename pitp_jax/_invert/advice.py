@@ -15,6 +15,7 @@ from .target_path import Path
 
 _JUMP = 0.3  # a change of x^(n-1) in one sample by this share of its range is a corner, not motion
 _TOLD = 0.01  # shares below are not worth a line
+_FAR = 0.1  # of the largest voltage: a target that begins beyond is told
 _WIDTHS = 12  # doublings of the rounding, from one sample on
 
 
@@ -62,6 +63,26 @@ def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path) -> t
             "it begins with an error; let it start at rest, or raise --max-voltage",
         )
     return warnings
+
+
+def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
+    """A line where the target begins far from where the machine stands."""
+    if abs(voltage - limits.ends) <= _FAR * limits.high:
+        return ()
+    return (
+        f"the target begins where the model needs {voltage:.4g} V: a lead-in of {seconds:.3g} s takes it there from "
+        f"{limits.ends:g} V; let it begin at rest to do without",
+    )
+
+
+def on_smoothing(model: Model, wanted: np.ndarray, dt: float, percent: float, left: float) -> tuple[str, ...]:
+    """A line on what is played of a target that is not smooth."""
+    if rough_share(wanted, dt, model) == 0 or not percent > 0:
+        return ()
+    return (
+        f"what is not smooth in the target is not played: the model's rollout is {left:.2g} m (rms) off it, "
+        f"{percent:.2g} % of its range",
+    )
 
 
 def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:

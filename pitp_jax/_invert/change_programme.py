@@ -38,8 +38,8 @@ class Wish:
         low, high: V, shape (T,).
         slew: V/s.
         budget: total variation, V.
+        start: scaled state at the first sample.
         farthest: largest reading either way, m.
-        age: of the session at the first sample, s.
     """
 
     reading: np.ndarray
@@ -49,8 +49,8 @@ class Wish:
     high: np.ndarray
     slew: float
     budget: float
+    start: np.ndarray
     farthest: float = np.inf
-    age: float = 0.0
 
     @property
     def unit(self) -> float:
@@ -145,7 +145,7 @@ def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward,
         high=jnp.asarray(np.concatenate([free, high])),
         g=jnp.asarray(after_none(cut.length * inside)),
         h=jnp.asarray(after_none(cut(rise, 0.0).sum(1))),
-        budget=jnp.asarray(wish.budget / wish.unit - abs(v[0]) - abs(v[-1])),
+        budget=jnp.asarray(wish.budget / wish.unit),
     )
 
 
@@ -168,5 +168,5 @@ def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np
 
 
 def second_differences(u: np.ndarray) -> np.ndarray:
-    """At every sample, u zero before the first."""
-    return np.diff(np.concatenate([np.zeros(2), u]), 2)
+    """At every sample, u as at the first before it."""
+    return np.diff(np.concatenate([np.full(2, u[0]), u]), 2)

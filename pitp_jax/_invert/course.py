@@ -5,28 +5,29 @@
 
 Eq. 13 inverts the continuous equation; the decoder holds its tokens over a step, so a few iterations move the
 reference until the rollout meets the target. Where a limit cuts the voltage, moving the reference would tear it at the
-cut's edges. The nearest motion's total variation is at most 1.2 times that of eq. 13 cut at the limits plus twice its
-largest voltage, and it never misses by more.
+cut's edges. The nearest motion's total variation is at most 1.2 times that of eq. 13 cut at the limits, and it never
+misses by more.
 """
 
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._metrics import e_rms_percent, rmse
 from .._model.model import Model
 from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
-from .._simulate.decoder import film_voltage, rest_state
+from .._simulate.decoder import film_voltage
 from .equation import invert_path, scaled_equation
 from .limits import Limits, limit_slew, travel
 from .nearest_motion import Wish, nearest_motion
 from .target_path import Path
 
 _ROUNDING = 1e-6  # of the largest force
-_TRAVEL, _SWINGS = 1.2, 2.0  # total variation allowed: of that of eq. 13 cut at the limits, and largest voltages
+_TRAVEL = 1.2  # total variation allowed, of that of eq. 13 cut at the limits
 _HEADROOM = 0.95  # of it in the first try
 _TRIES = 3
 _INTERIOR = 1e-6  # an interior point stops short of a limit by less
@@ -51,13 +52,14 @@ class Planned(Played):
 
 @dataclass(frozen=True)
 class Course:
-    """A target on its way from rest and back, for one model (its substeps set) at one age of the session, s."""
+    """A target on its way and back, for one model (its substeps set) from one scaled state at one age (s)."""
 
     model: Model
     path: Path
     limits: Limits
     dt: float
     age: float
+    start: Float[Array, " state"]
 
     def left(self, played: Played) -> float:
         """Rmse on the target's own samples, m."""
@@ -77,7 +79,7 @@ class Course:
         """The reading of its rollout, m."""
         model = self.model
         u = jnp.asarray(voltage[None], model.coefficients.dtype)
-        states = fast_rollout(model, u, self.dt, rest_state(model, self.age)[None])[0]
+        states = fast_rollout(model, u, self.dt, self.start[None])[0]
         return np.asarray(ports.readings(model, states), np.float64) * model.scales.state[0]
 
     def plan(self, reference: np.ndarray) -> Planned:
@@ -96,7 +98,7 @@ class Course:
     def best(self, cut: Planned, shots: int) -> Played:
         """Shooting as long as it helps; where a limit bites, the nearest motion, beginning with what shooting found."""
         wanted = reference = self.path.displacement
-        most = _TRAVEL * travel(cut.voltage) + _SWINGS * np.abs(cut.voltage).max()
+        most = _TRAVEL * travel(cut.voltage)
         best = now = cut
         bites = shots > 0 and bool(cut.infeasible.any() or cut.saturated.any())
         for _ in range(shots):
@@ -107,6 +109,8 @@ class Course:
             if not self.left(now) < self.left(best) or (bites and travel(now.voltage) > _HEADROOM * most):
                 break
             best = now
+        if bites and travel(best.voltage) > most:  # shot at before a limit bit
+            best = cut
         return self.nearest(cut, best, most) if bites or self.beyond(best) else best
 
     def nearest(self, cut: Planned, best: Planned, most: float) -> Played:
@@ -123,27 +127,33 @@ class Course:
             found = self._kept(best.voltage + share * (found.voltage - best.voltage), wish)
         if self.beyond(best):
             return min((found, best, cut), key=lambda p: np.nan_to_num(np.abs(p.reading).max(), nan=np.inf))
-        return found if self.left(found) < self.left(best) and not self.beyond(found) else best
+        better = self.left(found) < self.left(best) and travel(found.voltage) <= most * (1 + _INTERIOR)
+        return found if better and not self.beyond(found) else best
 
     def _wish(self, begun: Planned, budget: float) -> Wish:
-        """The target within its horizon; behind it the voltage comes down to zero, below a raised cosine."""
+        """The target within its horizon; behind it the voltage comes to its end, below a raised cosine."""
         last, count = self.path.target.stop, len(begun.voltage)
         cosine = 0.5 * (1 + np.cos(np.pi * np.arange(1, count - last + 1) / (count - last)))
         inside = np.ones(last)
         down = np.append(inside, np.maximum(cosine, 0.0))
-        tail = np.append(np.zeros(last), begun.voltage[last:])
+        ends, limits, most = self.limits.ends, self.limits, self.limits.slew * self.dt
+        tail = np.append(np.full(last, ends), begun.voltage[last:])
+        low = np.minimum(ends + (limits.low - ends) * down, tail)
+        high = np.maximum(ends + (limits.high - ends) * down, tail)
+        near = min(most, limits.unnoticed) / 10  # a programme with an inside
+        low[0], high[0] = max(low[0], ends - near), min(high[0], ends + near)
         counted = np.zeros(count, bool)
         counted[self.path.target] = True
         return Wish(
             reading=np.append(self.path.displacement, np.zeros(count - last)),
             counted=counted,
             dt=self.dt,
-            low=np.minimum(self.limits.low * down, tail),
-            high=np.maximum(self.limits.high * down, tail),
+            low=low,
+            high=high,
             slew=self.limits.slew,
             budget=budget,
             farthest=self.limits.farthest,
-            age=self.age,
+            start=np.asarray(self.start),
         )
 
     def _kept(self, voltage: np.ndarray, wish: Wish) -> Played:

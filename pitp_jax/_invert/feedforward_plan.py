@@ -3,22 +3,28 @@
     u = inverse(target), moved by what the rollout misses          where no limit bites
     min |target - rollout(u)|^2 over the u within the limits       where one does                        (`course`)
 
-A smooth way leads up from zero volts and back down. Every limit is kept; what the target asks beyond them is told.
+A smooth way leads up from zero volts (or the voltage that holds a machine where it stands) and back down, exactly.
+Every limit is kept; what the target asks beyond them is told.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._model.model import Model
 from .._record.reading import Target
+from .._simulate.batched_rollout import fast_rollout
+from .._simulate.decoder import rest_state, settled_state
 from .._simulate.prediction import at_rate, outside_share
-from .advice import on_reach, on_stroke, on_target
+from .advice import on_reach, on_smoothing, on_start, on_stroke, on_target
 from .course import Course
 from .limits import limits_of
-from .target_path import extend
+from .target_path import extend, settling
 
 _SHOTS = 6
+_WAITS = 100_000  # samples until a machine stands
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class Feedforward:
         infeasible: True where the target asks for a force that no voltage makes (F < 0, by eq. 13).
         saturated: True where it asks for more than a voltage or slew limit allows.
         target: True on the target's own samples.
+        wanted: the target there, as it was given; nan before and after.
         outside_training_share: share of target samples outside the trained region.
         self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
             the inversion, not a prediction of tracking. nan for a target that holds one value: `warnings` says by how
@@ -44,6 +51,7 @@ class Feedforward:
     infeasible: np.ndarray
     saturated: np.ndarray
     target: np.ndarray
+    wanted: np.ndarray
     outside_training_share: float
     self_check_e_rms_percent: float
     equation_e_rms_percent: float
@@ -57,39 +65,49 @@ def feedforward(
     max_voltage: float | None = None,
     max_slew: float | None = None,
     max_displacement: float | None = None,
+    zero: Literal["rest", "sensor"] | float = "rest",
+    start_input: float = 0.0,
     shots: int = _SHOTS,
 ) -> Feedforward:
     """The voltage that makes the model follow a target displacement, or come as near as the limits allow.
 
     Args:
         model: identified or trained.
-        target: wanted displacement in rig coordinates, base unit; its clock is the session's, which a drift reads.
+        target: wanted displacement in base units, in the sensor's direction; its clock is the session's, which a drift
+            reads.
         max_voltage: V; default the largest voltage of the training records. A higher one warns.
         max_slew: V/s; default the largest slew of the training records.
         max_displacement: m from the displacement at 0 V, either way, for the membrane's sake; default none.
+        zero: where the target is 0: "rest", at 0 V, the coordinate of every model; "sensor", where the sensor read 0
+            when the model was identified; or what the target is at 0 V, in its base unit.
+        start_input: V at the first and the last sample, that which holds a machine where it stands.
         shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone, cut at the limits.
 
     Returns:
         the voltage on its own clock, with what was cut and how well the model itself follows it.
 
     Raises:
-        BadInput: a limit that is not positive, or a target of fewer samples than the model's order needs.
+        BadInput: a limit that is not positive, a start beyond it, or a target of fewer samples than the model's order
+            needs.
 
     Examples:
         >>> plan = pitp.feedforward(model, target, shots=0)
         >>> plan.self_check_e_rms_percent < 1
         True
     """
-    limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement)
+    limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input)
     model = at_rate(model, target.dt)
-    wanted = model.output.to_model(target.displacement)
-    path = extend(wanted, target.dt, model, limits)
+    origin = {"rest": 0.0, "sensor": float(model.output.offset)}[zero] if isinstance(zero, str) else zero
+    wanted = model.output.polarity * (target.displacement - origin)
+    start, stands = standing(model, start_input, target.dt)
+    path = extend(wanted, target.dt, model, limits, stands)
     warnings += on_target(model, target, wanted, path)
     first, last = path.target.start, path.target.stop
     age = max(model.provenance.age(target.time[0] - first * target.dt), 0.0)
+    start = rest_state(model, age) if start is None else start
     if any(e.name == "stiffness_drift" for e in model.effects):
         warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)
-    course = Course(model, path, limits, target.dt, age)
+    course = Course(model, path, limits, target.dt, age, start)
     cut = course.plan(path.displacement)
     best = course.best(cut, shots)
     share = outside_share(model, cut.features[first:last])
@@ -102,6 +120,7 @@ def feedforward(
     inside[first:last] = True
     ramp = np.zeros(len(inside) - last, bool)
     infeasible, saturated = np.append(cut.infeasible, ramp), np.append(cut.saturated, ramp)
+    warnings += on_start(float(cut.voltage[first]), first * target.dt, limits)
     warnings += on_reach(infeasible[inside].mean(), saturated[inside].mean(), limits)
     warnings += on_stroke(wanted, float(np.abs(best.reading).max()), limits)
     error = course.error(best)
@@ -109,14 +128,30 @@ def feedforward(
         warnings += (
             f"the target holds one value, eq. 15 has no range: the model's rollout is {course.left(best):.2g} m off it",
         )
+    warnings += on_smoothing(model, wanted, target.dt, error, course.left(best))
     return Feedforward(
         time=target.time[0] + (np.arange(len(best.voltage)) - first) * target.dt,
         voltage=best.voltage,
         infeasible=infeasible,
         saturated=saturated,
         target=inside,
+        wanted=np.concatenate([np.full(first, np.nan), target.displacement, np.full(len(ramp), np.nan)]),
         outside_training_share=share,
         self_check_e_rms_percent=error,
         equation_e_rms_percent=course.error(cut),
         warnings=warnings,
     )
+
+
+def standing(model: Model, voltage: float, dt: float):
+    """The scaled state in which a held voltage leaves the model, and its displacement, m; (None, 0) at 0 V."""
+    if voltage == 0:
+        return None, 0.0
+    kind = model.coefficients.dtype
+    level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
+    level /= float(model.scales.state[0])
+    still = jnp.zeros(model.order, kind).at[0].set(level)
+    begun = settled_state(model, still, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
+    count = int(np.clip(settling(model)[0] / dt, 64, _WAITS))
+    state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]
+    return state, float(state[0]) * float(model.scales.state[0])

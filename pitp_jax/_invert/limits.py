@@ -15,12 +15,18 @@ _BIPOLAR = 0.1  # of the largest voltage
 
 @dataclass(frozen=True)
 class Limits:
-    """Voltage range (V), slew (V/s) and the displacement from 0 V either way (m)."""
+    """Voltage range (V), slew (V/s), the displacement from 0 V either way (m), and the voltage at both ends (V)."""
 
     low: float
     high: float
     slew: float
     farthest: float = np.inf
+    ends: float = 0.0
+
+    @property
+    def unnoticed(self) -> float:
+        """What the first sample may miss, V: a hundredth of the range, 1e-4 of the largest force of a square."""
+        return 0.01 * (self.high - self.low)
 
     @property
     def range_text(self) -> str:
@@ -29,12 +35,16 @@ class Limits:
 
 
 def limits_of(
-    model: Model, max_voltage: float | None, max_slew: float | None, max_displacement: float | None
+    model: Model,
+    max_voltage: float | None,
+    max_slew: float | None,
+    max_displacement: float | None,
+    start_input: float = 0.0,
 ) -> tuple[Limits, tuple[str, ...]]:
     """The limits given, or those of the training records; and warnings.
 
     Raises:
-        BadInput: a limit that is not positive, or an endless voltage.
+        BadInput: a limit that is not positive, an endless voltage, or a start beyond it.
     """
     low, high = model.provenance.voltage_range
     warnings: tuple[str, ...] = ()
@@ -57,24 +67,29 @@ def limits_of(
         if max_voltage > 1.0001 * trained_high:
             warnings += (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
     slew, farthest = trained_slew if max_slew is None else max_slew, max_displacement or np.inf
-    return Limits(min(low, 0.0), max(high, 0.0), slew, farthest), warnings
+    low, high = min(low, 0.0), max(high, 0.0)
+    if not low <= start_input <= high:
+        raise BadInput(f"--start-input {start_input:g} V lies outside {low:g} to {high:g} V: raise --max-voltage")
+    return Limits(low, high, slew, farthest, start_input), warnings
 
 
 def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Clip to the voltage range, then to the slew rate, from the zero volts of an actuator at rest.
+    """Clip to the voltage range, then to the slew rate, from the voltage at the ends, which is the first sample.
 
     Returns:
         The voltage kept, and True where it differs from the voltage asked for.
     """
     kept = np.clip(voltage, limits.low, limits.high)
+    kept[0] = last = limits.ends
     most = limits.slew * dt
-    if np.isfinite(most) and (np.abs(np.diff(kept, prepend=0.0)) > most).any():
-        last = 0.0
+    if np.isfinite(most) and (np.abs(np.diff(kept)) > most).any():
         for i, asked in enumerate(kept):
             kept[i] = last = min(max(asked, last - most), last + most)
-    return kept, np.abs(kept - voltage) > 1e-6 * max(abs(limits.high), 1e-30)
+    cut = np.abs(kept - voltage) > 1e-6 * max(abs(limits.high), 1e-30)
+    cut[0] = abs(kept[0] - voltage[0]) > limits.unnoticed
+    return kept, cut
 
 
 def travel(voltage: np.ndarray) -> float:
-    """Total variation from zero volts and back, V."""
-    return float(np.abs(np.diff(voltage, prepend=0.0, append=0.0)).sum())
+    """Total variation, V."""
+    return float(np.abs(np.diff(voltage)).sum())

@@ -16,7 +16,6 @@ import numpy as np
 from .._model.model import Model
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
-from .._simulate.decoder import rest_state
 from .change_programme import Played, Wish, best_change, second_differences
 
 _STEPS = 10  # of Gauss-Newton
@@ -57,7 +56,7 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
 
 
 def _play(model: Model, wish: Wish, voltage: np.ndarray) -> Played:
-    start = rest_state(model, wish.age)
+    start = jnp.asarray(wish.start, jnp.float64)
     states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), wish.dt, start[None])[0]
     return Played(voltage, np.asarray(states), np.asarray(ports.readings(model, states)) * model.scales.state[0])
 

@@ -54,4 +54,5 @@ def at_faster_rate(plan: Feedforward, rate: float | None) -> Feedforward:
         infeasible=plan.infeasible[before],
         saturated=plan.saturated[before],
         target=plan.target[before],
+        wanted=np.interp(time, plan.time, plan.wanted),
     )

@@ -2,23 +2,29 @@
 
 x^(i): quintic (order + 3) spline through the samples, differentiated
 lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state
-down:  u_end (1 + cos(pi t / T)) / 2,  T = pi u_end / (2 slew) at least
+down:  u_ends + (u - u_ends) (1 + cos(pi t / T)) / 2,  T = pi |u - u_ends| / (2 slew) at least
+
+Both last as long as the slowest mode asks: 5 and 3 periods of one that rings, 1/2 of one that does not (3 time
+constants), where a memory counts as no more than 5 periods of the slowest pole: what creeps for minutes swings nothing.
 """
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
 
 from .._effects.kernels import total_delay
+from .._model.drive import ElectrodeLag
+from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives
 from .limits import Limits
 
 _NEAR = 0.02
+_RINGS = 0.7  # damping below which a pole rings
+_IN, _OUT, _SMOOTH = 5.0, 3.0, 0.5  # periods: lead-in and lead-out of what rings, both of what does not
 _SUDDEN = 0.05  # of the largest x^(i), i = 2 ... n - 1: more at the first sample is no start from rest
 
 
@@ -27,57 +33,85 @@ class Path:
     """A target with its lead-in.
 
     Attributes:
-        displacement: model coordinates, m, shape (M,), from rest.
+        displacement: model coordinates, m, shape (M,), from where it stands.
         target: where the target itself lies.
         slew_kept: the nominal force of the lead-in stays within the slew limit.
         reached: the lead-in ends in the target's first state: x^(i) within 2 % of omega_0^i times the target's size.
-        period: of the nominal's resonance, s.
+        lead_out: how long the voltage takes to its end at least, s.
     """
 
     displacement: np.ndarray
     target: slice
     slew_kept: bool
     reached: bool
-    period: float
+    lead_out: float
 
     def ramp_down(self, voltage: float, limits: Limits, dt: float) -> np.ndarray:
-        """Raised cosine from the last voltage to zero within the slew limit."""
-        duration = max(np.pi * abs(voltage) / (2 * limits.slew), 2 * self.period)
-        count = max(int(np.ceil(duration / dt)), 2)
-        tail = voltage * 0.5 * (1 + np.cos(np.pi * np.arange(1, count + 1) / count))
-        tail[-1] = 0.0
+        """Raised cosine from the last voltage to the one at the ends, within the slew limit."""
+        far = voltage - limits.ends
+        count = max(int(np.ceil(max(np.pi * abs(far) / (2 * limits.slew), self.lead_out) / dt)), 2)
+        tail = limits.ends + far * 0.5 * (1 + np.cos(np.pi * np.arange(1, count + 1) / count))
+        tail[-1] = limits.ends
         return tail
 
 
-def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits) -> Path:
-    """Put a lead-in from rest in front of a target that does not start there, or whose voltage is late.
+def settling(model: Model) -> tuple[float, float]:
+    """How long lead-in and lead-out take by the slowest mode, s."""
+    poles = np.roots(model.physical_coefficients[::-1])
+    poles = poles[np.abs(poles) > 0]
+    memory, electrode = model.memory, model.drive
+    lags = np.exp(np.asarray(memory.log_tau, float)) if isinstance(memory, (FadingMemory, RingingMemory)) else []
+    beside: list[complex] = [-1 / float(tau) for tau in lags]
+    if isinstance(memory, RingingMemory):
+        omega, zeta = map(float, memory.ring)
+        beside.append(omega * complex(-zeta, np.sqrt(1 - zeta**2)))
+    if isinstance(electrode, ElectrodeLag):
+        beside.append(-float(np.exp(-electrode.log_tau)))
 
-    Rest is S = 0: at order 3 and up the acceleration counts, which one of order 2 can take up at once.
+    def longest(modes, periods: float) -> float:
+        size = np.abs(modes)
+        rings = -np.real(modes) < _RINGS * size
+        return float((np.where(rings, periods, _SMOOTH) * 2 * np.pi / size).max(initial=0.0))
 
-    The lead-in lasts 5 periods of the nominal resonance (3 time constants at order 1, which has none to rock at),
-    doubled, twice at most, while its voltage breaks the slew limit or it does not arrive.
+    most = _IN * longest(poles, 1.0)
+    lead_in, lead_out = (max(longest(poles, n), min(longest(beside, n), most)) for n in (_IN, _OUT))
+    return lead_in, lead_out
+
+
+def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: float = 0.0) -> Path:
+    """Put a lead-in in front of a target that does not start at rest where it stands (m), or whose voltage is late.
+
+    Rest is S = 0: at order 3 and up the acceleration counts. One of order 2 can take it up at once, but for what the
+    first sample, which stays at the voltage of the ends, would miss.
+
+    The lead-in is doubled, twice at most, while its voltage breaks the slew limit or it does not arrive.
     """
-    order = model.order
+    order, force_of = model.order, model.input_map.force
+    wanted = wanted - stands
     states = derivatives(wanted, dt, order)
-    period = 2 * np.pi / model.natural_frequency
+    lead_in, lead_out = settling(model)
+    still = float(force_of(np.asarray(limits.ends)))
+    first = float(np.asarray(model.input_map.voltage(still + model.physical_coefficients @ states[0])))
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
     share = np.abs(states[0, 1:]) / np.maximum(np.abs(states[:, 1:]).max(0), 1e-30)
-    if not (abs(states[0, 0]) > 1e-3 * span or share[0] > 1e-2 or (share[1 : order - 1] > _SUDDEN).any()):
+    moves = abs(states[0, 0]) > 1e-3 * span or share[0] > 1e-2 or (share[1 : order - 1] > _SUDDEN).any()
+    if not moves and abs(first - limits.ends) <= limits.unnoticed:
         early = int(np.ceil(total_delay(model.effects) / dt))
         lead = np.zeros(early + 2 * order if early else 0)  # at rest: what is late has to be played before
-        return Path(np.append(lead, wanted), slice(len(lead), len(lead) + len(wanted)), True, True, period)
-    high = float(model.input_map.force(jnp.asarray(limits.high)))
-    low = 0.0 if limits.low == 0 else float(model.input_map.force(jnp.asarray(limits.low)))
+        return Path(stands + np.append(lead, wanted), slice(len(lead), len(lead) + len(wanted)), True, True, lead_out)
+    high = float(force_of(np.asarray(limits.high))) - still
+    low = (0.0 if limits.low == 0 else float(force_of(np.asarray(limits.low)))) - still
     lead, count, kept, reached = np.zeros(0), 0, False, False
     for stretch in (1, 2, 4):
-        count = max(int(np.ceil((5 if order > 1 else 0.5) * stretch * period / dt)), 64)
+        count = max(int(np.ceil(stretch * lead_in / dt)), 64)
         lead, force, end = swing_in(model.physical_coefficients, states[0], count, dt, low, high)
-        slew = np.abs(np.diff(np.asarray(model.input_map.voltage(force)))).max() / dt
+        slew = np.abs(np.diff(np.asarray(model.input_map.voltage(still + force)))).max() / dt
         off = np.abs(end - states[0])[:order] / (span * model.natural_frequency ** np.arange(order))
         kept, reached = bool(slew <= limits.slew), bool((off <= _NEAR).all())
         if kept and reached:
             break
-    return Path(np.concatenate([lead, wanted]), slice(count, count + len(wanted)), kept, reached, period)
+    path = stands + np.concatenate([lead, wanted])
+    return Path(path, slice(count, count + len(wanted)), kept, reached, lead_out)
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):

@@ -36,6 +36,7 @@ class Planned:
         voltage: in V, shape (T,), from zero to zero.
         rest: seconds at 0 V after it.
         stroke: largest displacement a model expects, m; nan without a model.
+        stroke_half_damped: the same where its damping is half of what the model says.
         go_on: largest stroke (m) at which it may follow the recordings before it; infinity where there is no limit.
     """
 
@@ -46,6 +47,7 @@ class Planned:
     voltage: np.ndarray
     rest: float
     stroke: float = float("nan")
+    stroke_half_damped: float = float("nan")
     go_on: float = float("inf")
 
     @property

@@ -5,8 +5,8 @@
     set      drives through the points of a space-filling set over frequency, lowest and highest voltage; small first
     repeat   its first recording again: what differs is noise and drift
 
-With the force as u^2 a stroke grows by the square of the voltage: a recording may follow where the largest stroke
-so far, times the ratio of the two squares, stays below the limit.
+A recording may follow where the largest stroke so far, times how much farther it can go than all before it (`growth`:
+the square of the voltage, and what a slower drive makes of a resonance of damping 0.01), stays below the limit.
 """
 
 from collections.abc import Sequence
@@ -18,6 +18,7 @@ from .._errors import BadInput
 from .._record.waveforms import sweep
 from .drives import Planned, space_filling, through, within
 from .limits import Limits
+from .strokes import growth
 
 _GROWTH = (0.25, 0.5, 0.71, 1.0)
 _SHARES = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have what is left
@@ -100,11 +101,11 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
 
 def in_order(recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False) -> tuple[Planned, ...]:
     """With numbers before their names, the strokes at which each may follow, and every second one negative."""
-    found, reached = [], 0.0
+    bound = np.isfinite(limits.farthest) and len(recordings) > 1
+    farther = growth([r.voltage for r in recordings], 1 / limits.rate, limits.band) if bound else []
+    found = []
     for k, r in enumerate(recordings, 1):
-        top = float(np.abs(r.voltage).max())
-        go_on = limits.farthest * min((reached / top) ** 2, 1.0) if reached else np.inf
+        go_on = limits.farthest / max(farther[k - 1], 1.0) if bound and k > 1 else np.inf
         sign = -1.0 if alternate and k % 2 == 0 else 1.0
         found.append(replace(r, name=f"{k:02d}_{r.name}", voltage=sign * r.voltage, go_on=go_on))
-        reached = max(reached, top)
     return tuple(found)

@@ -20,6 +20,7 @@ from .expected_error import Knowledge, Motions, knowledge, motions
 from .first_session import FEWEST, POINTS, default_duration, drive
 from .information import choose, variance
 from .limits import Limits
+from .strokes import strokes
 
 _CANDIDATES, _JUDGED = 48, 16  # drives to choose among, and drives to be predicted
 _SEEN = 0.01
@@ -36,21 +37,21 @@ class Next:
 
 
 def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[list[Planned], tuple[str, ...]]:
-    """Drives whose predicted stroke stays below the limit, each with its stroke, and a note about the others.
+    """Drives whose predicted stroke stays below the limit with half the damping too, and a note about the others.
 
     Raises:
         BadInput: none does.
     """
-    told = motions(model, [d.voltage for d in drives], 1 / limits.rate, slopes=False)
+    told = strokes(model, [d.voltage for d in drives], 1 / limits.rate)
     kept = [
-        replace(d, stroke=float(x))
-        for d, x, ok in zip(drives, told.stroke, told.finite, strict=True)
-        if ok and x <= limits.farthest
+        replace(d, stroke=float(own), stroke_half_damped=float(half))
+        for d, (own, half) in zip(drives, told, strict=True)
+        if np.isfinite(own) and max(own, half) <= limits.farthest
     ]
     if not kept:
         raise BadInput(
             f"--max-displacement {1e3 * limits.farthest:g} mm: every drive is predicted to exceed it (the gentlest "
-            f"{1e3 * told.stroke.min():.3g} mm); lower --max-voltage"
+            f"{1e3 * told.max(1).min():.3g} mm with half the damping); lower --max-voltage"
         )
     out = len(drives) - len(kept)
     return kept, (f"{out} of {len(drives)} drives left out: their predicted stroke exceeds the limit",) if out else ()

@@ -9,7 +9,8 @@ from .._report.html import tag
 from .._report.lines import DRIVE, finish, line, own_axes, volts
 from .._report.numbers import figure
 from .drives import Planned
-from .planning import Plan
+from .planning import REACHED, Plan
+from .strokes import LEAST_DAMPING
 
 
 def page(plan: Plan, model: str = "") -> str:
@@ -68,17 +69,18 @@ def _cards(plan: Plan) -> list[str]:
 
 def _table(plan: Plan) -> str:
     header = (
-        "recording", "kind", "length (s)", "rest (s)", "highest |V|", "stroke (mm)",
-        "play it if the stroke so far is below", "what it is for",
+        "recording", "kind", "length (s)", "rest (s)", "highest |V|", "steepest (V/s)", "stroke (mm)",
+        "with half the damping (mm)", "play it if the stroke so far is below", "what it is for",
     )  # fmt: skip
     rows = [
         ("", (
             r.name, r.kind, figure(r.seconds), figure(r.rest), figure(float(np.abs(r.voltage).max())),
-            figure(1e3 * r.stroke), "–" if r.go_on == np.inf else f"{figure(1e3 * r.go_on)} mm", r.purpose,
+            figure(r.slew), figure(1e3 * r.stroke), figure(1e3 * r.stroke_half_damped),
+            "–" if r.go_on == np.inf else f"{figure(1e3 * r.go_on)} mm", r.purpose,
         ))
         for r in plan.recordings
     ]  # fmt: skip
-    return html.telling_table(header, rows, {1: "left", 7: "long"})
+    return html.telling_table(header, rows, {1: "left", 9: "long"})
 
 
 def _pictures(plan: Plan) -> str:
@@ -101,8 +103,8 @@ def _reading(plan: Plan) -> list[str]:
     ]
     if any(r.go_on < np.inf for r in plan.recordings):
         texts.append(
-            "A stroke grows about by the square of the voltage, more near a resonance. Go on to a recording only if "
-            "the largest stroke so far is below what its row says; else leave it and all larger ones out."
+            "A stroke grows by the square of the voltage, more near a resonance: what a row says holds for any of a "
+            f"damping ratio of {LEAST_DAMPING:g} or more. {REACHED}"
         )
     if plan.expected:
         texts.append(

@@ -20,6 +20,11 @@ from .first_session import default_duration, first_session, in_order, space_fill
 from .limits import Limits, default_rate
 from .next_recordings import bearable, following, ranked
 
+REACHED = (
+    "If the largest stroke so far is above what a recording asks for, leave it out and try the next. When none is "
+    "left, identify a model on what was recorded and plan with it: it knows the stroke of every drive and proposes "
+    "those that stay below the limit."
+)
 _BAND = (0.05, 1.3)  # of a model's resonance, where no band is given
 
 
@@ -58,6 +63,7 @@ class Plan:
             "recordings": [
                 {"name": r.name, "kind": r.kind, "purpose": r.purpose, "seconds": r.seconds, "rest_s": r.rest,
                  "max_voltage": float(np.abs(r.voltage).max()), "max_slew": r.slew, "stroke_m": r.stroke,
+                 "stroke_half_damped_m": r.stroke_half_damped,
                  "only_if_stroke_below_m": r.go_on}
                 for r in self.recordings
             ],

@@ -66,13 +66,14 @@ def quick_inverse(monkeypatch):
     """`feedforward` that only notes its limits."""
     calls = []
 
-    def fake(model, target, *, max_voltage=None, max_slew=None):
-        calls.append((target, max_voltage, max_slew))
+    def fake(model, target, *, max_voltage=None, max_slew=None, **ends):
+        calls.append((target, max_voltage, max_slew, ends))
         time = np.arange(-100, 2100) * target.dt
         count, inside = len(time), (time >= 0) & (time < 4)
         return feedforward_plan.Feedforward(
             time=time, voltage=np.linspace(0, 1500, count), infeasible=np.arange(count) < 7,
-            saturated=np.arange(count) < 3, target=inside, outside_training_share=0.25,
+            saturated=np.arange(count) < 3, target=inside, wanted=np.where(inside, 1e-3, np.nan),
+            outside_training_share=0.25,
             self_check_e_rms_percent=float("nan"), equation_e_rms_percent=0.5,
             warnings=("25 % of the target lies outside\nthe trained region",),
         )  # fmt: skip

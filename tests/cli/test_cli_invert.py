@@ -13,14 +13,16 @@ def test_invert_writes_the_voltage_and_counts(call, bench, tmp_path, quick_inver
     code, text, err = call("invert", bench / "nominal", bench / "target.csv", "--out", out, "--json", file, *limits)
     assert code == 0
     assert err == "pitp: warning: 25 % of the target lies outside the trained region\n"
-    assert quick_inverse[0][1:] == (1500.0, 2e4)
+    assert quick_inverse[0][1:] == (1500.0, 2e4, {"zero": "rest", "start_input": 0.0})
     assert quick_inverse[0][0].displacement.max() == pytest.approx(1.5e-3, rel=1e-2)
     header, values = columns_of(out)
-    assert header == ["time_s", "voltage_V", "infeasible", "saturated"]
-    assert values.shape == (2200, 4)
+    assert header == ["time_s", "voltage_V", "target_mm", "infeasible", "saturated"]
+    assert values.shape == (2200, 5)
+    np.testing.assert_array_equal(np.isfinite(values[:, 2]), (np.arange(2200) >= 100) & (np.arange(2200) < 2100))
+    assert values[100, 2] == 1.0
     assert json.loads(file.read_text(), parse_constant=pytest.fail) == {
         "samples": 2200, "infeasible": 7, "saturated": 3, "outside_training_share": 0.25,
-        "self_check_e_rms_percent": None,
+        "self_check_e_rms_percent": None, "target_start_s": pytest.approx(0.2), "target_end_s": pytest.approx(4.198),
     }  # fmt: skip
     assert "infeasible 7, saturated 3" in text
 
@@ -56,11 +58,19 @@ def test_invert_writes_what_a_daq_plays(call, bench, tmp_path, quick_inverse):
     assert code == 0
     assert "the target begins at 0.2 s there, at 0 s of its own" in text
     (_, volts), (header, values) = columns_of(plain), columns_of(played)
-    assert header == ["time_s", "voltage_kV", "infeasible", "saturated"]
+    assert header == ["time_s", "voltage_kV", "target_mm", "infeasible", "saturated"]
     assert volts[0, 0] == values[0, 0] == 0
     assert values[:, 0] == pytest.approx(1e-3 * np.arange(len(values)), abs=1e-6)
     assert values[::2, 1] == pytest.approx(volts[:, 1] / 500, rel=1e-6)
     assert len(values) == 2 * len(volts) - 1
+
+
+def test_invert_takes_another_zero_and_another_start(call, bench, tmp_path, quick_inverse):
+    """A zero in the target's own unit."""
+    start = ["invert", bench / "nominal", bench / "target.csv", "--out", tmp_path / "v.csv"]
+    assert call(*start, "--zero", "2.5", "--start-input", "30")[0] == 0
+    assert quick_inverse[0][3] == {"zero": pytest.approx(2.5e-3), "start_input": 30.0}
+    assert "neither rest nor sensor" in refused(call(*start, "--zero", "here"))
 
 
 @pytest.mark.parametrize("option", ["--rate", "--input-scale", "--max-displacement", "--unit"])

@@ -1,0 +1,102 @@
+"""How far a drive moves an actuator: on a model, on the same with half its damping, and where there is no model yet.
+
+    x'' + 2 zeta w x' + w^2 x = w^2 u^2        zeta = 0.01, any w of the band: without a model, up to one factor
+
+Damping is what a model knows least, and what a stroke at the resonance depends on most: a drive is only proposed if it
+stays within the stroke allowed with half of it as well.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import cont2discrete, find_peaks, lfilter
+
+from .._model.model import Model
+from .expected_error import motions
+
+LEAST_DAMPING = 0.01  # of an actuator nobody has identified yet
+_HALF = 0.5
+_PLACES, _LINES = 40, 3  # resonances over the band, and lines of a drive's own force
+_TRIES, _MARGIN = 12, 0.98
+
+
+def half_damped(model: Model) -> Model:
+    """The model whose nominal resonances ring twice as long; its stiffness stays."""
+    a = model.physical_coefficients
+    poles = np.roots(a[::-1])
+    rings = np.abs(poles.imag) > 0
+    slower = np.where(rings, poles.real * _HALF, poles.real)
+    # a pair keeps its size |p|, and with it the stiffness
+    turned = np.sign(poles.imag) * np.sqrt(np.maximum(np.abs(poles) ** 2 - slower**2, 0.0))
+    moved = np.real(np.poly(np.where(rings, slower + 1j * turned, poles)))[::-1]
+    return model.changed(moved / moved[0] * a[0] / a)
+
+
+def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarray:
+    """Largest |x| (m) under each voltage, on the model and on the half damped one; infinite where it runs away.
+
+    Args:
+        model: any.
+        voltages: V, from rest.
+        dt: sampling interval, s.
+
+    Returns:
+        shape (voltages, 2).
+    """
+    told = [motions(m, list(voltages), dt, slopes=False) for m in (model, half_damped(model))]
+    return np.stack([np.where(t.finite, t.stroke, np.inf) for t in told], 1)
+
+
+def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: float, slew: float) -> np.ndarray | None:
+    """The voltage made smaller, as a whole, until both strokes and the slew are kept; None if it cannot be.
+
+    Args:
+        model: any.
+        voltage: V, shape (T,), from zero to zero.
+        dt: sampling interval, s.
+        farthest: largest |x| allowed, m.
+        slew: largest |u'| allowed, V/s.
+    """
+    steepest = float(np.abs(np.diff(voltage)).max()) / dt
+    scale = min(1.0, slew / max(steepest, 1e-30))
+    for _ in range(_TRIES):
+        reached = float(strokes(model, [scale * voltage], dt).max())
+        if reached <= farthest:
+            return scale * voltage
+        power = 0.5 if model.input_map.one_sided else 1.0
+        scale *= max((_MARGIN * farthest / reached) ** power, 0.1) if np.isfinite(reached) else 0.5
+    return None
+
+
+def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:
+    """How much farther than all before it a drive may go, at worst, on an actuator of damping 0.01; shape (voltages,).
+
+    Args:
+        voltages: V, in the order of playing.
+        dt: sampling interval, s.
+        band: where the resonance may be, Hz; one a half above it is tried as well.
+    """
+    forces = [u * u for u in voltages]
+    places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)
+    places = np.unique(np.concatenate([places, *(_lines(f, dt, band) for f in forces)]))
+    reached = np.array([[_stroke(f, hz, dt) for hz in places] for f in forces])
+    before = np.maximum.accumulate(reached, 0)[:-1]
+    static = np.array([f.max() for f in forces])  # a resonance far above the band
+    ratio = (reached[1:] / before).max(1)
+    return np.append(np.inf, np.maximum(ratio, static[1:] / np.maximum.accumulate(static)[:-1]))
+
+
+def _lines(force: np.ndarray, dt: float, band: tuple[float, float]) -> np.ndarray:
+    """Frequencies of the largest lines of a force, Hz."""
+    size = np.abs(np.fft.rfft(force - force.mean()))
+    hz = np.fft.rfftfreq(len(force), dt)
+    peaks = find_peaks(size)[0]
+    peaks = peaks[(hz[peaks] >= band[0]) & (hz[peaks] <= 1.5 * band[1])]
+    return hz[peaks[np.argsort(size[peaks])[-_LINES:]]]
+
+
+def _stroke(force: np.ndarray, hz: float, dt: float) -> float:
+    w = 2 * np.pi * hz
+    sampled = cont2discrete(([w * w], [1, 2 * LEAST_DAMPING * w, w * w]), dt, method="foh")
+    b, a = (np.ravel(np.asarray(part)) for part in sampled[:2])  # pyright: ignore[reportIndexIssue]
+    return float(np.abs(lfilter(b, a, force)).max())
