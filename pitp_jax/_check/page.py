@@ -10,7 +10,7 @@ from .._plot.html import tag
 from .._plot.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
 from .._plot.numbers import figure, with_error
 from .._record.record import Record
-from .._record.units import from_base
+from .._table.units import from_base
 from .check import Check, CheckedRecord
 
 _DRAWN = 24  # records; more make no page that anybody reads

@@ -22,8 +22,8 @@ from .._plot.numbers import figure, shown_unit
 from .._plot.paper_figures import prediction as beside
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
-from .._record.units import base_unit, from_base
 from .._simulate.prediction import Prediction
+from .._table.units import base_unit, from_base
 
 REPORT = "report.html"
 _SHOWN = 12  # records drawn, the worst first

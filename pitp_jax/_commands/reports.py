@@ -9,7 +9,7 @@ from .._effects.physical import physical
 from .._model.encoder import ConstantEncoder, plain
 from .._model.model import Model
 from .._record.initial_state import Beginning
-from .._record.units import base_unit, from_base
+from .._table.units import base_unit, from_base
 from .console import number, print_table
 
 
