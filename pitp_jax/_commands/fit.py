@@ -12,6 +12,7 @@ from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
 from .._record.record import Record
 from .._record.writing import write_text_atomic
+from .._report.description import describe, in_words
 from .._simulate.prediction import predict
 from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.settings import preset_of
@@ -19,11 +20,10 @@ from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
 from .fit_errors import errors_told, print_errors, suspects
-from .fit_page import REPORT, fit_page
-from .outputs import check_files, check_folder, staged_folder, write_json
+from .outputs import REPORT, check_files, check_folder, staged_folder, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
-from .reports import describe, in_words, listed, print_history
+from .reports import listed, print_history
 
 
 def fit(
@@ -88,12 +88,15 @@ def fit(
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
     if json_file:
-        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems)})
+        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems),
+                               "fallback": done.fallback})  # fmt: skip
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 
 def _report(model: Model, records: Sequence[Record], folder: str, name: str) -> None:
     """The page of free runs beside the training records."""
+    from .fit_page import fit_page  # with it comes matplotlib: half a second
+
     runs = predict(model, records)
     scores = {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
     with staged_folder(folder) as stage:

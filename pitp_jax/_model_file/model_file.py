@@ -19,11 +19,11 @@ import os
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import BadInput
 from .._model.model import Model
+from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
 from .._table.guard import cleaned
 from .parts import build, decode, describe, encode
@@ -117,6 +117,12 @@ def load(path: str | os.PathLike) -> Model:
         raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
 
 
+def is_model_file(path: str | os.PathLike) -> bool:
+    """Whether a file begins as `save` begins one; it may be damaged behind that."""
+    with open(path, "rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC
+
+
 def _checked_bytes(path) -> bytes:
     """Everything after the digest, once it matches."""
     name, path = path, cleaned(path)
@@ -200,7 +206,7 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
             raise ValueError(f"{name}: {kind} {stored} where {dtype} {place.shape} belongs")
         plain = np.frombuffer(stream.read(math.prod(stored) * kind.itemsize), kind).reshape(stored)
         with jax.enable_x64(True):  # else float64 leaves would come back as float32
-            arrays.append(jnp.asarray(plain))
+            arrays.append(on_device(plain))
     check_leaves([name for name, _, _ in leaves], [np.asarray(array) for array in arrays])
     if stream.read(1):
         raise ValueError("more bytes than leaves")

@@ -19,7 +19,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-import scipy.io
+import scipy
 
 from .._errors import BadInput
 from .guard import check_archive, check_columns, check_unfolded, cleaned, file_bytes, guarded

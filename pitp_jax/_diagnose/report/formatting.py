@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._effects import CATALOGUE
 from ..._effects.base import AbstractEffect
-from ..._plot.numbers import figure, percent, shown_unit, with_error
+from ..._report.numbers import figure, percent, shown_unit, with_error
 from ..._table.units import OUTPUT_UNITS, base_unit
 
 PLAIN = {

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..._plot.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
-from ..._plot.numbers import shown_unit
+from ..._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
+from ..._report.numbers import shown_unit
 from ..._table.units import OUTPUT_UNITS, base_unit
 from ..diagnosis import Diagnosis
 from ..result import Trace
