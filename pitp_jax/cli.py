@@ -348,5 +348,11 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate", dest="steps", type=_positive, metavar="HZ", help="steps per second (default: the model's)"
     )
     parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
+    parser.add_argument(
+        "--time-constant",
+        type=_positive,
+        metavar="S",
+        help="of the closed loop of the PI steps in C (default: by the model)",
+    )
     parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
     parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")

@@ -88,7 +88,8 @@ def fit(
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
     if json_file:
-        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems)})
+        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems),
+                               "fallback": done.fallback})  # fmt: skip
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 
