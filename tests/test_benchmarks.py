@@ -87,7 +87,7 @@ def test_every_row_runs(name):
 @pytest.mark.slow
 def test_the_step_of_training_runs_as_the_table_times_it(linear):
     from benchmarks.fit import step_ways
-    from pitp_jax._train.settings import Settings
+    from pitp_jax import Settings
 
     time = np.arange(1500) * DT
     drive = 500 * (1 - np.cos(2 * np.pi * 2 * time))

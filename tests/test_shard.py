@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from typed import some
 
-from pitp_jax._errors import BadInput
-from pitp_jax._sharding import local_rows, records_mesh, sharded_rollout, spread
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax import BadInput, records_mesh, rest_state, sharded_rollout
+from pitp_jax._sharding import local_rows, spread
+from pitp_jax._simulate.decoder import rollout_batch
 
 WORKER = Path(__file__).with_name("shard_worker.py")
 PARTS = {"rollout", "inverse", "slopes"}
