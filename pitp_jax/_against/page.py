@@ -4,11 +4,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._compare.page import overlay
-from .._record.units import from_base
 from .._report import html
 from .._report.html import tag
 from .._report.lines import DRIVE, finish, line, own_axes
 from .._report.numbers import figure, percent, shown_unit, with_error
+from .._table.units import from_base
 from .result import SimToReal
 
 _DRAWN = 12  # recordings

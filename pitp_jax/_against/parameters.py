@@ -18,7 +18,7 @@ from typing import Any, Protocol, runtime_checkable
 from .._effects.physical import physical
 from .._model.model import Model
 from .._record.record import Record
-from .._record.units import base_unit
+from .._table.units import base_unit
 
 
 @runtime_checkable

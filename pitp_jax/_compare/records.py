@@ -13,7 +13,7 @@ from .._errors import BadInput, ComputationFailed
 from .._identify import Identification, identify
 from .._record.initial_state import noise_std
 from .._record.record import Record
-from .._record.units import base_unit, from_base
+from .._table.units import base_unit, from_base
 from .models import compare_models
 from .pairing import Pair, pair_records
 from .result import Comparison, Difference, measured
