@@ -3,11 +3,11 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._record.units import from_base
 from .._report import html
 from .._report.html import tag
 from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from .._report.numbers import figure, shown_unit
+from .._table.units import from_base
 from .pairing import Pair
 from .result import Comparison, Difference
 
@@ -16,9 +16,9 @@ _DRAWN = 12  # pairs of recordings, the most different first
 
 def page(found: Comparison) -> str:
     """A self-contained HTML page."""
-    return html.page(
-        found.headline(), [*_first(found), tag("h2", "Every quantity"), _table(found, found.rows), *_drawn(found)]
-    )
+    others = tuple(r for r in found.rows if not r.differs)
+    rest = [tag("h2", "What does not, or cannot be said"), _table(found, others)] if others else []
+    return html.page(found.headline(), [*_first(found), *rest, *_drawn(found)])
 
 
 def first_screen(found: Comparison) -> str:
