@@ -162,10 +162,10 @@ def test_a_single_time_constant_under_a_limit_is_the_least_squares_of_scipy(line
 
 
 @pytest.mark.parametrize("kind", ["hump", "swing"])
-def test_where_no_limit_bites_it_is_eq_13_and_shooting(nonlinear, bounded, monkeypatch, kind):
-    """The nearest motion is not asked."""
+def test_where_no_limit_bites_it_is_eq_13_and_shooting(linear, bounded, monkeypatch, kind):
+    """The nearest motion is not asked; of a model that rests at 0 V, as the first sample asks."""
     monkeypatch.setattr("pitp_jax._invert.course.nearest_motion", None)
-    model = bounded(nonlinear(2, key=3), 0.0, 4000.0, 1e9)
+    model = bounded(linear(2), 0.0, 4000.0, 1e9)
     target = hump() if kind == "hump" else Target(TIME, swing(1e-3, 3e-4, 2.0))
     found = feedforward(model, target)
     assert not (found.infeasible | found.saturated).any()
@@ -185,13 +185,14 @@ def test_the_membrane_is_not_driven_farther_than_allowed(actuator):
 
 
 def test_an_acceleration_at_the_first_sample_is_led_in_above_order_two(linear, bounded):
-    """From rest an actuator of order 3 cannot take it up at once."""
+    """From rest an actuator of order 3 cannot take it up at once, and at order 2 the first sample stays at 0 V."""
     target = Target(TIME, 5e-4 * (1 - np.cos(np.pi * TIME)))
     found = feedforward(bounded(linear(3), 0.0, 4000.0, 1e6), target)
     assert found.time[0] < TIME[0] - 0.1
     assert not found.saturated[found.target][:50].any()
     assert found.self_check_e_rms_percent < 0.1
-    assert feedforward(bounded(linear(2), 0.0, 4000.0, 1e6), target, shots=0).target[0]
+    at_two = feedforward(bounded(linear(2), 0.0, 4000.0, 1e6), target, shots=0)
+    assert not at_two.target[0] and at_two.voltage[0] == 0
 
 
 def test_rounding_a_corner_is_offered_with_its_cost(actuator):

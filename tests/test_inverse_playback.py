@@ -12,7 +12,7 @@ TIME = -0.3 + 1e-3 * np.arange(1301)
 def plan():
     u = 1000 * np.sin(np.pi * np.arange(1301) / 1300) ** 2
     flags = np.arange(1301) % 100 < 50
-    return Feedforward(TIME, u, flags, ~flags, TIME > -5e-4, 0.0, 1.0, 2.0, ())
+    return Feedforward(TIME, u, flags, ~flags, TIME > -5e-4, TIME, 0.0, 1.0, 2.0, ())
 
 
 @pytest.mark.parametrize("rate", [1500.0, 10000.0, 44100.0])

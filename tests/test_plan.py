@@ -80,13 +80,13 @@ def test_a_recording_that_may_follow_keeps_the_stroke_at_any_damping(hz):
 def test_no_drive_exceeds_the_stroke_with_half_the_damping(linear, bounded):
     """By an independent integration of the equation, at a resonance the band holds."""
     model = bounded(linear(2, 5.0, 0.04), high=1000.0, slew=1e5)
-    found = pitp.plan(model, max_displacement=1.2e-3, duration=40.0, rate=500.0)
+    found = pitp.plan(model, max_displacement=2.5e-3, duration=40.0, rate=500.0)
     a = model.physical_coefficients * [1, 0.5, 1]
     b, c, _ = cont2discrete(([1.0], a[::-1]), 1 / 500, method="foh")
     assert found.recordings
     for r in found.recordings:
         reached = np.abs(lfilter(np.ravel(b), np.ravel(c), r.voltage**2)).max()
-        assert reached <= 1.2e-3 * 1.01
+        assert reached <= 2.5e-3 * 1.01
         assert r.stroke_half_damped == pytest.approx(reached, rel=0.02)
         assert r.stroke <= r.stroke_half_damped * 1.01
 

@@ -7,8 +7,8 @@ from .._invert.feedforward_plan import Feedforward, feedforward
 from .._invert.playback import at_faster_rate, at_slower_rate
 from .._model_file.model_file import load
 from .._record.reading import read_target
-from .._record.units import from_base, to_base
 from .._record.writing import write_csv
+from .._table.units import from_base, to_base
 from .compatibility import check_kind
 from .console import number, say
 from .outputs import check_files, staged_files, write_json

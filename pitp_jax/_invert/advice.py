@@ -80,7 +80,7 @@ def on_smoothing(model: Model, wanted: np.ndarray, dt: float, percent: float, le
     if rough_share(wanted, dt, model) == 0 or not percent > 0:
         return ()
     return (
-        f"what is not smooth in the target is not played: the model's rollout is {left:.2g} m (rms) off it, "
+        f"its corners and its noise are played smoothed: the model's rollout is {left:.2g} m (rms) off the target, "
         f"{percent:.2g} % of its range",
     )
 
