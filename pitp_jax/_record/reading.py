@@ -314,6 +314,7 @@ def _records(path: Path, name: str, one: Loaded) -> list[Record]:
         "outliers": masked.outliers,
         "clipped": masked.clipped,
         "remarks": remarks,
+        "options": one.options.said(),
     }
     return [
         Record(
