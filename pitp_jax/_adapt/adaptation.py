@@ -40,7 +40,7 @@ class Changed:
     """One number that moved.
 
     Attributes:
-        factor, ci95: new over old, and the ends of its 95 % interval; nan where the model had as good as none of it.
+        factor, ci95: new over old, and the ends of its 95 % interval; nan where the model's own was practically zero.
         seconds, seconds_ci95: of a time: what it is now.
     """
 
@@ -59,7 +59,7 @@ class Adaptation(Shown):
         verdict: "unchanged", "adapted" or "retrain".
         changed: the numbers that moved, by name.
         before, after: e_rms in % of range of the model given and of the one returned.
-        heldout: whether those are of the second half, from numbers that the first half alone has told.
+        heldout: whether those are of the part of the recording that was not used for the fit.
         level: what the model left of its own records, with this sensor's noise, in % of range.
         advice: what to record where it has to be trained anew; else empty.
     """
