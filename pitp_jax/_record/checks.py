@@ -153,9 +153,7 @@ def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int]
     """
     _check_clock(time, source, column, place)
     steps = np.diff(time)
-    resolved = (
-        2 * np.spacing(np.abs(time).max()) / max(float(np.median(steps)), 1e-300)
-    )  # an epoch clock, at 100 kHz 0.02
+    resolved = 2 * np.spacing(np.abs(time).max()) / max(float(np.median(steps)), 1e-300)  # of an epoch clock
     if (steps <= 0).any() or _grid_offset(time - time[0]).max() > TIME_TOLERANCE + _ROUNDING + resolved:
         refuse_time(time, source, column, place)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
+from .._report.shown import Shown
 from .._table.units import INPUT_UNITS, from_base
 from .checks import check_samples
 
@@ -27,7 +28,7 @@ def _column(values: Any) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(Shown):
     """One excitation of one actuator, in base units.
 
     Attributes:
