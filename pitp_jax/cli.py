@@ -19,7 +19,9 @@ from importlib import import_module
 from . import __version__
 from ._commands.cache import keep_programs
 from ._commands.console import say
+from ._commands.each import json_to_standard_output, once_per_joint
 from ._commands.examples import ending
+from ._commands.ours import allow_overwriting
 from ._errors import BadInput, ComputationFailed
 
 _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of them"
@@ -48,16 +50,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     _say_anything()
     try:
-        arguments = vars(_parser().parse_args(argv))
+        arguments = vars(_parser().parse_args(_joined(sys.argv[1:] if argv is None else argv)))
         module, function = arguments.pop("runs"), arguments.pop("command")
         if not arguments.pop("no_cache", True):
             keep_programs(0.0 if module in _QUICK else 0.1)
+        allow_overwriting(arguments.pop("force", False))
         told = [name for name in arguments if name.startswith(_READING)]
         if told:
             arguments["reading"] = {name.removeprefix(_READING): arguments.pop(name) for name in told}
-        code = getattr(import_module(f"._commands.{module}", __package__), function)(**arguments)
+        code = 0
+        with json_to_standard_output(arguments):
+            for each in once_per_joint(arguments):
+                code = getattr(import_module(f"._commands.{module}", __package__), function)(**each) or code
         sys.stdout.flush()
-        return code or 0
+        return code
     except SystemExit as stop:  # argparse, after --help and --version
         return int(stop.code or 0)
     except BrokenPipeError:  # the reader of our output has had enough
@@ -74,6 +80,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
 
 
+def _joined(argv: Sequence[str]) -> list[str]:
+    """Arguments with negative numbers joined to their options: argparse takes `-2e-3` for an option."""
+    words: list[str] = []
+    for word in argv:
+        number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", word)
+        if number and words and words[-1].startswith("--") and "=" not in words[-1]:
+            words[-1] += f"={word}"
+        else:
+            words.append(word)
+    return words
+
+
 def _say_anything() -> None:
     """A terminal or pipe without a letter (Windows' code pages have no superscript minus) gets its escape instead."""
     for stream in (sys.stdout, sys.stderr):
@@ -83,7 +101,7 @@ def _say_anything() -> None:
 
 def _explain(error: Exception) -> tuple[int, str]:
     """Exit code and one line for anything that ended a command."""
-    text = _UNSAFE.sub("_", " ".join(str(error).split()))
+    text = _UNSAFE.sub("_", " ".join(str(error).splitlines()))  # blanks stay: headers may hold several
     if isinstance(error, BadInput):
         return 2, text
     if isinstance(error, ComputationFailed):
@@ -157,7 +175,10 @@ def _parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         made.set_defaults(runs=name)
-        made.add_argument("--json", dest="json_file", metavar="FILE", help="also write the result for machines")
+        made.add_argument(
+            "--json", dest="json_file", metavar="FILE", help="also write the result for machines; - is standard output"
+        )
+        made.add_argument("--force", action="store_true", help="replace output files that are not ours")
         made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
         return made
 
@@ -187,42 +208,42 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+_LENGTHS, _VOLTS = "m|mm|um|cm|nm", "V|kV|mV"
+_OTHERS = "A|mA, N|kN|N m, bar|kPa|MPa|psi, rad|deg|rev, rad/s|deg/s|rpm, m/s|m/s2, counts|percent"
+_SAID = (  # option, placeholder, type, help
+    ("time-column", "NAME", str, "exact header of the time, or its number from 1; the others likewise"),
+    ("input-column", "NAME", str, "exact header of the input"),
+    ("output-column", "NAME", str, "exact header of the output"),
+    ("time-unit", "UNIT", str, "s|ms|us|ns|min|h|d, over what the file says"),
+    ("input-unit", "UNIT", str, f"{_VOLTS}, {_LENGTHS}, {_OTHERS}, over what the file says"),
+    ("output-unit", "UNIT", str, "as for the input"),
+    ("input-scale", "S", _number, "V per V of the input (a monitor of 1 V per kV: 1000)"),
+    ("output-scale", "S", _number, "m per V of the output (a laser of 2 mm per V: 0.002)"),
+    ("rate", "HZ", _positive, "samples per second of files without time, or whose clock repeats"),
+    ("header-line", "N", int, "line that names the columns, counted from 1"),
+    ("units-line", "N|none", str, "line that holds the units"),
+    ("separator", "CHAR", str, "between cells of text: a character, tab or blank"),
+    ("decimal", ".|,", str, "decimal mark of text"),
+    ("encoding", "NAME", str, "of text: utf-8, cp1252, cp932, gb18030, ..."),
+    ("sheet", "NAME", str, "of a workbook"),
+    ("split-by", "COLUMN|sheet|group", str, "several runs in one file, a record each"),
+)
+
+
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
     """What `pitp.read` (or `read_target`, or `read_voltage`) can be told about the columns of files."""
     group = parser.add_argument_group("columns of the files", "by default names and units in the headers decide")
-    stems = {"time": "s|ms|us|ns|min", "input": "V|kV|mV", "output": "m|mm|um|cm|nm|V|mV"}
-    for stem, units in stems.items():
-        if stem == ("input" if target else "output" if drive else ""):
+    for option, placeholder, kind, text in _SAID:
+        stem = option.partition("-")[0]
+        if (stem == "input" and target) or (stem == "output" and drive) or (stem == "rate" and (target or not rate)):
             continue
         group.add_argument(
-            f"--{stem}-column", dest=f"{_READING}{stem}_column", metavar="NAME", help=f"exact header of the {stem}"
-        )
+            f"--{option}", dest=f"{_READING}{option.replace('-', '_')}", metavar=placeholder,
+            type=kind, help=text,
+        )  # fmt: skip
+    if not target and not drive:
         group.add_argument(
-            f"--{stem}-unit", dest=f"{_READING}{stem}_unit", metavar="UNIT", help=f"{units}, over what the file says"
-        )
-    if not target:
-        group.add_argument(
-            "--input-scale",
-            dest=f"{_READING}input_scale",
-            type=_number,
-            metavar="S",
-            help="V per V of the input (a monitor of 1 V per kV: 1000)",
-        )
-    if not target and rate:
-        group.add_argument(
-            "--rate",
-            dest=f"{_READING}rate",
-            type=_positive,
-            metavar="HZ",
-            help="samples per second of files without time",
-        )
-    if not drive:
-        group.add_argument(
-            "--output-scale",
-            dest=f"{_READING}output_scale",
-            type=_number,
-            metavar="S",
-            help="m per V of the output (a laser of 2 mm per V: 0.002)",
+            "--each", action="append", metavar="NAME=INPUT,OUTPUT", help="a joint of a log, once per joint; repeatable"
         )
 
 
@@ -347,7 +368,9 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
     )
-    parser.add_argument("--seconds", type=_positive, metavar="S", help="of computing; then the best so far is told")
+    parser.add_argument(
+        "--seconds", type=_positive, metavar="S", help="limit of the run time; the best result so far is reported"
+    )
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
     _columns(parser)
 

@@ -1,5 +1,6 @@
 """`pitp check`: what was read, how each record begins, and whether the set is enough."""
 
+import os
 from pathlib import Path
 
 from .._check.check import Check, checked
@@ -7,12 +8,13 @@ from .._check.page import page
 from .._model_file.model_file import load
 from .._record.reading import read_each
 from .._record.writing import write_csv, write_text_atomic
+from .._table.options import folder_file
 from .._table.units import base_unit, column_name
 from .console import number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
 from .recordings import recognised
 
-PAGE = "check.html"
+PAGE, SOURCE = "check.html", "source.toml"
 
 
 def check(records, model, out, json_file, reading) -> None:
@@ -41,7 +43,7 @@ def check(records, model, out, json_file, reading) -> None:
     sources = [*inputs, *(r.source for r in read_in)]
     check_files(json_file, inputs=sources)
     if out is not None:
-        check_folder(out, [*files.values(), PAGE], inputs=[*sources, *([json_file] if json_file else [])])
+        check_folder(out, [*files.values(), PAGE, SOURCE], inputs=[*sources, *([json_file] if json_file else [])])
     with staged_files(json_file) as (json_stage,):
         if json_file:
             write_json(json_stage, found.as_json())
@@ -64,6 +66,8 @@ def _write(found: Check, files: dict[str, str], folder: Path) -> None:
         columns = {"time_s": record.time, drive: record.voltage, output: record.displacement}
         write_csv(path, columns)
     write_text_atomic(folder / PAGE, page(found))
+    said = {os.path.basename(r.source): r.recognised["options"] for r in found.understood if "options" in r.recognised}
+    write_text_atomic(folder / SOURCE, folder_file(said))
 
 
 def _print(found: Check) -> None:

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
-from .._record.writing import write_text_atomic
+from .._record.writing import is_stream, write_text_atomic
+from .ours import check_folder_replaceable, check_replaceable
 
 REPORT = "report.html"  # the page beside what a command writes
 
@@ -35,7 +36,7 @@ def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) 
     """
     taken = {Path(os.path.realpath(path)): path for path in inputs}
     for path in outputs:
-        if path is None:
+        if path is None or is_stream(path):
             continue
         target = Path(os.path.realpath(path))
         if target.is_dir() or not target.name or str(path).endswith(("/", os.sep)):
@@ -46,6 +47,7 @@ def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) 
             raise BadInput(f"{path}: no right to write there; choose a place you may write to")
         if target in taken:
             raise BadInput(f"{path}: is already used as {taken[target]}; choose another name for the output")
+        check_replaceable(target, path)
         if not target.exists() or target.is_file():  # /dev/stdout may be given twice
             taken[target] = path
 
@@ -68,12 +70,14 @@ def check_folder(folder: str, names: Iterable[str], inputs: Iterable[str | os.Pa
     if not os.access(existing, os.W_OK | os.X_OK):
         raise BadInput(f"{folder}: no right to write in {existing}; choose a place you may write to")
     taken = {Path(os.path.realpath(path)) for path in inputs}
+    names = list(names)
     for name in names:
         file = target / name
         if Path(os.path.realpath(file)) in taken:
             raise BadInput(f"{folder}: {name} would replace a file that is read; choose another folder")
         if file.is_dir():
             raise BadInput(f"{folder}: {name} is a folder there; remove it or choose another folder")
+    check_folder_replaceable(target, names, folder)
 
 
 @contextmanager
@@ -90,7 +94,7 @@ def staged_files(*outputs: str | None) -> Iterator[list[str]]:
     names: list[str] = []
     for path in outputs:
         target = Path(os.path.realpath(path)) if path else None
-        if target is not None and (target.is_file() or not target.exists()):
+        if path and target is not None and not is_stream(path):
             stage = str(target.parent / f".pitp-{secrets.token_hex(8)}-{target.name}")
             stages[stage] = target
             names.append(stage)
@@ -100,6 +104,8 @@ def staged_files(*outputs: str | None) -> Iterator[list[str]]:
         yield names
         for stage, target in stages.items():
             if os.path.exists(stage):
+                if target.exists():
+                    os.chmod(stage, target.stat().st_mode & 0o7777)  # the mode stays
                 os.replace(stage, target)
     except BadInput as error:
         text = str(error)

@@ -14,6 +14,7 @@ from .._errors import ComputationFailed
 from .._model.model import Hold
 from .._record.initial_state import noise_std
 from .._record.record import Record
+from .._report.shown import Shown
 from .linear_ode import polynomial, polynomial_slopes
 from .output_error import OutputError, covariance, residual
 
@@ -22,8 +23,8 @@ from .output_error import OutputError, covariance, residual
 AUTO_TOLERANCE = 1.1
 
 
-@dataclass(frozen=True)
-class OrderFit:
+@dataclass(frozen=True, repr=False)
+class OrderFit(Shown):
     """One identified order.
 
     Attributes:

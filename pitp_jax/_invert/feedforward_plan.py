@@ -15,6 +15,7 @@ import numpy as np
 
 from .._model.model import Model
 from .._record.reading import Target
+from .._report.shown import Shown
 from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import rest_state, settled_state
 from .._simulate.prediction import at_rate, outside_share
@@ -27,8 +28,8 @@ _SHOTS = 6
 _WAITS = 100_000  # samples until a machine stands
 
 
-@dataclass(frozen=True)
-class Feedforward:
+@dataclass(frozen=True, repr=False)
+class Feedforward(Shown):
     """A voltage to play, and how far it can be trusted.
 
     Attributes:

@@ -152,7 +152,9 @@ def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int]
         BadInput: with the first offending sample; for a gap or a dropped sample that is the one after it.
     """
     _check_clock(time, source, column, place)
-    if (np.diff(time) <= 0).any() or _grid_offset(time).max() > TIME_TOLERANCE + _ROUNDING:
+    steps = np.diff(time)
+    resolved = 2 * np.spacing(np.abs(time).max()) / max(float(np.median(steps)), 1e-300)  # of an epoch clock
+    if (steps <= 0).any() or _grid_offset(time - time[0]).max() > TIME_TOLERANCE + _ROUNDING + resolved:
         refuse_time(time, source, column, place)
 
 

@@ -54,7 +54,11 @@ def noise_std(displacement: np.ndarray) -> float:
     fifth = fifth[np.isfinite(fifth)]
     if len(fifth) == 0:
         return 0.0
-    return float(min(1.4826 * np.median(np.abs(fifth)), fifth.std()) / np.sqrt(252.0))
+    noise = float(min(1.4826 * np.median(np.abs(fifth)), fifth.std()) / np.sqrt(252.0))
+    if noise == 0.0 and fifth.any():  # a sensor that mostly repeats its value: that of its steps
+        steps = np.abs(np.diff(displacement))
+        return float(np.min(steps[steps > 0])) / np.sqrt(12.0)
+    return noise
 
 
 def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]:
@@ -67,8 +71,9 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
         BadInput: none moves.
     """
     ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
+    # Under a constant drive only a motion as large as the others' counts: coloured noise has any range
     moves = [
-        w > 0 and (w > _SMALL * max(ranges) or w > _STILL * noise_std(r.displacement))
+        w > 0 and (w > _SMALL * max(ranges) or (np.ptp(r.voltage) > 0 and w > _STILL * noise_std(r.displacement)))
         for r, w in zip(records, ranges, strict=True)
     ]
     if not any(moves):

@@ -12,12 +12,15 @@ step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A moti
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from .initial_state import noise_std
 
 _FAR, _LONGEST_SPIKE = 10.0, 3
 _SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; share of the drive's range it must move by in them
 _NOISY = 0.05  # of a step is the noise at least, and of neighbouring samples are equal at most, to tell a limit
+_NOISE_OF_STEP = 0.002  # noise of a good laser beside the steps of its motion; rounding to six digits is below
+_JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the drive, and of its range: from there on it steps
 _FEWEST_VALUES = 32  # distinct ones, below which a record is no measured motion (two levels, a counter)
 
 
@@ -54,11 +57,12 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     if len(moving) < _FEWEST_VALUES:
         return Masked(displacement)
     step = float(np.median(moving))
-    bad = _off_scale(y) | _spikes(y, step)
-    clipped = np.zeros_like(bad)
+    drive = voltage[seen]
+    off_scale, jumps = _off_scale(y), _jumps(drive)
+    bad = off_scale | (_spikes(y, step) & ~jumps)
     if noise_std(y) > _NOISY * step:  # else a stop, a rest or a step stands as still as a limit
-        bad |= _stuck(y, step)
-        clipped = _clipped(np.where(bad, np.nan, y), voltage[seen])
+        bad |= _stuck(y, step, drive) & ~jumps
+    clipped = _clipped(np.where(bad, np.nan, y), drive)
     if 2 * bad.sum() > len(y):
         return Masked(displacement)
     if not bad.any() and not clipped.any():
@@ -68,6 +72,13 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     largest = off[np.argmax(np.abs(off - np.median(y)))] if bad.any() else np.nan
     limit = y[clipped][0] if clipped.any() else np.nan
     return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit))
+
+
+def _jumps(drive: np.ndarray) -> np.ndarray:
+    """Samples near which the drive steps: what the output does there is its answer, not a fault of the sensor."""
+    steps = np.abs(np.diff(drive, prepend=drive[:1]))
+    far = steps > max(_JUMP * float(np.median(steps)), _JUMP_OF_RANGE * float(np.ptp(drive)))
+    return scipy.ndimage.binary_dilation(far, iterations=_LONGEST_SPIKE + 3) if far.any() else far
 
 
 def _spikes(y: np.ndarray, step: float) -> np.ndarray:
@@ -94,6 +105,10 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
     values = np.unique(y)
     while len(values) > _FEWEST_VALUES:
         low, high = values[1] - values[0], values[-1] - values[-2]
+        if min(low, high) > values[-2] - values[1] > 0:  # both ends of its range, such as +99.999 and -99.999
+            bad |= (y == values[0]) | (y == values[-1])
+            values = values[1:-1]
+            continue
         if high > values[-2] - values[0]:
             bad |= y == values[-1]
             values = values[:-1]
@@ -112,10 +127,20 @@ def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
     return [(int(edges[k]), int(edges[k + 1])) for k in long]
 
 
-def _stuck(y: np.ndarray, step: float) -> np.ndarray:
-    """Runs of one value that are entered and left by a jump, up to a tenth of the record."""
-    bad = np.zeros(len(y), dtype=bool)
-    for begin, end in _runs(y, _LONGEST_SPIKE + 1):
+def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> np.ndarray:
+    """Runs of one value that are entered and left by a jump while the drive moves, up to a tenth of the record.
+
+    Of a sensor whose neighbouring samples differ everywhere else: else a held value may be stiction.
+    """
+    bad, runs = np.zeros(len(y), dtype=bool), _runs(y, _LONGEST_SPIKE + 1)
+    held = np.zeros(len(y) - 1, dtype=bool)
+    for begin, end in runs:
+        held[begin : end - 1] = True
+    if held.all() or np.mean((y[1:] == y[:-1])[~held]) >= _NOISY:
+        return bad
+    for begin, end in runs:
+        if np.ptp(drive[begin:end]) == 0:
+            continue
         if begin < 3 or end > len(y) - 3 or end - begin > len(y) // 10:
             continue
         before, after = y[begin - 3 : begin], y[end : end + 3]
@@ -126,12 +151,18 @@ def _stuck(y: np.ndarray, step: float) -> np.ndarray:
 
 
 def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
-    """Runs of the extreme value while the drive moves, of a sensor that is noisy elsewhere."""
+    """Runs of the extreme value while the drive moves, of a sensor that is noisy elsewhere.
+
+    Noise counts only away from these runs: a record at its limit for most of the time has a median step of zero.
+    """
     bad = np.zeros(len(y), dtype=bool)
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)
     for begin, end in _runs(y, _SHORTEST_CLIP):
         if y[begin] in (low, high) and np.ptp(voltage[begin:end]) > _MOVES * swing:
             bad[begin:end] = True
-    inside = bad[1:] & bad[:-1]
-    elsewhere = (y[1:] == y[:-1])[~inside]
-    return bad if bad.any() and np.mean(elsewhere) < _NOISY else np.zeros_like(bad)
+    steps = np.abs(np.diff(y))[~(bad[1:] & bad[:-1])]
+    moving = steps[steps > 0]
+    if not bad.any() or not len(moving) or np.mean(steps == 0) >= _NOISY:
+        return np.zeros_like(bad)
+    quiet = noise_std(np.where(bad, np.nan, y)) <= _NOISE_OF_STEP * float(np.median(moving))
+    return np.zeros_like(bad) if quiet else bad  # without any noise it is a stop

@@ -11,12 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from .._table.units import from_base
+from .._errors import BadInput
+from .._report.shown import Shown
+from .._table.units import INPUT_UNITS, from_base
 from .checks import check_samples
 
 
-@dataclass(frozen=True)
-class Record:
+def _column(values: Any) -> np.ndarray:
+    """Values as float64 of our own, not the caller's: spans of time in s, masked samples nan."""
+    if np.ma.isMaskedArray(values):
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    values = np.asarray(values)
+    if values.dtype.kind == "m":
+        values = values / np.timedelta64(1, "s")
+    return np.array(values, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Record(Shown):
     """One excitation of one actuator, in base units.
 
     Attributes:
@@ -28,7 +40,7 @@ class Record:
         displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
         source: where it came from, for messages.
         recognised: what the reader saw in the file and did to it: `file`, `time`, `input`, `output` in words, counts
-            `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user; no part of equality.
+            `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user.
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, non-uniform time, missing input, no finite output.
@@ -46,7 +58,10 @@ class Record:
     def __post_init__(self):
         """Refuse what no later step could use (the readers give the file, column and sample as well)."""
         for name in ("time", "voltage", "displacement"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+            object.__setattr__(self, name, _column(getattr(self, name)))
+        for unit in (self.voltage_unit, self.displacement_unit):
+            if unit not in INPUT_UNITS:
+                raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; one of {', '.join(INPUT_UNITS)}")
         check_samples(self.time, self.voltage, self.displacement, self.source or f"record {self.name!r}")
 
     def __repr__(self) -> str:

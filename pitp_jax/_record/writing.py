@@ -30,13 +30,18 @@ def write_bytes_atomic(path: str | os.PathLike, data: bytes) -> None:
     """
     target = Path(os.path.realpath(path))
     try:
-        if target.exists() and not target.is_file() and not target.is_dir():
-            with open(target, "wb") as file:
+        if is_stream(path):
+            with open(path, "wb") as file:  # as given: the real path of a pipe's link is none
                 file.write(data)
         else:
             _replace(target, data)
     except OSError as error:
         raise BadInput(f"cannot write {path}: {error.strerror or error}; {_remedy(error)}") from None
+
+
+def is_stream(path: str | os.PathLike) -> bool:
+    """Whether a path is a pipe or a device, which is written to as it is."""
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
 def _replace(target: Path, data: bytes) -> None:
@@ -46,6 +51,8 @@ def _replace(target: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
+        if target.exists():
+            os.chmod(temporary, target.stat().st_mode & 0o7777)  # the mode stays
         os.replace(temporary, target)
     except BaseException:  # also an interrupt must not leave the temporary file
         temporary.unlink(missing_ok=True)

@@ -164,8 +164,11 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
                 pools[quantity] = exact
     if "time" in quantities and "time" not in pools:
         pools["time"] = _clocks(open_)
-    clocks = pools.get("time", [])
-    data = [s for s in open_ if s.kind != "time" and s.role != "time" and s.column.form != "stamp" and s not in clocks]
+    clocks = [*pools.get("time", [])]
+    clocks += [
+        s for s in open_ if s.kind == "time" or (s.kind is None and s.role == "time") or s.column.form == "stamp"
+    ]
+    data = [s for s in open_ if s not in clocks]
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
     sensed = [s for s in volts if s.role == "output"]
     driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
@@ -198,7 +201,7 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
     """Columns of the usual unit; where none of them is named so, also those that are, without a unit."""
-    bare = [s for s in data if s.role == role and s.kind is None]
+    bare = [s for s in data if s.role == role and s.kind is None and s.unknown is None]
     return [*united] if any(s.role == role for s in united) else [*united, *bare]
 
 
@@ -288,7 +291,7 @@ def _own_clock(ports: Sequence[_Seen]) -> Choice:
     """
     clocks = [s.column.clock for s in ports if s.column.clock is not None]
     if len(clocks) < len(ports) or not clocks:
-        raise _Ask("time column time_{s,ms,us,...} is missing; give --time-column NAME or --rate HZ")
+        raise _Ask(f"the {_WORD['time']} is missing")
     if any(not np.allclose(clock, clocks[0], rtol=1e-9, atol=1e-9) for clock in clocks):
         steps = ", ".join(f"{step:g} s" for _, step in clocks)
         raise _Ask(f"{_names([s.column.name for s in ports])} have clocks that differ (steps {steps}); give --rate HZ")

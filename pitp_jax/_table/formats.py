@@ -25,10 +25,12 @@ from .._errors import BadInput
 from .guard import check_archive, check_columns, check_unfolded, cleaned, file_bytes, guarded
 from .header import Rows, layouts
 from .matlab import flat
+from .names import read_header
 from .options import ReadOptions
 from .stamps import over_midnight
 from .table import Table, array_table
 from .text import text_tables
+from .units import kind_of, spelt
 
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".lvm")
 _HEAD, _ROWS = 200, 1 << 20  # rows looked at; the most a sheet has
@@ -209,8 +211,15 @@ def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: st
     words = " ".join(map(str, text.reshape(-1))) if text is not None and text.dtype.kind == "U" else ""
     said = re.split(r"[\s,;]+", words.strip())
     names = _vectors(variables)
-    beside = dict(zip(names, said, strict=True)) if len(said) == len(names) else {}
+    fits = len(said) == len(names) and all(_suits(n, unit) for n, unit in zip(names, said, strict=True))
+    beside = dict(zip(names, said, strict=True)) if fits else {}
     return array_table(path, variables, f"MATLAB file{more}", beside=beside, part=part)
+
+
+def _suits(name: str, unit: str) -> bool:
+    """Whether a unit may be that of a variable of this name: times have those of time, others do not."""
+    role, kind = read_header(name).role, kind_of(spelt(unit))
+    return role is None or kind is None or (role == "time") == (kind == "time")
 
 
 def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:

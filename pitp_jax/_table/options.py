@@ -5,10 +5,12 @@ u = input_scale * column,    y = output_scale * column,    t_i = i / rate where 
 A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option names; what the caller says wins.
 """
 
+import json
 import math
 import tomllib
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatch
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -111,14 +113,31 @@ class ReadOptions:
         """The scale asked for; None for the time."""
         return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
 
+    def said(self) -> dict[str, Any]:
+        """What is not None, by the long names of options."""
+        values = {f.name.replace("_", "-"): getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
     def words(self) -> list[str]:
         """The options as a command line has them."""
-        said = {f.name: getattr(self, f.name) for f in fields(self)}
-        return [w for n, v in said.items() if v is not None for w in (f"--{n.replace('_', '-')}", _word(v))]
+        return [word for name, value in self.said().items() for word in (f"--{name}", _word(value))]
 
 
 def _word(value: Any) -> str:
     return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def folder_file(said: dict[str, dict[str, Any]]) -> str:
+    """The text of a `pitp.toml` that says this of each file.
+
+    Args:
+        said: options by file name.
+    """
+    lines = ["# put beside the sources as pitp.toml, this reads them as pitp check did"]
+    for name, options in said.items():
+        values = [f"{key} = {json.dumps(v, ensure_ascii=False)}" for key, v in options.items()]
+        lines += ["", f"[{json.dumps(escape(name), ensure_ascii=False)}]", *values]
+    return "\n".join(lines) + "\n"
 
 
 def with_folder(options: ReadOptions, path: Path) -> ReadOptions:

@@ -27,8 +27,9 @@ def test_a_folder_of_records_is_not_overwritten(call, bench, tmp_path):
     record = write_record(folder / "sine2.csv", *motion("sine2"))
     before = record.read_bytes()
     assert "replace" in refused(call("predict", bench / "nominal", folder, "--out", folder))
-    assert "already used" in refused(call("predict", bench / "nominal", folder, "--json", record))
-    assert "already used" in refused(call("identify", folder, "--out", record))
+    assert "not written by pitp" in refused(call("predict", bench / "nominal", folder, "--json", record))
+    assert "not written by pitp" in refused(call("identify", folder, "--out", record))
+    assert "already used" in refused(call("identify", folder, "--out", record, "--force"))
     assert record.read_bytes() == before
     assert tree(folder) == ["sine2.csv"]
 
@@ -63,15 +64,15 @@ def test_predict_on_a_full_disk_leaves_nothing(call, bench, tmp_path, full_disk,
     out, file = tmp_path / "a" / "d", tmp_path / "j"
     if existing:
         out.mkdir(parents=True)
-        (out / "sine2.csv").write_text("old")
-        file.write_text("old")
+        (out / "sine2.csv").write_text('{"old": 1}')
+        file.write_text('{"old": 1}')
     before = tree(tmp_path)
     full_disk(files)
     argv = ["predict", bench / "nominal", bench / "records", "--out", out, "--json", file]
     assert "No space left" in refused(call(*argv))
     assert tree(tmp_path) == before
     if existing:
-        assert (out / "sine2.csv").read_text() == file.read_text() == "old"
+        assert (out / "sine2.csv").read_text() == file.read_text() == '{"old": 1}'
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")

@@ -1,0 +1,59 @@
+"""Which files an output may replace: what pitp wrote, and nothing of the user's.
+
+ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    what lies beside a page of ours
+"""
+
+import re
+from collections.abc import Iterable
+from contextvars import ContextVar
+from pathlib import Path
+
+from .._errors import BadInput
+
+_FORCED: ContextVar[bool] = ContextVar("forced", default=False)
+_HEAD = 4096  # bytes
+_BEGINS = (b"pitp_jax model ", b"{")
+_RESULT = re.compile(rb"time_s,.*(predicted|target|infeasible|added_input)_?")
+
+
+def allow_overwriting(forced: bool) -> None:
+    """Say whether `--force` was given."""
+    _FORCED.set(forced)
+
+
+def check_replaceable(file: Path, shown: object) -> None:
+    """Refuse to replace a file that is not ours.
+
+    Args:
+        file: what would be replaced, if it exists.
+        shown: its name for the message.
+
+    Raises:
+        BadInput: it is somebody's, and `--force` was not given.
+    """
+    if _FORCED.get() or not file.is_file():
+        return
+    with open(file, "rb") as stream:
+        head = stream.read(_HEAD)
+    if head and not head.startswith(_BEGINS) and not _RESULT.match(head.partition(b"\n")[0]):
+        raise BadInput(f"{shown}: exists and was not written by pitp; choose another name, or --force replaces it")
+
+
+def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) -> None:
+    """Refuse to write records and a page over somebody's files of the same names, where no page of ours lies beside.
+
+    Args:
+        folder: to be written to.
+        names: of the files.
+        shown: the folder for the message.
+
+    Raises:
+        BadInput: with the first file that is not ours.
+    """
+    names = list(names)
+    pages = [folder / name for name in names if name.endswith(".html")]
+    if not pages or any(page.is_file() and b"--ink" in page.read_bytes()[:_HEAD] for page in pages):
+        return
+    for name in names:
+        if name.endswith((".csv", ".html")):
+            check_replaceable(folder / name, f"{shown}/{name}")

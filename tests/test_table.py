@@ -1,0 +1,383 @@
+"""Files to columns: units against pint, names, dialects with random names and units, what must be asked, pitp.toml."""
+
+import shlex
+from datetime import datetime, timedelta
+from typing import Any
+
+import h5py
+import numpy as np
+import pint
+import pytest
+import scipy.io
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, text
+
+import pitp_jax as pitp
+from pitp_jax._errors import BadInput
+from pitp_jax._record import read
+from pitp_jax._table.names import read_header
+from pitp_jax._table.units import INPUT_UNITS, TIME_UNITS, base_unit, column_name, from_base, spelt, to_base
+
+QUIET = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+_PINT = {"rev": "turn", "deg/s": "degree/second", "N m": "newton*meter", "mN m": "millinewton*meter", "m/s2": "m/s**2"}
+_PINT |= {"counts": "count", "h": "hour", "d": "day", "min": "minute"}
+
+
+@pytest.mark.parametrize("unit", [*TIME_UNITS, *INPUT_UNITS])
+def test_every_factor_is_pints(unit):
+    registry = pint.UnitRegistry()
+    name, base = (_PINT.get(u, u) for u in (unit, base_unit(unit)))
+    assert to_base(1.0, unit) == pytest.approx(registry.Quantity(1.0, name).to(base).magnitude, rel=1e-14)
+    assert from_base(to_base(2.5, unit), unit) == pytest.approx(2.5, rel=1e-15)
+    assert spelt(unit) == unit
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "unknown"),
+    [
+        ("Field V/um", None, "V/um"),
+        ("stiffness N/m", None, "N/m"),
+        ("d33 pm/V", None, "pm/V"),
+        ("v_m/s", "m/s", None),
+        ("Time (100us)", None, "100us"),
+        ("Temp (degC)", None, "degC"),
+        ("Channel A", None, None),
+        ("motor current A", "A", None),
+        ("C1 in V", "V", None),
+        ("電圧（kV）", "kV", None),
+        ("変位（㎜）", "mm", None),
+        ("Перемещение, мкм", "um", None),
+        ("torque [Nm]", "N m", None),
+        ("length [nm]", "nm", None),
+        ("acc (m/s²)", "m/s2", None),
+        ("angle_deg", "deg", None),
+        ("101 <HV> (VDC)", "V", None),
+    ],
+)
+def test_units_in_headers(header, unit, unknown):
+    seen = read_header(header)
+    assert (seen.unit, seen.unknown) == (unit, unknown)
+
+
+def csv_of(path, names, values, separator=",", above=(), below=()):
+    rows = [*above, separator.join(names), *below]
+    rows += [separator.join(f"{v:.9g}" for v in row) for row in zip(*values, strict=True)]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def tried(message: str) -> dict[str, Any]:
+    """The options of the command that a refusal ends with."""
+    assert len(message) <= 587, len(message)  # `pitp: error: ` stands before it
+    words = shlex.split(message.rpartition("try: pitp check ")[2])
+    kinds = {"rate": float, "input_scale": float, "output_scale": float, "header_line": int}
+    options = dict(zip((w[2:].replace("-", "_") for w in words[1::2]), words[2::2], strict=True))
+    return {k: v if v.isupper() and len(v) > 2 else kinds.get(k, str)(v) for k, v in options.items()}
+
+
+WORDS = st.sampled_from(["Rig 3", "drive", "Kanal 1", "HV out", "probe", "AI 0", "Keyence", "elapsed", "a b", "x"])
+LENGTHS, VOLTS = st.sampled_from(["m", "mm", "um", "cm", "nm"]), st.sampled_from(["V", "kV", "mV"])
+CLOCKS = st.sampled_from(["s", "ms", "us"])
+
+
+def same(record, drive, motion, rtol=1e-6):
+    np.testing.assert_allclose(record.voltage, drive, rtol=rtol, atol=rtol * np.ptp(drive))
+    np.testing.assert_allclose(record.displacement, motion, rtol=rtol, atol=rtol * np.ptp(motion))
+    np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-8)
+
+
+@pytest.mark.slow
+@QUIET
+@given(data=st.data())
+def test_units_rows_below_any_names(tmp_path, data):
+    """Names of any words over a row of units: the units choose the columns, others beside are left."""
+    clock, volts, length = data.draw(CLOCKS), data.draw(VOLTS), data.draw(LENGTHS)
+    names = [f"{data.draw(WORDS)} {k}" for k in range(4)]
+    values = [from_base(TIME, clock), from_base(VOLTAGE, volts), from_base(OUTPUT / 50, length), TIME + 20]
+    order = data.draw(st.permutations(range(4)))
+    units = [clock, volts, length, data.draw(st.sampled_from(["degC", "g", "-", "N"]))]
+    bracket = data.draw(st.sampled_from(["{}", "({})", "[{}]"]))
+    row = ";".join(bracket.format(units[k]) for k in order)
+    above = data.draw(st.sampled_from([(), ("Rig 3;;;",), ("Date: 24 Nov", "Operator;lab;;")]))
+    path = csv_of(tmp_path / "a.csv", [names[k] for k in order], [values[k] for k in order], ";", above, [row])
+    same(read(path)[0], VOLTAGE, OUTPUT / 50)
+
+
+@pytest.mark.slow
+@QUIET
+@given(data=st.data())
+def test_labview_measurements(tmp_path, data):
+    """Signed by LabVIEW: separator, decimal mark, names of several words and units of any channel."""
+    decimal, mark = data.draw(st.sampled_from(".,")), data.draw(st.sampled_from(["\t", ""]))
+    volts, length = data.draw(st.sampled_from(["Volts", "kV"])), data.draw(st.sampled_from(["Millimeters", "um"]))
+    head = ["LabVIEW Measurement", "Writer_Version\t2", "Separator\tTab", f"Decimal_Separator\t{decimal}"]
+    head += ["X_Columns\tOne", "***End_of_Header***\t", "", "Channels\t2", f"Y_Unit_Label\t{volts}\t{length}"]
+    head += ["X_Dimension\tTime\tTime", "X0\t0.0\t0.0", "Delta_X\t0.001\t0.001", "***End_of_Header***\t\t"]
+    head += [f"X_Value\t{data.draw(WORDS)} in\t{data.draw(WORDS)} beside\tComment"]
+    drive, motion = VOLTAGE / (1000 if volts == "kV" else 1), OUTPUT * (1000 if length == "um" else 1)
+    rows = [
+        "\t".join(f"{v:.9f}" for v in row).replace(".", decimal) + mark for row in zip(TIME, drive, motion, strict=True)
+    ]
+    (tmp_path / "a.lvm").write_text("\n".join(head + rows) + "\n")
+    same(read(tmp_path / "a.lvm")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+@pytest.mark.slow
+@QUIET
+@given(data=st.data())
+def test_twincat_scopes(tmp_path, data):
+    volts, length = data.draw(VOLTS), data.draw(LENGTHS)
+    pairs = {"Name": ("a b", "c"), "SymbolName": ("M.a", "M.c"), "SampleTime[ms]": ("1", "1"), "Unit": (volts, length)}
+    head = ["Name\tscope", "", *(f"{key}\t{a}\t{key}\t{b}" for key, (a, b) in pairs.items()), ""]
+    values = (TIME * 1e3, from_base(VOLTAGE, volts), TIME * 1e3, from_base(OUTPUT / 50, length))
+    rows = ["\t".join(f"{v:.9g}" for v in row) for row in zip(*values, strict=True)]
+    (tmp_path / "a.txt").write_text("\n".join(head + rows))
+    same(read(tmp_path / "a.txt")[0], VOLTAGE, OUTPUT / 50)
+
+
+@pytest.mark.slow
+@QUIET
+@given(
+    script=st.sampled_from([
+        ("cp1252", "Zeit [s]", "Höhe über Spannung [kV]", "Weg [µm]", "um"),
+        ("cp932", "時間[s]", "高電圧[kV]", "変位[mm]", "mm"),
+        ("gb18030", "时间(s)", "电压(kV)", "位移(mm)", "mm"),
+        ("cp1251", "Время, мс", "Напряжение, кВ", "Перемещение, мм", "mm"),
+    ]),
+    order=st.permutations(range(3)),
+)  # fmt: skip
+def test_encodings_are_told_apart_by_columns_and_units(tmp_path, script, order):
+    encoding, *names, unit = script
+    clock = 1e3 if "мс" in names[0] else 1.0
+    values = (TIME * clock, VOLTAGE / 1000, from_base(OUTPUT / 50, unit))
+    body = csv_of(tmp_path / "a.csv", [names[k] for k in order], [values[k] for k in order], ";").read_text("utf-8")
+    (tmp_path / "a.csv").write_bytes(body.encode(encoding))
+    record = read(tmp_path / "a.csv")[0]
+    same(record, VOLTAGE, OUTPUT / 50)
+    assert encoding in record.recognised["file"] or encoding == "cp1252"
+
+
+@pytest.mark.slow
+@QUIET
+@given(data=st.data())
+def test_channels_of_a_scope_are_asked_about_and_the_command_answers(tmp_path, data):
+    """Two channels in volts and no name that tells: refused, with the complete command to try."""
+    first, second = data.draw(
+        st.sampled_from([("CH1", "CH2"), ("Channel A", "Channel B"), ("1", "2"), ("C1 in V", "C2 in V")])
+    )
+    head, rows = data.draw(
+        st.sampled_from([("X", "Second,Volt,Volt"), ("x-axis", "second,Volt,Volt"), ("Time", "(s),(V),(V)")])
+    )
+    path = csv_of(tmp_path / "a.csv", [head, first, second], (TIME, VOLTAGE / 1000, OUTPUT / 2), below=[rows])
+    options = tried(refused(path))
+    assert (options["input_column"], options["output_column"]) == (first, second)
+    assert options["input_scale"] == options["output_scale"] == "SCALE"
+    same(read(path, **{**options, "input_scale": 1000.0, "output_scale": 0.002})[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_row_names_of_r_are_no_time(tmp_path):
+    for separator in (" ", ","):
+        rows = [separator.join(f'"{n}"' for n in columns())]
+        rows += [
+            separator.join((f'"{k + 1}"', *map(str, row)))
+            for k, row in enumerate(zip(*columns().values(), strict=True))
+        ]
+        (tmp_path / "a.txt").write_text("\n".join(rows))
+        same(read(tmp_path / "a.txt")[0], VOLTAGE, OUTPUT * 1e-3)
+    (tmp_path / "a.txt").write_text("\n".join(rows).replace('"7"', '"9"'))
+    assert "3 names over rows of 4 cells" in refused(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize(
+    ("names", "below", "word"),
+    [
+        (("Time (s)", "Voltage (kV)", "Displacement (mm)"), ["s,V,V"], "its name says kV, the units beside it say V"),
+        (("Time (fortnights)", "Voltage (V)", "Displacement (mm)"), [], "unknown unit 'fortnights'"),
+        (("t", "U (kV)", "Field V/um"), [], "the output (displacement_mm"),
+        (("time_s", "Voltage", "Load cell (mV)"), [], "two matches for the input"),
+        (("time_s", "Input (V)", "Output (V)"), [], "ports of the DAQ"),
+        (("time_s", "cmd 1 [rad]", "cmd 2 [rad]"), [], "two matches for the input"),
+    ],
+)
+def test_what_is_not_certain_is_asked(tmp_path, names, below, word):
+    assert word in refused(csv_of(tmp_path / "a.csv", names, (TIME, VOLTAGE, OUTPUT), below=below))
+
+
+def test_a_clock_that_ticks_in_fractions_of_known_units(tmp_path):
+    path = csv_of(tmp_path / "a.csv", ("Time (msecs)", "Voltage (V)", "x (mm)"), (TIME * 1e3, VOLTAGE, OUTPUT))
+    same(read(path)[0], VOLTAGE, OUTPUT * 1e-3)
+    path = csv_of(tmp_path / "a.csv", ("Time (h)", "Voltage (V)", "x (mm)"), (TIME / 3600, VOLTAGE, OUTPUT))
+    same(read(path)[0], VOLTAGE, OUTPUT * 1e-3, 1e-5)
+
+
+def test_comments_are_units_only_as_whole_lists_of_pairs(tmp_path):
+    path = csv_of(tmp_path / "a.csv", columns(), columns().values(), above=["# time_s: min 0 max 0.8", "# voltage: v2"])
+    same(read(path)[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("unit", "other", "names"),
+    [
+        ("rad", "rad", ("cmd", "position")), ("deg", "deg", ("setpoint", "measured")), ("bar", "mm", ("p", "x")),
+        ("N m", "deg", ("torque", "joint")), ("A", "rad/s", ("current", "speed")), ("percent", "rpm", ("pwm", "n")),
+        ("V", "bar", ("valve", "p")), ("psi", "rev", ("p", "angle")), ("counts", "counts", ("cmd", "encoder")),
+    ],
+)  # fmt: skip
+def test_units_of_any_machine(tmp_path, unit, other, names):
+    """Commands drive and measurements answer, efforts drive and motions answer; written and read back in base units."""
+    heads = ["time_s", f"{names[0]} [{unit}]", f"{names[1]} [{other}]"]
+    (record,) = read(csv_of(tmp_path / "a.csv", heads, (TIME, VOLTAGE, OUTPUT + 2)))
+    np.testing.assert_allclose(record.voltage, to_base(VOLTAGE, unit), rtol=1e-8)
+    np.testing.assert_allclose(record.displacement, to_base(OUTPUT + 2, other), rtol=1e-8)
+    assert (record.voltage_unit, record.displacement_unit) == (unit, other) and f" {other}" in repr(record)
+    written = {"time_s": TIME, column_name("voltage", unit): VOLTAGE, column_name("displacement", other): OUTPUT + 2}
+    save_csv(tmp_path / "b.csv", written)
+    np.testing.assert_allclose(read(tmp_path / "b.csv")[0].voltage, record.voltage, rtol=1e-8)
+
+
+def test_a_voltage_with_a_length_keeps_precedence(tmp_path):
+    heads = ["time_s", "HV [kV]", "force [N]", "current [mA]", "laser [mm]", "humidity [%]"]
+    (record,) = read(csv_of(tmp_path / "a.csv", heads, (TIME, VOLTAGE / 1000, TIME, TIME, OUTPUT, TIME)))
+    assert (record.voltage_unit, record.displacement_unit) == ("kV", "mm")
+
+
+def test_a_clock_that_repeats_gives_way_to_the_rate(tmp_path):
+    path = csv_of(tmp_path / "a.csv", ("t [ms]", "U [V]", "x [mm]"), (np.floor(TIME * 1e3 / 4), VOLTAGE, OUTPUT))
+    assert tried(refused(path))["rate"] == "RATE"
+    (record,) = read(path, rate=1000)
+    same(record, VOLTAGE, OUTPUT * 1e-3)
+    assert "repeats" in record.recognised["time"]
+
+
+def test_empty_rows_without_a_clock_are_lost_samples(tmp_path):
+    lines = text(columns(time_s=None)).split("\n")
+    lines[50:50] = [","] * 5
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    assert "input is missing" in refused(tmp_path / "a.csv", rate=1000)
+    lines[50:55] = [""] * 5
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    assert "empty lines" in refused(tmp_path / "a.csv", rate=1000)
+
+
+def test_channels_of_tdms_have_their_own_clocks(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+
+    def write(*steps):
+        names = ("Temp", 20 + TIME, "degC"), ("HV", VOLTAGE, "V"), ("Laser", OUTPUT, "mm")
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+            clocks = [{"wf_increment": dt, "wf_start_offset": 0.0} for dt in steps]
+            writer.write_segment([
+                nptdms.ChannelObject("run", n, v, properties={"unit_string": u, **clock})
+                for (n, v, u), clock in zip(names, clocks, strict=True)
+            ])  # fmt: skip
+        return tmp_path / "a.tdms"
+
+    same(read(write(1e-2, 1e-3, 1e-3))[0], VOLTAGE, OUTPUT * 1e-3)
+    assert "clocks that differ" in refused(write(1e-3, 1e-3, 1e-2))
+
+
+@pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%d.%m.%Y %H:%M:%S"])
+def test_dates_over_midnight(tmp_path, form):
+    start = datetime(2026, 11, 5, 23, 59, 30)
+    stamps = [(start + timedelta(seconds=k)).strftime(form) for k in range(T)]
+    save_csv(tmp_path / "a.csv", {"Zeit": stamps, "U [V]": VOLTAGE, "Weg [mm]": OUTPUT})
+    (record,) = read(tmp_path / "a.csv")
+    np.testing.assert_allclose(record.time - record.time[0], np.arange(T), atol=1e-6)
+
+
+def test_minutes_or_hours_are_asked_about(tmp_path):
+    save_csv(tmp_path / "a.csv", {"Zeit": [f"00:{k % 60:02d}" for k in range(T)], "U [V]": VOLTAGE, "Weg [mm]": OUTPUT})
+    assert "hours and minutes, or minutes and seconds" in refused(tmp_path / "a.csv")
+
+
+def test_lines_of_header_and_units_can_be_said(tmp_path):
+    above = ["p,q,r", "alpha,beta,gamma", "s,V,mm"]
+    path = csv_of(tmp_path / "a.csv", ("note", "by", "hand"), (TIME, VOLTAGE, OUTPUT), above=above)
+    said: dict[str, Any] = {"header_line": 2, "units_line": "3"}
+    (record,) = read(path, **said)
+    same(record, VOLTAGE, OUTPUT * 1e-3)
+    assert "'alpha' in s" in record.recognised["time"]
+    for wrong in (
+        {"header_line": 0},
+        {"units_line": "x"},
+        {"separator": "ab"},
+        {"decimal": ";"},
+        {"encoding": "klingon"},
+    ):
+        assert f"--{next(iter(wrong)).replace('_', '-')}" in refused(path, **wrong)
+    assert "no option" in refused(path, colour="red")
+
+
+def test_a_folder_file_speaks_for_its_files_and_not_for_ours(tmp_path):
+    csv_of(tmp_path / "scope.csv", ("X", "CH1", "CH2"), (TIME, VOLTAGE / 1000, OUTPUT / 2), below=["s,V,V"])
+    save_csv(tmp_path / "ours.csv", {"time_s": TIME, "voltage_V": VOLTAGE, "displacement_m": OUTPUT * 1e-3})
+    (tmp_path / "pitp.toml").write_text(
+        '["*.csv"]\ninput-column = "CH1"\noutput-column = "CH2"\ninput-scale = 1000\noutput-scale = 0.002\n'
+    )
+    for record in read(tmp_path):
+        same(record, VOLTAGE, OUTPUT * 1e-3)
+    assert read(tmp_path / "scope.csv", output_scale=0.004)[0].displacement[9] == pytest.approx(OUTPUT[9] * 2e-3)
+    (tmp_path / "pitp.toml").write_text('["*.csv"]\ncolour = "red"\n')
+    assert "colour: no option" in refused(tmp_path / "scope.csv")
+
+
+def test_several_runs_in_one_file(tmp_path):
+    path = csv_of(tmp_path / "a.csv", (*columns(), "run"), (*columns().values(), np.arange(T) // 50 + 1))
+    assert "64" in refused(path, split_by="run")
+    wide = {n: np.concatenate([v, v]) for n, v in columns().items()}
+    path = csv_of(tmp_path / "a.csv", (*wide, "run"), (*wide.values(), np.repeat([3, 7], T)))
+    records = read(path, split_by="run")
+    assert [r.name for r in records] == ["a.3", "a.7"]
+    for record in records:
+        same(record, VOLTAGE, OUTPUT * 1e-3)
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        for run in ("up", "down"):
+            for name, values in columns().items():
+                file[f"{run}/{name}"] = values
+    assert [r.name for r in read(tmp_path / "b.h5", split_by="group")] == ["b.down", "b.up"]
+
+
+def test_units_in_matlab_only_where_they_suit(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"disp": OUTPUT, "time": TIME, "voltage": VOLTAGE, "units": "s, V, mm"})
+    assert "--output-unit" in refused(tmp_path / "a.mat")
+    scipy.io.savemat(tmp_path / "a.mat", {"data": columns(), "settings": {"rate": 1000.0, "gain": 3.0}})
+    same(read(tmp_path / "a.mat")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_alike_files_are_refused_once(tmp_path):
+    for k in range(20):
+        csv_of(tmp_path / f"{k:02d}.csv", ("X", "CH1", "CH2"), (TIME, VOLTAGE / 1000, OUTPUT / 2), below=["s,V,V"])
+    message = refused(tmp_path)
+    assert message.startswith("20 of 20 files are refused: 00.csv, 01.csv, 02.csv and 17 more")
+    assert len(message) < 587 and message.count("pitp check") == 1
+    assert tried(message)["input_column"] == "CH1"
+
+
+def test_names_stay_unique(tmp_path):
+    """A record that is split at its gap beside a file that has that name already; folders of one name."""
+    t = np.concatenate([TIME, TIME + 10])
+    u = 1000 + 500 * np.sin(2 * np.pi * 5 * t)
+    save_csv(tmp_path / "a.csv", {"time_s": t, "voltage_V": u, "displacement_mm": np.sin(9 * t)})
+    save_csv(tmp_path / "a.1.csv", columns())
+    names = [r.name for r in read(tmp_path)]
+    assert len(set(names)) == len(names) == 3
+    for day in ("day1", "day2"):
+        (tmp_path / day / "records").mkdir(parents=True)
+        save_csv(tmp_path / day / "records" / "s.csv", columns())
+    both = read(tmp_path / "day1" / "records", tmp_path / "day2" / "records")
+    assert [r.name for r in both] == ["day1/records/s", "day2/records/s"]
+
+
+def test_a_record_owns_its_samples():
+    span = np.arange(T) * np.timedelta64(1, "ms")
+    masked = np.ma.array(OUTPUT.copy(), mask=TIME > 0.09)
+    record = pitp.Record("x", span, VOLTAGE, masked)
+    assert record.dt == pytest.approx(1e-3) and record.missing == int((TIME > 0.09).sum())
+    masked.data[0] = 3.0
+    assert record.displacement[0] == OUTPUT[0]
+    assert record in [record]
+    with pytest.raises(BadInput, match="furlong"):
+        pitp.Record("x", TIME, VOLTAGE, OUTPUT, displacement_unit="furlong")
+    epoch = pitp.Record("x", 1.8e9 + np.arange(T) / 1e5, VOLTAGE, OUTPUT)
+    assert epoch.dt == pytest.approx(1e-5, rel=1e-3)
