@@ -9,7 +9,7 @@ from pitp_jax.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN = ("python", "sh")
-SHOWN = ("text", "c", "console", "py")  # output, an Arduino or C sketch, an installation, a fragment
+SHOWN = ("text", "c", "toml", "console", "py")  # output, an Arduino or C sketch, an installation, a fragment
 _FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.M | re.S)
 # The README's first lines install into a new environment: `.ci/run` does so, and runs the tests there.
 _INSTALLS = re.compile(r"python3 -m venv|\.venv/bin/pip |\.venv/bin/python -m pytest")

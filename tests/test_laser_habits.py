@@ -212,6 +212,6 @@ def test_a_feedforward_speaks_the_users_coordinates(clean, sweep, write, study):
     motion = 1e-3 + 5e-4 * np.sin(2 * np.pi * 2 * TIME[:1500])
     plain = pitp.feedforward(clean[1].model, pitp.Target(TIME[:1500], motion))
     offset = found.chosen.offset
-    mirrored = pitp.feedforward(found.model, pitp.Target(TIME[:1500], offset - motion))
+    mirrored = pitp.feedforward(found.model, pitp.Target(TIME[:1500], offset - motion), zero="sensor")
     np.testing.assert_allclose(mirrored.voltage[mirrored.target], plain.voltage[plain.target], atol=1.0)
     assert mirrored.self_check_e_rms_percent < 0.01

@@ -10,7 +10,7 @@ from .outside import OUTSIDE
 _HOMES = {
     mechanical: ("stiffening", "softening", "end_stop", "creep", "relaxation", "hysteresis", "coulomb_friction",
                  "drag", "mullins", "backlash"),
-    electrical: ("electrode_rc", "slew_limit", "voltage_clip", "voltage_offset", "delay", "charge_leak",
+    electrical: ("electrode_rc", "slew_limit", "voltage_clip", "dead_zone", "voltage_offset", "delay", "charge_leak",
                  "charge_retention", "stretch_coupling", "dielectric_saturation"),
     other: ("slack", "added_mass", "second_mode", "stiffness_drift", "sensor_gain", "sensor_lag",
             "sensor_nonlinearity", "parameter_change"),

@@ -3,6 +3,7 @@
     electrode   three RC sections in a row, V = sqrt(mean V_i^2): the film's far end is charged late
     amplifier   V' = s tanh(e/s) or e/(1 + |e/s|^3)^(1/3), e = (u - V)/tau, tau w0 = 0.02;
                 V = u + V_0;   V = u(t - T);   V = u - w log(1 + exp((u - u_m)/w))
+                dead zone V = w log(1 + exp((u - u_0)/w)), less its value at u = 0
     leakage     V = u - p (q_1 + k q_2), q_i' = (u - q_i)/tau_i: two kinds of traps
     coupling    V^2 (1 + b x/4)^4 (capacitance grows with the square of the area) or V^2 (1 + b x/2)^2
     saturation  u_s^2 tanh(V^2/u_s^2) or V^2/(1 + (V/u_s)^4)^(1/2)
@@ -39,6 +40,11 @@ def _algebraic_slew(p, c, u, x, v, s):
 
 def _clip(p, c, u, s):
     return u - c["w"] * jnp.logaddexp(0.0, (u - (1.0 - p) * c["level"]) / c["w"])
+
+
+def _dead(p, c, u, s):
+    start = p * c["level"] / c["w"]  # of the zone, in widths of its corner
+    return c["w"] * (jnp.logaddexp(0.0, u / c["w"] - start) - jnp.logaddexp(0.0, -start))
 
 
 def _trap_draw(rng, stats):
@@ -84,6 +90,10 @@ SLEW_LIMIT = (
 )  # fmt: skip
 VOLTAGE_CLIP = (
     Form("soft", (0.02, 0.7), drive=_clip,
+         draw=lambda rng, stats: {"level": stats.level, "w": rng.uniform(0.005, 0.02) * stats.level}),
+)  # fmt: skip
+DEAD_ZONE = (
+    Form("soft", (0.01, 0.5), drive=_dead,
          draw=lambda rng, stats: {"level": stats.level, "w": rng.uniform(0.005, 0.02) * stats.level}),
 )  # fmt: skip
 VOLTAGE_OFFSET = (Form("constant", (5e-3, 0.5), draw=_sign, drive=lambda p, c, u, s: u + c["sign"] * p),)

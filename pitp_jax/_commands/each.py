@@ -62,4 +62,4 @@ def json_to_standard_output(arguments: dict) -> Iterator[None]:
                 yield
         finally:  # a command whose records all diverged fails after it has written
             for file in sorted(Path(folder).glob("*.json")):
-                sys.stdout.write(file.read_text("utf-8"))
+                sys.stdout.write(file.read_text(encoding="utf-8"))

@@ -44,7 +44,8 @@ def grid(effect: EffectSpec, starts: list[Start], count: int = POINTS) -> list[t
         if not wide:
             axes.append(sorted({s.values[k] for s in starts}) if k in free else [first.values[k]])
         else:
-            axes.append(np.geomspace(first.low[k], first.high[k], 14)[1:-1].tolist())
+            spread = np.geomspace if first.low[k] > 0 else np.linspace  # a number of either sign has no logarithm
+            axes.append(spread(first.low[k], first.high[k], 14)[1:-1].tolist())
     many = int(np.prod([len(a) for a in axes]))
     while many > count:
         widest = int(np.argmax([len(a) for a in axes]))

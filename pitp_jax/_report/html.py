@@ -146,7 +146,7 @@ def picture(name: str, drawn: Figure, caption: str) -> str:
 def _made_small(drawn: Figure) -> None:
     """Text of at least 8.5 points on 3.55 inches (11 px on a screen of 390), lines of at most `_SAMPLES` samples."""
     wide, high = drawn.get_size_inches()
-    drawn.set_size_inches(_INCHES, high * (_INCHES / wide) ** 0.7)
+    drawn.set_size_inches(_INCHES, max(high * (_INCHES / wide) ** 0.7, 1.4))  # lower, labels leave no room to draw in
     for axis in (a for ax in drawn.axes for a in (ax.xaxis, ax.yaxis) if a.get_scale() == "log"):
         axis.set_major_formatter(lambda value, _: f"{value:g}")  # a small exponent could not be read
         axis.set_minor_formatter(lambda value, _: "")

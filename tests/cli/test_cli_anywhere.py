@@ -5,13 +5,13 @@ import io
 import json
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from cli_cases import refused, tree
 
 import pitp_jax
-from pitp_jax import diagnose as diagnose_command
 from pitp_jax._demo import files, protocol
 from pitp_jax.cli import main
 
@@ -68,7 +68,7 @@ def test_a_terminal_without_these_letters_shows_escapes(placed, monkeypatch, enc
 def test_names_of_output_files_are_names_everywhere():
     drives = [e.name for p in ("cone100", "roll") for part in ("sweep", "train", "test")
               for e in protocol.excitations(p, part, True)]  # fmt: skip
-    names = [*files.FILES, *diagnose_command.FILES, *drives]
+    names = [*files.FILES, *import_module("pitp_jax._commands.diagnose").FILES, *drives]
     assert [n for n in names if FORBIDDEN.search(n) or not n.isascii()] == []
 
 

@@ -1,13 +1,15 @@
 """`pitp check` and `pitp simulate`: what they write, in which units, and what they refuse."""
 
 import json
+from importlib import import_module
 
 import numpy as np
 import pytest
 from cli_cases import COEFFICIENTS, DRIVES, TIME, columns_of, motion, refused, tree, write_record
 from scipy.signal import lsim
 
-from pitp_jax import simulate as command
+command = import_module("pitp_jax._commands.simulate")  # the module: the package offers its function by the same name
+
 
 KEYS = {
     "samples", "rate_hz", "recognised", "begins", "zero", "direction", "noise", "missing", "outliers", "jitter",
