@@ -137,8 +137,9 @@ def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> No
         ax.spines[["top", "right"]].set_visible(False)
         ax.tick_params(labelbottom=ax is axes[-1])
     axes[-1].set_xlabel(across, fontsize=_SMALL + 1)
-    if axes[0].get_legend_handles_labels()[0]:
+    if labels := axes[0].get_legend_handles_labels()[1]:
+        fitting = max(48 // (max(map(len, labels)) + 6), 1)  # a line of a narrow page has some 48 letters
         axes[0].legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=legend_columns, frameon=False, fontsize=_SMALL,
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(legend_columns, fitting), frameon=False, fontsize=_SMALL,
             borderaxespad=0.1,
         )  # fmt: skip
