@@ -140,6 +140,6 @@ def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> No
     if labels := axes[0].get_legend_handles_labels()[1]:
         fitting = max(48 // (max(map(len, labels)) + 6), 1)  # a line of a narrow page has some 48 letters
         axes[0].legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(legend_columns, fitting), frameon=False, fontsize=_SMALL,
-            borderaxespad=0.1,
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(legend_columns, fitting), frameon=False,
+            fontsize=_SMALL, borderaxespad=0.1,
         )  # fmt: skip
