@@ -1,5 +1,7 @@
 """The feedforward against closed forms and an independent integration."""
 
+from typing import Literal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -135,7 +137,8 @@ def test_offset_and_polarity_are_undone(linear, bounded, actuator):
     x = swing(1e-3, 5e-4, 3.0)
     mirrored = bounded(linear(2, offset=7e-3, polarity=-1.0))
     plain = feedforward(actuator, Target(TIME, x))
-    for zero, at_rest in (("rest", 0.0), ("sensor", 7e-3), (2e-3, 2e-3)):
+    cases: tuple[tuple[Literal["rest", "sensor"] | float, float], ...] = (("rest", 0.0), ("sensor", 7e-3), (2e-3, 2e-3))
+    for zero, at_rest in cases:
         found = feedforward(mirrored, Target(TIME, at_rest - x), zero=zero)
         np.testing.assert_allclose(found.voltage, plain.voltage, atol=0.05)
         assert found.self_check_e_rms_percent < 1e-3

@@ -82,7 +82,14 @@ def test_a_small_change_of_the_voltage_does_what_the_stages_say(nonlinear, doubl
         count, stages = 120, 120 // length
         u = 300 + 250 * np.sin(60 * DT * np.arange(count)) ** 2
         wish = Wish(
-            np.zeros(count), np.ones(count, bool), DT, np.zeros(count), np.full(count, 2e3), 1e5, 1e9, rest_state(model)
+            np.zeros(count),
+            np.ones(count, bool),
+            DT,
+            np.zeros(count),
+            np.full(count, 2e3),
+            1e5,
+            1e9,
+            np.asarray(rest_state(model)),
         )
         knots = np.append(0.0, np.random.default_rng(3).standard_normal(stages))
         change = np.interp(np.arange(count) / length, np.arange(stages + 1), knots)

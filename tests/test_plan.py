@@ -70,7 +70,7 @@ def test_a_recording_that_may_follow_keeps_the_stroke_at_any_damping(hz):
     """An actuator of damping 0.01 whose strokes so far are just below what the row asks for."""
     found = pitp.plan(**RIG, duration=60.0, max_displacement=1e-3)
     w, dt = 2 * np.pi * hz, found.recordings[0].time[1]
-    b, a, _ = cont2discrete(([w * w], [1, 0.02 * w, w * w]), dt, method="foh")
+    b, a = cont2discrete(([w * w], [1, 0.02 * w, w * w]), dt, method="foh")[:2]  # pyright: ignore[reportIndexIssue]
     reached = [np.abs(lfilter(np.ravel(b), np.ravel(a), r.voltage**2)).max() for r in found.recordings]
     for k in range(1, len(reached)):
         scale = found.recordings[k].go_on / max(reached[:k])
@@ -82,7 +82,7 @@ def test_no_drive_exceeds_the_stroke_with_half_the_damping(linear, bounded):
     model = bounded(linear(2, 5.0, 0.04), high=1000.0, slew=1e5)
     found = pitp.plan(model, max_displacement=2.5e-3, duration=40.0, rate=500.0)
     a = model.physical_coefficients * [1, 0.5, 1]
-    b, c, _ = cont2discrete(([1.0], a[::-1]), 1 / 500, method="foh")
+    b, c = cont2discrete(([1.0], a[::-1]), 1 / 500, method="foh")[:2]  # pyright: ignore[reportIndexIssue]
     assert found.recordings
     for r in found.recordings:
         reached = np.abs(lfilter(np.ravel(b), np.ravel(c), r.voltage**2)).max()

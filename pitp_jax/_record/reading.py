@@ -78,7 +78,7 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     a file, and that over what is recognised.
 
     Args:
-        *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`, `.parquet`, `.mcap`) and folders.
+        *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`) and folders.
         **said: by name, all optional. `time_column`, `input_column`, `output_column`: exact headers. `time_unit`,
             `input_unit`, `output_unit`: over what the file says. `input_scale`: of an amplifier's monitor (1 V per
             kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files

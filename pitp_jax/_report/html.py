@@ -153,7 +153,7 @@ def _made_small(drawn: Figure) -> None:
     for text in drawn.findobj(Text):
         text.set_fontsize(max(float(text.get_fontsize()), _POINT))
     for line in drawn.findobj(Line2D):
-        across, upward = line.get_data()
+        across, upward = (np.asarray(values) for values in line.get_data())
         if len(across) > _SAMPLES:
-            kept = thin(np.asarray(upward, float), _SAMPLES // 4)
-            line.set_data(np.asarray(across)[kept], np.asarray(upward)[kept])
+            kept = thin(upward.astype(float), _SAMPLES // 4)
+            line.set_data(across[kept], upward[kept])

@@ -5,7 +5,6 @@
 .mat                       MATLAB v5 to v7 (SciPy) or v7.3 (an HDF5 file)
 .npz                       NumPy archive, never unpickled
 .h5 .hdf5                  HDF5, datasets at the root or in its groups
-.parquet  .mcap            pandas, ROS (extra robot)
 """
 
 import io
