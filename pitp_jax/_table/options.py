@@ -151,7 +151,7 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
         return options
     source = cleaned(file)
     try:
-        tables = tomllib.loads(file.read_text("utf-8"))
+        tables = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise BadInput(f"{source}: not readable as TOML ({cleaned(error)[:100]}); correct it") from None
     known, said = {f.name for f in fields(ReadOptions)}, {}
