@@ -26,7 +26,7 @@ from pitp_jax._effects import CATALOGUE
 from pitp_jax._effects.base import AbstractEffect
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.model import Output, Provenance, linear_model
-from pitp_jax._plot.lines import ERROR, MEASURED
+from pitp_jax._report.lines import ERROR, MEASURED
 from pitp_jax._simulate.decoder import rest_state, rollout
 
 HZ, ZETA, DT, SAMPLES = 5.0, 0.1, 2e-3, 2000  # 4 s, what one compiled chunk holds

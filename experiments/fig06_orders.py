@@ -14,7 +14,7 @@ from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
 from pitp_jax._demo.files import SWEEP_HZ
-from pitp_jax._plot import paper_figures
+from pitp_jax._report import paper_figures
 
 
 def main(smoke: bool = False, argv=()):

@@ -27,7 +27,7 @@ _READING = "reading:"  # before the names of what reading is told: invert has a 
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.
 _QUICK = ("predict", "invert", "check", "simulate", "adapt")
-_PLANTS = ("cone100", "cone122", "cone150", "roll")
+_PLANTS = ("cone100", "cone122", "cone150", "roll", "joint")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -150,7 +150,12 @@ def _parser() -> argparse.ArgumentParser:
         return made
 
     demo = command("demo", "the paper's protocol on a virtual actuator: tables, figures, model")
-    demo.add_argument("--plant", choices=_PLANTS, default="cone100", help="virtual actuator (default cone100)")
+    demo.add_argument(
+        "--plant",
+        choices=_PLANTS,
+        default="cone100",
+        help="virtual actuator (default cone100), or a robot's joint and its simulator",
+    )
     demo.add_argument("--out", default="demo", metavar="DIR", help="folder to write to (default ./demo)")
     demo.add_argument("--quick", action="store_true", help="fewer and shorter records: a minute or two")
     _plan_arguments(command("plan", "which recordings to take: a first session, or the next ones for a model"))

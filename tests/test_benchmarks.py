@@ -14,7 +14,7 @@ from benchmarks.clock import row, take_turns
 from benchmarks.machine import floor, operations
 from benchmarks.rows import ROWS
 
-WANTED = {"inverse_default", "inverse_end_to_end", "inverse_paper", "rollout_batch", "rollout_long", "fit_cone",
+WANTED = {"inverse_default", "inverse_paper", "rollout_batch", "fit_cone",
           "fit_roll", "identify", "diagnose", "import"}  # fmt: skip
 KEYS = {"median_ms", "p10_ms", "p90_ms", "compile_s", "peer", "peer_median_ms", "ratio"}
 

@@ -28,6 +28,11 @@ def line(time, x, frequency):
     return 2.0 * abs(np.mean(x[-n:] * np.exp(-2j * np.pi * frequency * time[-n:])))
 
 
+def damping_ratio(p):
+    mode = max(np.linalg.eigvals(p.linearised()), key=np.imag)
+    return -mode.real / abs(mode)
+
+
 def energy(p, state):
     """Energy in J: Gent potential, branches, gravity and motion; state (2 + branches,)."""
     x, v = state[0] * p.scale, state[1] * p.scale
@@ -58,8 +63,8 @@ def test_resonances_are_the_papers():
     assert plant("cone100").resonance_hz == pytest.approx(7.4, rel=0.01)
     assert plant("roll").resonance_hz == pytest.approx(142.0, rel=0.01)
     assert plant("cone100").resonance_hz > plant("cone122").resonance_hz > plant("cone150").resonance_hz
-    assert 0.05 < plant("cone100").damping_ratio < 0.1
-    assert 0.03 < plant("roll").damping_ratio < 0.05
+    assert 0.05 < damping_ratio(plant("cone100")) < 0.1
+    assert 0.03 < damping_ratio(plant("roll")) < 0.05
 
 
 def test_one_mode_only():
@@ -105,7 +110,7 @@ def test_free_motion_only_loses_energy(name):
     assert e[-1] < 0.01 * e[0]
     periods = 3
     later = states[round(periods * p.rate_hz / p.resonance_hz) :, 0]
-    assert np.abs(later).max() == pytest.approx(1.5 * np.exp(-2 * np.pi * periods * p.damping_ratio), rel=0.3)
+    assert np.abs(later).max() == pytest.approx(1.5 * np.exp(-2 * np.pi * periods * damping_ratio(p)), rel=0.3)
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("cone100", 0.04, 0.15), ("roll", 0.01, 0.06)])

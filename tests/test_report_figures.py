@@ -12,7 +12,7 @@ from typed import of_kind, some
 from pitp_jax._diagnose.report import figures, formatting, gap_figure
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._effects import CATALOGUE
-from pitp_jax._plot import numbers
+from pitp_jax._report import numbers
 
 
 def test_a_line_in_every_recording_is_a_disturbance(unknown):

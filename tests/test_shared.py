@@ -16,7 +16,10 @@ def record_sets():
     return sorted(str(f.relative_to(SHARED)) for f in folders if f.is_dir())
 
 
-pytestmark = [pytest.mark.exhaustive, pytest.mark.skipif(not record_sets(), reason="no ../shared beside the repository")]
+pytestmark = [
+    pytest.mark.exhaustive,
+    pytest.mark.skipif(not record_sets(), reason="no ../shared beside the repository"),
+]
 
 
 @pytest.mark.parametrize("folder", record_sets() or ["none"])

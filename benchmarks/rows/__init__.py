@@ -9,11 +9,9 @@ from importlib import import_module
 
 ROWS = {
     "inverse_default": "inverse_default",
-    "inverse_end_to_end": "inverse_end_to_end",
     "inverse_paper": "inverse_paper",
     "rollout_batch": "rollout_batch",
     "rollout_many": "rollout_many",
-    "rollout_long": "rollout_long",
     "stream": "stream",
     "realtime": "realtime",
     "devices": "devices",

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._plot import html
-from .._plot.html import tag
-from .._plot.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
-from .._plot.numbers import figure, with_error
 from .._record.record import Record
 from .._record.units import from_base
+from .._report import html
+from .._report.html import tag
+from .._report.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
+from .._report.numbers import figure, with_error
 from .check import Check, CheckedRecord
 
 _DRAWN = 24  # records; more make no page that anybody reads

@@ -1,9 +1,9 @@
-"""`pitp demo`: the paper's experiments on a virtual actuator."""
+"""`pitp demo`: the paper's experiments on a virtual actuator, or a robot's joint beside its simulator."""
 
 from dataclasses import asdict
 from pathlib import Path
 
-from .._demo import files
+from .._demo import files, joint
 from .._demo.protocol import run, tables
 from .._errors import BadInput
 from .console import ProgressBar, number, print_table, say
@@ -14,7 +14,7 @@ def demo(plant, out, quick, json_file=None) -> None:
     """Run the demo, write its files, and print its tables.
 
     Args:
-        plant: name of the virtual actuator.
+        plant: name of the virtual actuator, or "joint".
         out: folder to write to, created if missing.
         quick: fewer and shorter records.
         json_file: where to write the tables for machines, or None.
@@ -22,8 +22,11 @@ def demo(plant, out, quick, json_file=None) -> None:
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_folder(out, files.FILES)
     check_files(json_file)
+    if plant == "joint":
+        _joint(out, quick, json_file)
+        return
+    check_folder(out, files.FILES)
     _check_recordings(Path(out), files.recordings(plant, quick))
     found = run(plant, quick=quick, say=say, progress=ProgressBar().update)
     with staged_folder(out) as stage:
@@ -40,9 +43,27 @@ def demo(plant, out, quick, json_file=None) -> None:
     print(f"  pitp predict {out}/model.pitp {out}/held_out")
 
 
+def _joint(out: str, quick: bool, json_file: str | None) -> None:
+    """Write the recordings of a joint and of its simulator, and print what differs between the two."""
+    check_folder(out, joint.recordings())
+    _check_recordings(Path(out), joint.recordings())
+    with staged_folder(out) as stage:
+        joint.write(stage, quick=quick)
+    ideal, real = asdict(joint.IDEAL), asdict(joint.REAL)
+    if json_file:
+        write_json(json_file, {"simulator": ideal, "robot": real})
+    units = {"friction": "N m", "delay": "s", "backlash": "rad"}
+    rows = [(name, number(ideal[name]), number(real[name]), unit) for name, unit in units.items()]
+    print_table(("what differs", "simulator", "robot", "unit"), rows)
+    print(f"{out}/{joint.SIMULATED} and {out}/{joint.ROBOT} hold the same position commands; to recover these numbers:")
+    print(
+        f"  pitp diagnose {out}/{joint.ROBOT} --against {out}/{joint.SIMULATED} --position-gain {joint.POSITION_GAIN:g}"
+    )
+
+
 def _check_recordings(out: Path, names: set[str]) -> None:
     """Refuse a folder with recordings of another demo: a set of records is of one actuator."""
-    for home in (files.RECORDS, files.HELD_OUT):
+    for home in sorted({name.split("/")[0] for name in names}):
         if (out / home).is_dir():
             others = sorted(p.name for p in (out / home).iterdir() if f"{home}/{p.name}" not in names)
             if others:

@@ -19,8 +19,7 @@ from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
 from .fit_errors import errors_told, print_errors, suspects
-from .fit_page import REPORT, fit_page
-from .outputs import check_files, check_folder, staged_folder, write_json
+from .outputs import REPORT, check_files, check_folder, staged_folder, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
 from .reports import describe, in_words, listed, print_history
@@ -94,6 +93,8 @@ def fit(
 
 def _report(model: Model, records: Sequence[Record], folder: str, name: str) -> None:
     """The page of free runs beside the training records."""
+    from .fit_page import fit_page  # with it comes matplotlib: half a second
+
     runs = predict(model, records)
     scores = {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
     with staged_folder(folder) as stage:

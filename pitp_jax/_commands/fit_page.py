@@ -9,23 +9,22 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.signal import welch
 
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
-from .._plot import html
-from .._plot.html import tag
-from .._plot.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, own_axes
-from .._plot.numbers import figure, shown_unit
-from .._plot.paper_figures import prediction as beside
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
 from .._record.units import base_unit, from_base
+from .._report import html
+from .._report.html import tag
+from .._report.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, own_axes
+from .._report.numbers import figure, shown_unit
+from .._report.paper_figures import prediction as beside
 from .._simulate.prediction import Prediction
 
-REPORT = "report.html"
 _SHOWN = 12  # records drawn, the worst first
 
 
@@ -136,7 +135,7 @@ def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
         (ERROR, "left by the free runs", lambda r, p: p.displacement - r.displacement),
     ):
         rows = [
-            welch(from_base(np.nan_to_num(signal(r, p)), unit, "displacement"), 1 / r.dt, nperseg=size)
+            scipy.signal.welch(from_base(np.nan_to_num(signal(r, p)), unit, "displacement"), 1 / r.dt, nperseg=size)
             for r, p in pairs
         ]
         ax.loglog(

@@ -20,6 +20,8 @@ import numpy as np
 from .._errors import BadInput
 from .._record.writing import write_text_atomic
 
+REPORT = "report.html"  # the page beside what a command writes
+
 
 def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) -> None:
     """Refuse output files that could not be written, or would replace each other or an input.

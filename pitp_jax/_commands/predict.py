@@ -18,8 +18,7 @@ from .._simulate.prediction import Prediction
 from .._simulate.prediction import predict as run_predict
 from .compatibility import check_suits
 from .console import number, print_table
-from .fit_page import REPORT, fit_page
-from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import REPORT, check_files, check_folder, staged_files, staged_folder, write_json
 from .recordings import is_square, read_records
 from .reports import print_sensors
 
@@ -54,6 +53,8 @@ def predict(model, records, out, json_file, reading) -> None:
         if json_file:
             write_json(json_stage, result)
         if out is not None:
+            from .fit_page import fit_page  # with it comes matplotlib: half a second
+
             with staged_folder(out) as stage:
                 for record, prediction, file in zip(read_in, predictions, files, strict=True):
                     _write_record(stage / file, record, prediction)

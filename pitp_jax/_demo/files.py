@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 
 from .._model.model import Model
 from .._model_file.model_file import save
-from .._plot import paper_figures
 from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
+from .._report import paper_figures
 from .._simulate import decoder
 from .protocol import Demo, Table, excitations, kind, nearest, tables
 

@@ -8,7 +8,7 @@ Where F = u^2 has no slope, at u = 0, that of a small voltage is taken: a step t
 brings is judged by the rollout. A delay moves all samples of the voltage against those of the reading.
 """
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,9 +20,6 @@ from .._simulate.prediction import FAR
 from .linearised import linearise
 from .stage_qp import StageQP, solve_stage_qp
 
-if TYPE_CHECKING:
-    from .nearest_motion import Played, Wish
-
 _STAGES = 4000  # about, up to a stage of a
 _SHARE = 40  # th of the resonance's period
 _FLOOR = 0.03  # of U: the least film voltage linearised about
@@ -31,7 +28,47 @@ _SLACK = 0.02  # of U, to begin with
 _MARGIN = 1e-3  # of the farthest
 
 
-def best_change(model: Model, wish: "Wish", now: "Played", size: float, rho: float) -> np.ndarray:
+@dataclass(frozen=True)
+class Wish:
+    """What is wanted of a voltage, and what it must keep.
+
+    Attributes:
+        reading: in model coordinates, m, shape (T,).
+        counted: where that is asked for, shape (T,).
+        dt: sampling interval, s.
+        low, high: V, shape (T,).
+        slew: V/s.
+        budget: total variation, V.
+        farthest: largest reading either way, m.
+        age: of the session at the first sample, s.
+    """
+
+    reading: np.ndarray
+    counted: np.ndarray
+    dt: float
+    low: np.ndarray
+    high: np.ndarray
+    slew: float
+    budget: float
+    farthest: float = np.inf
+    age: float = 0.0
+
+    @property
+    def unit(self) -> float:
+        """U, V."""
+        return float(self.high.max() - self.low.min())
+
+
+@dataclass(frozen=True)
+class Played:
+    """A voltage, V, the states of its rollout and its reading, m; nothing of it is scaled by the wish."""
+
+    voltage: np.ndarray
+    states: np.ndarray
+    reading: np.ndarray
+
+
+def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) -> np.ndarray:
     """The change of the voltage, V, shape (T,).
 
     Args:
@@ -70,7 +107,7 @@ def _padded(stages: int) -> int:
     return -(-stages // unit) * unit
 
 
-def _readings(model: Model, wish: "Wish", now: "Played", cut: _Cut, late: int) -> tuple[np.ndarray, np.ndarray]:
+def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tuple[np.ndarray, np.ndarray]:
     """`Stages` in m, along the rollout from the first sample on that the voltage reaches."""
     u = jnp.asarray(now.voltage)
     film = np.asarray(model.drive.film(ports.delayed(model, u, wish.dt, True), wish.dt, jnp.asarray(True)))

@@ -18,8 +18,8 @@ from .._metrics import e_rms_percent, rmse
 from .._model.model import Model
 from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
+from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import film_voltage, rest_state
-from .._simulate.parallel_in_time import rollout_by_size
 from .equation import invert_path, scaled_equation
 from .limits import Limits, limit_slew, travel
 from .nearest_motion import Wish, nearest_motion
@@ -77,7 +77,7 @@ class Course:
         """The reading of its rollout, m."""
         model = self.model
         u = jnp.asarray(voltage[None], model.coefficients.dtype)
-        states = rollout_by_size(model, u, self.dt, rest_state(model, self.age)[None])[0]
+        states = fast_rollout(model, u, self.dt, rest_state(model, self.age)[None])[0]
         return np.asarray(ports.readings(model, states), np.float64) * model.scales.state[0]
 
     def plan(self, reference: np.ndarray) -> Planned:

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 from .._model.equation import equation_force
 from .._model.model import Model
 from .._model.programs import jit
-from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
 from .._simulate.decoder import film_voltage
 
@@ -60,12 +59,6 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, 
     force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end, to its own side
     film = film_voltage(model, jnp.clip(force, -_HUGE, _HUGE))
     return force, ports.played(model, film, dt), features
-
-
-def invert_displacement(model: Model, displacement: Float[np.ndarray, " time"], dt: float) -> Float[Array, " time"]:
-    """Drive voltage before limits (V) for a displacement from rest (model coordinates, m): eq. 13, end to end."""
-    equation = scaled_equation(model, fast_derivatives(displacement, dt, model.order))
-    return invert_path(model, equation, dt)[1]
 
 
 def scaled_equation(model: Model, derivatives: Float[np.ndarray, "time tokens"]) -> Float[Array, "time tokens"]:

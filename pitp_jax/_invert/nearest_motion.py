@@ -8,8 +8,6 @@ Gauss-Newton about the current rollout: every change of the voltage solves a qua
 iterate keeps them. m is what the first voltage misses, U the range of voltages. 10,000 samples take a second or two.
 """
 
-from dataclasses import dataclass
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,9 +15,9 @@ import numpy as np
 
 from .._model.model import Model
 from .._simulate import ports
+from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import rest_state
-from .._simulate.parallel_in_time import rollout_by_size
-from .change_programme import best_change, second_differences
+from .change_programme import Played, Wish, best_change, second_differences
 
 _STEPS = 10  # of Gauss-Newton
 _GAIN = 2e-3  # of the objective, below which it ends
@@ -27,46 +25,6 @@ _SHORTEST = 1 / 16  # of a change
 _SWING = 1e-4  # of what the first voltage misses: the price of a voltage that swings at the resonance
 _SMOOTH = 0.03  # of it at most: the price of the first voltage's own bends
 _BEYOND = 1e3  # weight of a reading beyond the farthest
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What is wanted of a voltage, and what it must keep.
-
-    Attributes:
-        reading: in model coordinates, m, shape (T,).
-        counted: where that is asked for, shape (T,).
-        dt: sampling interval, s.
-        low, high: V, shape (T,).
-        slew: V/s.
-        budget: total variation, V.
-        farthest: largest reading either way, m.
-        age: of the session at the first sample, s.
-    """
-
-    reading: np.ndarray
-    counted: np.ndarray
-    dt: float
-    low: np.ndarray
-    high: np.ndarray
-    slew: float
-    budget: float
-    farthest: float = np.inf
-    age: float = 0.0
-
-    @property
-    def unit(self) -> float:
-        """U, V."""
-        return float(self.high.max() - self.low.min())
-
-
-@dataclass(frozen=True)
-class Played:
-    """A voltage, V, the states of its rollout and its reading, m; nothing of it is scaled by the wish."""
-
-    voltage: np.ndarray
-    states: np.ndarray
-    reading: np.ndarray
 
 
 def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
@@ -100,7 +58,7 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
 
 def _play(model: Model, wish: Wish, voltage: np.ndarray) -> Played:
     start = rest_state(model, wish.age)
-    states = rollout_by_size(model, jnp.asarray(voltage[None], jnp.float64), wish.dt, start[None])[0]
+    states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), wish.dt, start[None])[0]
     return Played(voltage, np.asarray(states), np.asarray(ports.readings(model, states)) * model.scales.state[0])
 
 

@@ -15,12 +15,19 @@ from typing import ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
+import numpy as np
+from jaxtyping import Array
 
 from .model import REMOVED, Model
 
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
+
+
+def on_device(values, dtype=None) -> Array:
+    """Copy an array of the host's to the device; `jnp.asarray` compiles a program for every shape, 20 ms each."""
+    return jax.device_put(np.asarray(values, dtype))
 
 
 def bare(tree: T) -> T:

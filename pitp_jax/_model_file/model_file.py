@@ -19,11 +19,11 @@ import os
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import BadInput
 from .._model.model import Model
+from .._model.programs import on_device
 from .._record.table import cleaned
 from .._record.writing import write_bytes_atomic
 from .parts import build, decode, describe, encode
@@ -200,7 +200,7 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
             raise ValueError(f"{name}: {kind} {stored} where {dtype} {place.shape} belongs")
         plain = np.frombuffer(stream.read(math.prod(stored) * kind.itemsize), kind).reshape(stored)
         with jax.enable_x64(True):  # else float64 leaves would come back as float32
-            arrays.append(jnp.asarray(plain))
+            arrays.append(on_device(plain))
     check_leaves([name for name, _, _ in leaves], [np.asarray(array) for array in arrays])
     if stream.read(1):
         raise ValueError("more bytes than leaves")

@@ -11,9 +11,8 @@ and a transient is set against what the error holds at the transient's own frequ
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import cholesky, solve_toeplitz, solve_triangular, toeplitz
-from scipy.signal import lfilter
 
 _ORDER = 6
 
@@ -26,13 +25,13 @@ def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.nda
     size = len(error)
     lags = np.array([error[: size - k] @ error[k:] for k in range(_ORDER + 1)]) / size
     lags[0] = lags[0] * (1 + 1e-9) + 1e-300
-    phi = solve_toeplitz(lags[:_ORDER], lags[1:])
+    phi = scipy.linalg.solve_toeplitz(lags[:_ORDER], lags[1:])
     left = max(lags[0] - phi @ lags[1:], 1e-12 * lags[0])
-    first = cholesky(toeplitz(lags[:_ORDER]) / left, lower=True)
+    first = scipy.linalg.cholesky(scipy.linalg.toeplitz(lags[:_ORDER]) / left, lower=True)
 
     def whiten(values):
-        found = np.asarray(lfilter(np.append(1.0, -phi), [1.0], values, axis=0))
-        found[:_ORDER] = solve_triangular(first, values[:_ORDER], lower=True)
+        found = np.asarray(scipy.signal.lfilter(np.append(1.0, -phi), [1.0], values, axis=0))
+        found[:_ORDER] = scipy.linalg.solve_triangular(first, values[:_ORDER], lower=True)
         return found
 
     return whiten

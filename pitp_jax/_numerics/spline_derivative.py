@@ -12,9 +12,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import BSpline, make_interp_spline
-from scipy.signal import lfilter
 
 from .._errors import BadInput
 
@@ -25,7 +24,7 @@ def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
     if len(x) <= degree:
         raise BadInput(f"the target has {len(x)} samples; order {order} needs more than {degree}")
     t = np.arange(len(x)) * dt
-    spline = make_interp_spline(t, x, k=degree)
+    spline = scipy.interpolate.make_interp_spline(t, x, k=degree)
     return np.stack([x] + [spline.derivative(i)(t) for i in range(1, order + 1)], -1)
 
 
@@ -42,7 +41,7 @@ class _Spline(NamedTuple):
 def _spline(order: int) -> _Spline:
     half = (order + 3) // 2  # degree 2 half + 1, as in `derivatives`
     j = np.arange(-half, half + 1.0)
-    basis = BSpline.basis_element(np.arange(2 * half + 3) - (half + 1.0), extrapolate=False)
+    basis = scipy.interpolate.BSpline.basis_element(np.arange(2 * half + 3) - (half + 1.0), extrapolate=False)
     sampled = np.asarray(basis(j))
     roots = np.roots(sampled)
     poles = roots[np.abs(roots) < 1].real
@@ -60,8 +59,8 @@ def inner(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndar
     """[x, ..., x^(order)] at the samples R ... T - R - 1."""
     s = _spline(order)
     half, kept = s.slopes.shape[1] // 2, len(x) - 2 * s.reach
-    back = np.asarray(lfilter([1.0], s.recursion, x))[::-1]
-    c = np.asarray(lfilter([s.gain], s.recursion, back))[::-1]
+    back = np.asarray(scipy.signal.lfilter([1.0], s.recursion, x))[::-1]
+    c = np.asarray(scipy.signal.lfilter([s.gain], s.recursion, back))[::-1]
     found = np.empty((kept, order + 1))
     found[:, 0] = x[s.reach : s.reach + kept]
     for i, weights in enumerate(s.slopes, start=1):

@@ -4,10 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .._plot import html
-from .._plot.html import tag
-from .._plot.lines import DRIVE, finish, line, own_axes, volts
-from .._plot.numbers import figure
+from .._report import html
+from .._report.html import tag
+from .._report.lines import DRIVE, finish, line, own_axes, volts
+from .._report.numbers import figure
 from .drives import Planned
 from .planning import Plan
 

@@ -165,16 +165,6 @@ class Plant:
             return np.asarray(jax.jacfwd(self.derivative)(state, u))
 
     @cached_property
-    def _mode(self) -> complex:
-        """The oscillating eigenvalue (1/s) of the linearisation at u = 0."""
-        return max(np.linalg.eigvals(self.linearised()), key=np.imag)
-
-    @property
     def resonance_hz(self) -> float:
         """Natural frequency of the one mechanical mode at u = 0 in Hz, for small motions."""
-        return float(abs(self._mode) / (2.0 * np.pi))
-
-    @property
-    def damping_ratio(self) -> float:
-        """Damping ratio of that mode: viscous damping and relaxation together."""
-        return float(-self._mode.real / abs(self._mode))
+        return float(abs(max(np.linalg.eigvals(self.linearised()), key=np.imag)) / (2.0 * np.pi))

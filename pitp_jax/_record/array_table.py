@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import scipy.io
+import scipy
 
 from .._errors import BadInput
 from .table import Column, Table, as_column, check_columns, cleaned, file_bytes, sample

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from .._errors import BadInput
 
@@ -198,6 +198,8 @@ def _grid_offset(time: np.ndarray) -> np.ndarray:
     def spread(shift: float) -> float:
         return float(np.ptp(centred - (len(time) + shift) * index))
 
-    best = minimize_scalar(spread, bounds=(-8 * TIME_TOLERANCE, 8 * TIME_TOLERANCE), options={"xatol": 1e-9})
+    best = scipy.optimize.minimize_scalar(
+        spread, bounds=(-8 * TIME_TOLERANCE, 8 * TIME_TOLERANCE), options={"xatol": 1e-9}
+    )
     rest = centred - (len(time) + best.x) * index
     return np.abs(rest - (rest.max() + rest.min()) / 2)

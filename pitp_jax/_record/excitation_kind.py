@@ -8,7 +8,7 @@ Ranks run through 0 ... 1; frac(0.618 j) never comes back to where it just was: 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import spearmanr
+import scipy
 
 from .record import Record
 
@@ -29,7 +29,7 @@ def is_sweep(record: Record) -> bool:
     counts = np.bincount(np.minimum(crossings * _SEGMENTS // record.samples, _SEGMENTS - 1), minlength=_SEGMENTS)
     if len(np.unique(counts)) < 4:
         return False
-    trend = float(spearmanr(np.arange(_SEGMENTS), counts)[0])  # pyright: ignore[reportArgumentType]
+    trend = float(scipy.stats.spearmanr(np.arange(_SEGMENTS), counts)[0])  # pyright: ignore[reportArgumentType]
     return abs(trend) > 0.9 and bool(counts.max() >= 3 * max(counts.min(), 1))
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from .._errors import BadInput
 from .checks import MIN_SAMPLES, TIME_TOLERANCE, refuse_time
@@ -156,5 +156,7 @@ def _piece(time, voltage, displacement, index, line, jitter) -> Piece:
         seen = np.isfinite(displacement)
         drive = np.interp(at, time, voltage)
         if seen.sum() > 1:
-            output = np.where(np.isfinite(output), PchipInterpolator(time[seen], displacement[seen])(at), np.nan)
+            output = np.where(
+                np.isfinite(output), scipy.interpolate.PchipInterpolator(time[seen], displacement[seen])(at), np.nan
+            )
     return Piece(grid, drive, output, lost)

@@ -9,7 +9,7 @@ would be off by 2 % at 15 Hz.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import resample_poly
+import scipy
 
 from .preprocess import force_band
 from .record import Record
@@ -55,7 +55,7 @@ class LongRecord:
         return Record("long record", self.dt * np.arange(len(displacement)), self._between(voltage), displacement)
 
     def _between(self, kept: np.ndarray) -> np.ndarray:
-        return kept if self.step == 1 else resample_poly(kept, self.step, 1, padtype="line")
+        return kept if self.step == 1 else scipy.signal.resample_poly(kept, self.step, 1, padtype="line")
 
 
 def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
@@ -84,4 +84,4 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
 
 def _thin(values: np.ndarray, step: int) -> np.ndarray:
     """Low-passed about the line between its ends: about zero, 50 mm of sensor offset would read 26 mm at either."""
-    return values if step == 1 else resample_poly(values, 1, step, padtype="line")
+    return values if step == 1 else scipy.signal.resample_poly(values, 1, step, padtype="line")

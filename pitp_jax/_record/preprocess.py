@@ -15,8 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import rfft, rfftfreq
-from scipy.signal import butter, sosfiltfilt
+import scipy
 
 from .._errors import BadInput
 from .derivative import DIFFERENCES, MIN_LENGTH
@@ -67,10 +66,10 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_SH
     frequencies, energies = [], []
     for force in forces:
         force = np.asarray(force, dtype=np.float64)
-        energy = np.abs(np.asarray(rfft(force - force.mean()))) ** 2 / len(force)
+        energy = np.abs(np.asarray(scipy.fft.rfft(force - force.mean()))) ** 2 / len(force)
         energy[1 : (len(force) + 1) // 2] *= 2.0  # both signs of the frequency
         energy[0] = 0.0
-        frequencies.append(rfftfreq(len(force), dt))
+        frequencies.append(scipy.fft.rfftfreq(len(force), dt))
         energies.append(energy)
     frequency, energy = np.concatenate(frequencies), np.concatenate(energies)
     scale = sum(float(np.sum(np.square(force, dtype=np.float64))) for force in forces)
@@ -131,7 +130,7 @@ def preprocess(
     force = np.asarray(force, dtype=np.float64)
     dt = record.dt
     _check(record, order, cutoff_hz, force, displacement, difference)
-    sos = np.asarray(butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * dt, output="sos"))
+    sos = np.asarray(scipy.signal.butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * dt, output="sos"))
     edge = edge_samples(cutoff_hz, dt, order)
     states = np.zeros((record.samples, order + 1))
     known = np.zeros(record.samples, dtype=bool)
@@ -153,7 +152,7 @@ def preprocess(
 
 def _filtered(sos: np.ndarray, values: np.ndarray, edge: int) -> np.ndarray:
     """Zero-phase filter, extended oddly at the ends by as many samples as it takes to settle."""
-    return sosfiltfilt(sos, values, padlen=min(2 * edge, len(values) - 1))
+    return scipy.signal.sosfiltfilt(sos, values, padlen=min(2 * edge, len(values) - 1))
 
 
 def stretches(observed: np.ndarray) -> list[tuple[int, int]]:

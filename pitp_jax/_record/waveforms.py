@@ -12,7 +12,7 @@ zero are appended (an abrupt fall, as in the paper's rest intervals).
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import sawtooth
+import scipy
 
 Waveform = tuple[np.ndarray, np.ndarray]
 
@@ -111,7 +111,7 @@ def triangle(
 ) -> Waveform:
     """Symmetric triangle between offset - amplitude (at t = 0) and offset + amplitude; else as `sine`."""
     time = _clock(duration, rate)
-    wave = sawtooth(2 * np.pi * frequency * time, 0.5)  # pyright: ignore[reportArgumentType]
+    wave = scipy.signal.sawtooth(2 * np.pi * frequency * time, 0.5)  # pyright: ignore[reportArgumentType]
     return _finish(time, amplitude * wave + offset, rate, rise, rest_s)
 
 

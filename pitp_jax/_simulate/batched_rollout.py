@@ -4,7 +4,7 @@
 
 The states of `decoder.rollout` to rounding. One record is a chain of scalars, one kernel a step: 0.3 us instead of 1.1.
 Many records are rows, with walls behind clipping, hidden layers and tokens so that nothing is computed twice: 32
-records 4 us a step instead of 7-15. Time is one scan; for parallel in time see `parallel_in_time`.
+records 4 us a step instead of 7-15.
 """
 
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from .._model.encoder import CompactEncoder, ConstantEncoder, plain
 from .._model.model import Model
 from .._model.programs import jit
+from . import ports
 from .decoder import along, held, midpoint, motion_of, moved, rollout_batch, runge_kutta, scaled_force, stage_voltages
 
 
@@ -30,6 +31,15 @@ def fast_rollout(
     rest = ~jnp.any(start[:, : model.order], axis=1)
     film = jax.vmap(lambda u, r: model.drive.film(u, dt, r))(voltage, rest)
     return rows_rollout(model, film, dt, start)
+
+
+@jit
+def free_runs(
+    model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
+) -> tuple[Float[Array, "records time state"], Float[Array, "records time"]]:
+    """Scaled states of every record, and what the sensor reads of them, in one program."""
+    states = fast_rollout(model, voltage, dt, start)
+    return states, jax.vmap(lambda s: ports.readings(model, s))(states)
 
 
 def in_rows(model: Model) -> bool:

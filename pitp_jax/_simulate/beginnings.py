@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, on_device
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, is_still, noise_std, rest_level, starts_at_rest
 from .._record.record import Record
 from . import ports
@@ -63,22 +63,25 @@ def held_states(
     return jax.vmap(one)(voltage, age)
 
 
+@jit
+def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, age: Float[Array, " records"]):
+    """States at rest and held, and the readings of the free runs from each: [(state, reading), (state, reading)]."""
+    starts = jax.vmap(lambda a: rest_state(model, a))(age), held_states(model, voltage[:, 0], dt, age)
+    return [(s, jax.vmap(lambda r: ports.readings(model, r))(rollout_batch(model, voltage, dt, s))) for s in starts]
+
+
 def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
-) -> tuple[list[Beginning], list[Float[Array, " state"] | None]]:
+) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
     """How every record begins, and its state where that is rest or held (None: moving)."""
     dtype, size = model.coefficients.dtype, min(_AHEAD, max(r.samples for r in records))
     ends = [r.voltage[:size] for r in records]
-    voltage = jnp.asarray(np.stack([np.pad(v, (0, size - len(v)), mode="edge") for v in ends]), dtype)
-    rest = jnp.stack([rest_state(model, age) for age in ages])
-    held = held_states(model, voltage[:, 0], records[0].dt, jnp.asarray(ages, dtype))
-    runs: list[dict[Begins, np.ndarray]] = [{} for _ in records]
-    states: dict[Begins, Array] = {"rest": rest, "held": held}
-    for begins, start in states.items():
-        x = jax.vmap(lambda s: ports.readings(model, s))(rollout_batch(model, voltage, records[0].dt, start))
-        for k, row in enumerate(np.asarray(x, np.float64) * model.scales.state[0]):
-            runs[k][begins] = row
-    found = [_beginning(model, r, run) for r, run in zip(records, runs, strict=True)]
+    voltage = np.stack([np.pad(v, (0, size - len(v)), mode="edge") for v in ends])
+    kinds: tuple[Begins, ...] = ("rest", "held")
+    found = _first_runs(model, on_device(voltage, dtype), records[0].dt, on_device(ages, dtype))
+    states = {kind: np.asarray(state) for kind, (state, _) in zip(kinds, found, strict=True)}
+    x = [np.asarray(run, np.float64) * model.scales.state[0] for _, run in found]
+    found = [_beginning(model, r, dict(zip(kinds, rows, strict=True))) for r, *rows in zip(records, *x, strict=True)]
     return found, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(found)]
 
 

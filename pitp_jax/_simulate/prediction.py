@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._model.model import Model, check_model
-from .._model.programs import jit
+from .._model.programs import jit, on_device
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
 from . import ports
+from .batched_rollout import free_runs
 from .beginnings import beginnings
 from .decoder import rollout, settled_state
-from .parallel_in_time import rollout_by_size
 
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
@@ -138,10 +138,10 @@ def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple])
     size = -(-max(r.samples for r in records) // 1024) * 1024
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     start, spent, begun = zip(*starts, strict=True)
-    states = rollout_by_size(model, jnp.asarray(voltage, model.coefficients.dtype), records[0].dt, jnp.stack(start))
+    runs = free_runs(model, on_device(voltage, model.coefficients.dtype), records[0].dt, on_device(start))
     return [
-        _prediction(model, r, np.asarray(s[: r.samples]), n, b)
-        for r, s, n, b in zip(records, states, spent, begun, strict=True)
+        _prediction(model, r, states, np.asarray(seen, np.float64), n, b)
+        for r, states, seen, n, b in zip(records, *map(np.asarray, runs), spent, begun, strict=True)
     ]
 
 
@@ -169,8 +169,8 @@ def begin(
         spent.append(min(samples, record.samples))
     if aged and model.effects:
         turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
-        found = [ports.resumed(model, s, far) for s, far in zip(found, reaches(model, turned), strict=True)]
-    return jnp.stack(found), tuple(spent), begun
+        found = [ports.resumed(model, on_device(s), far) for s, far in zip(found, reaches(model, turned), strict=True)]
+    return on_device(found), tuple(spent), begun
 
 
 def reaches(model: Model, records: Sequence[Record]) -> list[float]:
@@ -190,9 +190,9 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
     observed = np.isfinite(x)
-    voltage, known = jnp.asarray(record.voltage[first], dtype), jnp.asarray(np.where(observed, x, 0.0), dtype)
-    now = jnp.asarray(age, dtype)  # an array: no program for every age
-    return estimate_start(model, voltage, known, jnp.asarray(observed), record.dt, now)
+    voltage, known = on_device(record.voltage[first], dtype), on_device(np.where(observed, x, 0.0), dtype)
+    now = on_device(age, dtype)  # an array: no program for every age
+    return estimate_start(model, voltage, known, on_device(observed), record.dt, now)
 
 
 def outside_share(model: Model, features: np.ndarray) -> float:
@@ -208,12 +208,15 @@ def outside_share(model: Model, features: np.ndarray) -> float:
     return float(((features < low - slack) | (features > high + slack)).any(-1).mean())
 
 
-def _prediction(model: Model, record: Record, states: np.ndarray, spent: int, begun: Beginning) -> Prediction:
+def _prediction(
+    model: Model, record: Record, states: np.ndarray, seen: np.ndarray, spent: int, begun: Beginning
+) -> Prediction:
+    """`states`, `seen`: scaled states and readings, which go on behind the record's end."""
+    states = states[: record.samples]
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
-    seen = np.asarray(ports.readings(model, jnp.asarray(states[:first])), np.float64)
-    x[:first] = begun.direction * seen * model.scales.state[0] + begun.zero
+    x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
     share = 1.0 if first == 0 else outside_share(model, states[:first, : model.order + model.memory.size])

@@ -10,10 +10,10 @@ import numpy as np
 
 from .._errors import BadInput
 from .._model.model import Model, check_model
-from . import ports
+from .._model.programs import on_device
+from .batched_rollout import free_runs
 from .beginnings import held_states
 from .decoder import rest_state
-from .parallel_in_time import rollout_by_size
 from .prediction import FAR, at_rate
 
 
@@ -79,8 +79,8 @@ def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None,
         ages = jnp.full(len(rows), age, dtype)
         start = jnp.where(held[:, None], held_states(model, jnp.asarray(rows[:, 0], dtype), dt, ages), rest)
     padded = np.pad(rows, ((0, 0), (0, -samples % 1024)), mode="edge")
-    states = np.asarray(rollout_by_size(model, jnp.asarray(padded, dtype), dt, start), np.float64)[:, :samples]
-    x = np.stack([np.asarray(ports.readings(model, jnp.asarray(s)), np.float64) for s in states])
+    runs = free_runs(model, on_device(padded, dtype), dt, start)
+    states, x = (np.asarray(a, np.float64)[:, :samples] for a in runs)
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
     x = model.output.to_rig(x * model.scales.state[0])
     return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from .._model.model import Model
 from .._model.programs import bare, jit
@@ -119,7 +119,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     check_set(records)
     models = [at_rate(m, records[0].dt) for m in ensemble.models]
     stack = _stacked(models)
-    quantile = float(student.ppf(0.5 + level / 2, len(models) - 1))
+    quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
         begin, spent = zip(*[starts(m, [r]) for m in models], strict=True)

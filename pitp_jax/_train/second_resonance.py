@@ -12,9 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.optimize import minimize
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from .._record.preprocess import StateRecord
 
@@ -57,7 +56,9 @@ def second_mass(
         return 1 - gain**2 / max(float(pull @ pull) * energy, 1e-300) if gain > 0 else 1.0
 
     start = min(np.geomspace(low, high, _GRID), key=lambda w: left(np.log([w, 0.08])))
-    found = minimize(left, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4})
+    found = scipy.optimize.minimize(
+        left, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4}
+    )
     w, zeta = np.exp(found.x)
     inside = 1.01 * low < w < 0.99 * high  # at an edge it is the tail of something else
     worth = (1 - found.fun) * energy >= WORTH**2 * float(force @ force)
@@ -82,10 +83,12 @@ class _Rows(NamedTuple):
 
     def filtered(self, numerator, denominator) -> np.ndarray:
         """X behind a continuous filter, exact for X linear between samples, settled at its first value."""
-        b, a, _ = cast(tuple, cont2discrete((numerator, denominator), self.states[0].dt, "foh"))
+        b, a, _ = cast(tuple, scipy.signal.cont2discrete((numerator, denominator), self.states[0].dt, "foh"))
         b, a = np.ravel(b), np.ravel(a)
-        settled = lfilter_zi(b, a)
-        return self.read(lambda s: np.asarray(cast(tuple, lfilter(b, a, x := s.states[:, 0], zi=settled * x[0]))[0]))
+        settled = scipy.signal.lfilter_zi(b, a)
+        return self.read(
+            lambda s: np.asarray(cast(tuple, scipy.signal.lfilter(b, a, x := s.states[:, 0], zi=settled * x[0]))[0])
+        )
 
 
 def _rows(states: Sequence[StateRecord]) -> _Rows:

@@ -10,7 +10,7 @@ import pytest
 from cli_cases import COEFFICIENTS, columns_of, refused, tree
 from scipy.signal import lsim
 
-from pitp_jax._demo import files, protocol
+from pitp_jax._demo import files, joint, protocol
 from pitp_jax._errors import ComputationFailed
 from pitp_jax._model_file import model_file
 from pitp_jax._train import settings
@@ -79,3 +79,37 @@ def test_end_to_end(call, bench, tmp_path, monkeypatch):
     x = lsim(([1.0], COEFFICIENTS[::-1]), values[:, 1] ** 2, np.arange(len(values)) * 0.002)[1]
     assert 1e3 * x.max() == pytest.approx(1.5, rel=0.1)
     assert jnp.isfinite(model_file.load(model).coefficients).all()
+
+
+def test_joint_follows_its_equation():
+    """The ideal joint is a linear second-order system; friction, delay and backlash act as their closed forms say."""
+    time = np.arange(2000) / 500.0
+    command = joint.commands(9.0)["sine_2.5Hz"]
+    j = joint.IDEAL
+    a = [j.inertia, j.damping, j.position_gain]
+    exact = lsim(([j.position_gain], a), command(time), time, interp=False)[1]
+    ideal = joint.simulate(j, command, time)
+    assert np.abs(ideal - exact).max() < 2e-3 * np.ptp(exact)
+    late = joint.simulate(replace(j, delay=0.02), command, time)
+    assert np.abs(late[10:] - ideal[:-10]).max() < 1e-12  # 10 samples
+    step = joint.simulate(replace(j, friction=0.7), lambda t: np.full_like(t, 0.03), time)
+    assert np.abs(step).max() == 0.0  # 20 N m/rad times 0.03 rad is less than 0.7 N m
+    loose = joint.simulate(replace(j, backlash=0.02), command, time)
+    assert np.abs(loose - ideal).max() == pytest.approx(0.01)
+
+
+def test_demo_joint_writes_both_folders(call, tmp_path):
+    code, text, _ = call("demo", "--plant", "joint", "--quick", "--out", tmp_path / "d", "--json", tmp_path / "j")
+    assert code == 0
+    assert "--against" in text
+    assert tree(tmp_path / "d") == sorted({*joint.recordings(), "sim", "robot"})
+    told = json.loads((tmp_path / "j").read_text())
+    assert told["robot"]["friction"] == joint.REAL.friction
+    header, simulated = columns_of(tmp_path / "d" / "sim" / "sine_1Hz.csv")
+    assert header == ["time_s", "input_rad", "output_rad"]
+    header, robot = columns_of(tmp_path / "d" / "robot" / "sine_1Hz.csv")
+    assert header == ["time_s", "input_deg", "output_deg"]
+    # the robot's command comes 0.7 s after the log's begin, the same in degrees
+    begins = 350
+    assert np.allclose(np.radians(robot[begins : begins + 1000 : 5, 1]), simulated[:400:2, 1], atol=1e-6)
+    refused(call("demo", "--plant", "joint", "--out", tmp_path / "j"))

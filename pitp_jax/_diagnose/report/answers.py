@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..._plot import html
-from ..._plot.html import tag
-from ..._plot.numbers import figure, interval, of_range, percent
+from ..._report import html
+from ..._report.html import tag
+from ..._report.numbers import figure, interval, of_range, percent
 from ..diagnosis import Diagnosis
 from ..result import GAP
 from ..verdict import ENOUGH, HELPS

@@ -1,7 +1,7 @@
 """The figures of a diagnosis, on axes the caller may own: each takes axes and returns them.
 
 Nothing is only in a figure: `Diagnosis.as_json` and the report's tables hold the same numbers. Units are those of the
-user's files; no pyplot, no global style; colours from Okabe and Ito (`_plot.lines`).
+user's files; no pyplot, no global style; colours from Okabe and Ito (`_report.lines`).
 """
 
 from collections.abc import Callable
@@ -13,9 +13,9 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from ..._plot.lines import DRIVE, ERROR, MEASURED, PREDICTED, finish, line, own_axes, volts
-from ..._plot.numbers import figure as digits
-from ..._plot.numbers import percent
+from ..._report.lines import DRIVE, ERROR, MEASURED, PREDICTED, finish, line, own_axes, volts
+from ..._report.numbers import figure as digits
+from ..._report.numbers import percent
 from ..diagnosis import Diagnosis
 from .gap_figure import gap, output_unit
 

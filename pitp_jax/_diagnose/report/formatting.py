@@ -9,8 +9,8 @@ import numpy as np
 
 from ..._effects import CATALOGUE
 from ..._effects.base import AbstractEffect
-from ..._plot.numbers import figure, percent, shown_unit, with_error
 from ..._record.units import OUTPUT_UNITS, base_unit
+from ..._report.numbers import figure, percent, shown_unit, with_error
 
 PLAIN = {
     "stiffening": "the spring gets harder the further it is moved",

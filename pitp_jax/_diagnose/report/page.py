@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..._plot import html
-from ..._plot.html import tag
-from ..._plot.numbers import figure, interval, percent
+from ..._report import html
+from ..._report.html import tag
+from ..._report.numbers import figure, interval, percent
 from .. import verdict as rule
 from ..diagnosis import Diagnosis
 from ..result import Gap, Ranked

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ..._effects.physical import physical
-from ..._plot import html
-from ..._plot.html import tag
-from ..._plot.numbers import of_range, percent, with_error
+from ..._report import html
+from ..._report.html import tag
+from ..._report.numbers import of_range, percent, with_error
 from ..diagnosis import Diagnosis
 from ..result import Ranked
 from .formatting import coefficient_name, equation, named, parameter

@@ -5,10 +5,9 @@ more than a printed figure can resolve, no peak lost, and 200,000 samples draw a
 """
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.ndimage import maximum_filter1d
-from scipy.signal import find_peaks
 
 MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
@@ -39,9 +38,9 @@ def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     neighbours is a ripple within an oscillation.
     """
     edges = _edges(values, bins)
-    troughs, found = find_peaks(-values, prominence=0)
+    troughs, found = scipy.signal.find_peaks(-values, prominence=0)
     depth = found["prominences"]
-    troughs = troughs[depth >= 0.5 * maximum_filter1d(depth, 5)] if len(troughs) else troughs
+    troughs = troughs[depth >= 0.5 * scipy.ndimage.maximum_filter1d(depth, 5)] if len(troughs) else troughs
     troughs = np.concatenate([[0], troughs, [len(values)]])
     first = troughs[np.searchsorted(troughs, edges[:-1], side="right") - 1]
     return _least_and_most(values, first, troughs[np.searchsorted(troughs, edges[1:])])

@@ -1,0 +1,131 @@
+"""A robot's joint and its simulator under the same position commands, as two folders of recordings.
+
+    J q'' + D q' + Kp (q - c(t - T)) + Fc sgn(q') = 0,    angle read = play(q, w), rounded to the encoder's steps
+
+The simulator lacks Fc, T and w. Each writes files as its program would: the simulator radians at 200 Hz, the robot
+degrees at 500 Hz by a clock of its own. Solved by semi-implicit Euler steps; dry friction acts implicitly:
+
+    v* = v + h a(q, v),    v = sgn(v*) max(|v*| - h Fc / J, 0),    q = q + h v
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from .._record.writing import write_csv
+
+SIMULATED, ROBOT = "sim", "robot"
+POSITION_GAIN = 20.0  # Kp of the simulator and of the robot, N m/rad
+_STEP = 2.5e-4  # s; at most, and a whole number of them in a sample
+_ENCODER = 2 * np.pi / 2**14  # rad
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Numbers of a position-controlled joint, SI units.
+
+    Attributes:
+        inertia, damping, position_gain: J in kg m^2, D in N m s/rad, Kp in N m/rad.
+        friction: dry friction Fc, N m (MuJoCo: frictionloss).
+        delay: T, s, from the command's time stamp to the torque.
+        backlash: w, rad; the encoder sits behind it.
+    """
+
+    inertia: float = 0.05
+    damping: float = 0.9
+    position_gain: float = POSITION_GAIN
+    friction: float = 0.0
+    delay: float = 0.0
+    backlash: float = 0.0
+
+
+IDEAL = Joint()
+REAL = replace(IDEAL, friction=0.7, delay=0.020, backlash=0.020)
+
+
+def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
+    """Position commands by name, rad: each a function of time (T,), 0 before and at t = 0, and held after `seconds`."""
+
+    def windowed(shape: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda t: shape(np.clip(t, 0.0, seconds))
+
+    def chirp(t, low=0.1, high=6.0):
+        rate = np.log(high / low) / seconds
+        return 0.35 * np.sin(2 * np.pi * low * np.expm1(rate * t) / rate)
+
+    return {
+        "chirp": windowed(chirp),
+        "sine_0.3Hz": windowed(lambda t: 0.50 * np.sin(2 * np.pi * 0.3 * t)),
+        "sine_1Hz": windowed(lambda t: 0.12 * np.sin(2 * np.pi * t)),
+        "sine_2.5Hz": windowed(lambda t: 0.30 * np.sin(2 * np.pi * 2.5 * t)),
+        "triangle": windowed(lambda t: 0.20 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 0.5 * t))),
+        "steps": windowed(lambda t: 0.10 * (np.floor(t / 1.5) % 5) * (-1.0) ** np.floor(t / 3.0)),
+    }
+
+
+def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np.ndarray) -> np.ndarray:
+    """Angle read at each sample, rad, from standstill; the controller holds each command for one sample.
+
+    Args:
+        joint: its numbers.
+        command: position command as a function of time, rad.
+        time: uniform sample times, s, shape (T,).
+    """
+    dt = float(time[1] - time[0])
+    substeps = int(np.ceil(dt / _STEP))
+    h = dt / substeps
+    # the command that acts during each substep: sampled at its own time stamp, T later at the motor
+    acting = np.arange(len(time) * substeps) * h - joint.delay
+    held = command(time[0] + dt * np.floor(acting / dt + 1e-9)).tolist()
+    kp, d, slip = joint.position_gain / joint.inertia, joint.damping / joint.inertia, h * joint.friction / joint.inertia
+    q = v = 0.0
+    angles = np.empty(len(time))
+    for k in range(len(time)):
+        angles[k] = q
+        for c in held[k * substeps : (k + 1) * substeps]:
+            free = v + h * (kp * (c - q) - d * v)
+            v = max(free - slip, 0.0) if free > 0 else min(free + slip, 0.0)
+            q += h * v
+    return _play(angles, joint.backlash / 2)
+
+
+def _play(values: np.ndarray, half: float) -> np.ndarray:
+    """Output of a play of this half width, which begins in its middle."""
+    follower, out = 0.0, np.empty(len(values))
+    for k, value in enumerate(values):
+        follower = min(max(follower, value - half), value + half)
+        out[k] = follower
+    return out
+
+
+def write(folder: Path, *, quick: bool) -> None:
+    """Write `sim/` and `robot/` into an existing folder, one CSV per command.
+
+    Args:
+        folder: where.
+        quick: half as long.
+
+    Raises:
+        BadInput: a file cannot be written.
+    """
+    seconds = 9.0 if quick else 18.0
+    rng = np.random.default_rng(1)
+    for home in (SIMULATED, ROBOT):
+        (folder / home).mkdir()
+    for name, command in commands(seconds).items():
+        time = np.arange(round(200 * (seconds + 1.0))) / 200
+        columns = {"time_s": time, "input_rad": command(time), "output_rad": simulate(IDEAL, command, time)}
+        write_csv(folder / SIMULATED / f"{name}.csv", columns)
+        # the robot's log starts 0.7 s before the command
+        time = np.arange(round(500 * (seconds + 1.7))) / 500 - 0.7
+        angle = simulate(REAL, command, time)
+        angle = _ENCODER * np.round((angle + 0.2 * _ENCODER * rng.standard_normal(len(angle))) / _ENCODER)
+        columns = {"time_s": time - time[0], "input_deg": np.degrees(command(time)), "output_deg": np.degrees(angle)}
+        write_csv(folder / ROBOT / f"{name}.csv", columns)
+
+
+def recordings() -> set[str]:
+    """Names of the files `write` makes, with their folders."""
+    return {f"{home}/{name}.csv" for home in (SIMULATED, ROBOT) for name in commands(1.0)}

@@ -1,0 +1,33 @@
+"""The package reproduces what commit 01c30c9 computed (`guard` says from what, and how an intended change edits it)."""
+
+import guard
+import numpy as np
+import pytest
+
+import pitp_jax as pitp
+
+RUNS = guard.stored("runs")
+QUICK = ("found_term", "fading_memory", "coulomb_friction_bristles")
+NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in RUNS]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return guard.unpack(tmp_path_factory.mktemp("guard"))
+
+
+def test_every_stored_model_has_a_run():
+    assert {*guard.names(), "ensemble_band"} == set(RUNS)
+
+
+@pytest.mark.parametrize("name", ["all_forms", "found_term_every_function", "cone100_adapted", "paper_encoder"])
+def test_a_stored_model_survives_being_saved_again(folder, name, tmp_path):
+    model = pitp.load(folder / f"{name}.pitp")
+    pitp.save(tmp_path / "again", model)
+    assert repr(pitp.load(tmp_path / "again")) == repr(model)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_stored_models_run_as_they_did(folder, name):
+    x = guard.runs(folder)[name]()
+    np.testing.assert_allclose(x, RUNS[name], rtol=0, atol=1e-6 * np.ptp(RUNS[name]))
