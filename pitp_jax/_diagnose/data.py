@@ -107,7 +107,7 @@ class Case:
         return [s.counts & (place >= fold * size // _BLOCKS) & (place < (fold + 1) * size // _BLOCKS)]
 
 
-def build_case(model: Model, records: Sequence[Record]) -> Case:
+def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) -> Case:
     """Thin the records, take out their zeros and directions and find how they begin.
 
     Raises:
@@ -141,7 +141,7 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
     dt = records[0].dt * k
     omega = _omega(nominal)
     substeps = int(np.clip(np.ceil(STEPS * omega * dt / (2 * np.pi)), 1, _MOST_STEPS))
-    simulator = Simulator(tuple(drives), square, float(model.scales.force), substeps)
+    simulator = Simulator(tuple(drives), square, float(model.scales.force), substeps, tuple(devices))
     case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
     return _beside(case, records, turned, foreign) if foreign else case
 

@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from jax.sharding import Mesh
 
+from .._errors import BadInput
 from .._model.model import Model
 from .._record.initial_state import noise_std
 from .._record.record import Record
@@ -130,6 +132,7 @@ def diagnose(
     exclude: Sequence[str] = (),
     seconds: float = np.inf,
     progress: Callable[[str], None] = lambda line: None,
+    mesh: Mesh | None = None,
 ) -> Diagnosis:
     """Find the unmodelled effect behind the gap between a nominal model and real recordings.
 
@@ -140,20 +143,24 @@ def diagnose(
         exclude: names left out of the catalogue.
         seconds: of computing; then the best so far is told, and in `notes` what was not tried.
         progress: called with one line per step.
+        mesh: devices of this process that share the runs (`records_mesh`); default one device.
 
     Returns:
         verdict, effects, budget, and the best model that beats the nominal out of fold.
 
     Raises:
-        BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one.
+        BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one; a
+            mesh over several processes.
 
     Examples:
         >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
         no gap ...
     """
+    if mesh is not None and mesh.is_multi_process:
+        raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)
     model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
-    case = build_case(model, records)
+    case = build_case(model, records, tuple(mesh.devices.flat) if mesh is not None else ())
     limit = Budget(seconds)
     search = Search(case, refit_nominal, exclude, limit, progress)
     own, source = own_error(case, search) if not refit_nominal else (0.0, "unknown in a refit")

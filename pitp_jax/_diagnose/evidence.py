@@ -47,7 +47,7 @@ class Evidence:
         return float(np.exp(self.score / 2))
 
 
-def evidence(residuals: Sequence[np.ndarray], floors: Sequence[float]) -> Evidence:
+def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray) -> Evidence:
     """Blocks of the samples that are there: about thirty in all, at least six a record."""
     total = sum(int(np.isfinite(r).sum()) for r in residuals)
     squares, sizes, records = [], [], []

@@ -130,7 +130,7 @@ class Fitter:
         self.case = case
         self.runs = 0
         self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))}
-        self._eps = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
+        self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
     def _simulate(self, jobs: Sequence[tuple[np.ndarray, int, np.ndarray]]) -> list[np.ndarray]:
         if not jobs:
@@ -178,7 +178,7 @@ class Fitter:
             if residuals[k] is None:
                 return np.inf
             seen = self._masks[fold][k] > 0
-            total += seen.sum() * np.log(np.mean(residuals[k][seen] ** 2) + self._eps[k])
+            total += seen.sum() * np.log(np.mean(residuals[k][seen] ** 2) + self.floors[k])
         return float(total)
 
     def differentiate(self, fits: Sequence[Fit]):
@@ -212,7 +212,7 @@ class Fitter:
         for k in self._seen(fit.fold):
             seen = self._masks[fit.fold][k] > 0
             j, r = fit.jacobian[k][seen], fit.residuals[k][seen]
-            weight = 1 / (np.mean(r**2) + self._eps[k])
+            weight = 1 / (np.mean(r**2) + self.floors[k])
             h, g = h + weight * j.T @ j, g + weight * j.T @ r
         return h, g
 

@@ -328,6 +328,9 @@ def model_of(case_nominal: np.ndarray, slots: np.ndarray, model: Model, omega: f
     """The nominal with these slots in place of its own; what was added with its slots; and what no row can carry."""
     core, behind = ("a0", "a1", "a2"), ("delay", "lag", "filter", "filter_zeta")
     places = [INDEX[k] for k in core]
+    slots = slots.copy()
+    for k in ("delay", "lag", "filter"):  # what a fit has pushed to nothing is not there
+        slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.provenance.dt
     change = slots.copy()
     same = (slots[places] > 0) == (case_nominal[places] > 0)
     if model.order <= 2 and same.all():

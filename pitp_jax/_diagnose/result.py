@@ -178,11 +178,12 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     before = percent(search, search.base)
     for h in search.level(1):
         label = h.labels[0]
-        slots = h.fit.slots.copy()
-        same = slots == search.base.fit.slots
-        slots = np.where(same, OFF, slots)
+        same = h.fit.slots == search.base.fit.slots
+        same[[INDEX[k] for k in ("delay", "lag", "filter")]] |= label not in ("delay", "sensor_lag")
+        slots = np.where(same, OFF, h.fit.slots)
+        slots[INDEX["a0"]] = h.fit.value("a0")
         found, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
-        mine = next(((e, c) for e, c in found if e.name == label), found[0] if found else None)
+        mine = next(((e, c) for e, c in found if e.name in (label, "found_term")), None)
         errors = errors_of(search, h.fit) if len(rows) < 3 else {}
         numbers = told(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
         after = percent(search, h)

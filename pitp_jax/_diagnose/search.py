@@ -89,9 +89,10 @@ class Search:
     ):  # fmt: skip
         self.case, self.refit, self.exclude = case, refit, set(exclude)
         self.fitter, self.budget, self.progress = Fitter(case), budget or Budget(), progress
-        self.floors = self.fitter._eps
+        self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
+        self.own = 0.0  # the nominal's own error, set by who knows it
         self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
@@ -217,7 +218,7 @@ class Search:
                 fronts += [h for h in level[BEAM:] if h.names == (PARAMETERS,)]
         self._backward()
 
-    def level(self, depth: int, without: set = frozenset()) -> list[Hypothesis]:
+    def level(self, depth: int, without: set | frozenset = frozenset()) -> list[Hypothesis]:
         """Sets of so many names, best first."""
         found = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
         return sorted(found, key=lambda h: h.rms)
@@ -260,8 +261,6 @@ class Search:
             if probability(h.evidence, best.evidence, ratio) >= rules.SURE:
                 best = h
         return best
-
-    own: float = 0.0  # the nominal's own error, set by who knows it
 
     def without(self, name: str, depth: int) -> Hypothesis:
         """The best set of at most so many names that lacks a name, searched anew: it finds the twins."""

@@ -92,12 +92,14 @@ class Simulator:
         square: whether F = V^2 (else V).
         force_scale: of F.
         substeps: steps a sample.
+        devices: blocks run on these in turn; none: on the default one.
     """
 
     drives: tuple[Drive, ...]
     square: bool
     force_scale: float
     substeps: int
+    devices: tuple = ()
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
         """Scaled outputs (T,) of lanes: slots (lanes, slots), the record and the start (x, v) of each; nan if diverged."""
@@ -113,8 +115,14 @@ class Simulator:
             blocks.append((order[place : place + min(count, width)], width, bool(mixed)))
             place += min(count, width)
         found: list = [None] * len(records)
-        with ThreadPoolExecutor(THREADS) as pool:
-            runs = pool.map(lambda b: self._block(slots[b[0]], records[b[0]], starts[b[0]], *b[1:]), blocks)
+
+        def run(numbered):
+            k, (block, width, mixed) = numbered
+            with jax.default_device(self.devices[k % len(self.devices)] if self.devices else None):
+                return self._block(slots[block], records[block], starts[block], width, mixed)
+
+        with ThreadPoolExecutor(max(THREADS, len(self.devices))) as pool:
+            runs = pool.map(run, enumerate(blocks))
             for (block, _, _), rows in zip(blocks, runs, strict=True):
                 for k, row in zip(block, rows, strict=True):
                     found[k] = row

@@ -81,7 +81,8 @@ def motions(case: Case, scale: Scale) -> Seen:
         weight = 1e4 * s.counts / (s.counts.sum() * s.span**2)
         found.append(Motion(record, weight, states, force - states @ a, s.noise, s.span))
     scale_, unit = float(case.model.scales.state[0]), case.model.provenance.displacement_unit
-    return Seen(tuple(found), omega, scale.reach, scale_, unit)
+    reach = max(float(np.abs(m.states[:, 0]).max()) for m in found)
+    return Seen(tuple(found), omega, reach, scale_, unit)
 
 
 def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
