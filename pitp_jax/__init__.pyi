@@ -3,13 +3,17 @@ from ._adapt import adapt as adapt
 from ._check import Check as Check
 from ._check import CheckedRecord as CheckedRecord
 from ._check import check as check
+from ._compare import Comparison as Comparison
+from ._compare import compare as compare
 from ._diagnose import Diagnosis as Diagnosis
 from ._diagnose import diagnose as diagnose
 from ._errors import BadInput as BadInput
 from ._errors import ComputationFailed as ComputationFailed
+from ._export import PIGains as PIGains
 from ._export import export_c as export_c
 from ._export import export_fmu as export_fmu
 from ._export import export_matlab as export_matlab
+from ._export import pi_gains as pi_gains
 from ._identify import Identification as Identification
 from ._identify import identify as identify
 from ._invert import CompiledStep as CompiledStep

@@ -277,18 +277,19 @@ def test_a_delay_is_asked_for_ahead(linear, bounded, tmp_path):
 
 
 def test_pi_trims_a_softer_plant(linear, bounded, tmp_path):
-    """The integral takes out what a plant 3 % stiffer leaves; it stops while the voltage is cut."""
+    """Its force grows by I e a second; what the range cuts off leaves no more than e I T wound up."""
     model = bounded(linear(2), high=1000.0)
-    found, rows = export(model, tmp_path), held(4e-4, 1500)
+    found, rows, gains = export(model, tmp_path), held(4e-4, 1500), pitp.pi_gains(model)
     error = np.full(1500, 1e-5)
-    u, _ = found.command(2, rows, measured=4e-4 - error)
-    still = found.command(0, rows)[0]
-    expected = still[-1] + 1e5 * 1e-5 + 3e5 * 1e-5 * DT * 1500
-    np.testing.assert_allclose(u[-1], expected, rtol=1e-6)
-    top = np.concatenate([np.full(1500, -1e-1), np.full(200, 4e-4)])
-    u, flags = found.command(2, held(4e-4, 1700), measured=top)
-    assert (flags[30:1500] & VOLTAGE).all()
-    assert u[-1] == pytest.approx(still[-1], rel=1e-6)  # nothing was wound up
+    u, _ = found.command(2, rows, measured=4e-4 - error, y0=4e-4, u0=np.sqrt(4e-4 * 1e9))
+    np.testing.assert_allclose(np.diff(u[100:] ** 2), gains.i * 1e-5 * DT, rtol=1e-6)
+    seconds = 9 * gains.time_constant
+    low = np.concatenate([np.full(int(seconds / DT), 0.0), np.full(2000, 8e-4)])  # the error turns round
+    u, flags = found.command(2, held(4e-4, len(low)), measured=low)
+    assert flags[-2001] & VOLTAGE
+    left = np.argmax(u[-2000:] < 1000.0) * DT
+    wound = gains.i * 4e-4 * gains.time_constant - gains.p * 8e-4
+    assert 0 < left <= wound / (gains.i * 4e-4)  # and not after the 9 time constants it stood there
 
 
 # ------------------------------------------------------------------------------------------------ the folder

@@ -17,8 +17,8 @@ from .console import StatusLine, number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
 from .recordings import is_square, read_records, warn
 
-MODEL, REPORT = "model_augmented", "report.html"
-FILES = (MODEL, REPORT, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
+MODEL, REPORT, JSON = "model_augmented", "report.html", "diagnosis.json"
+FILES = (MODEL, REPORT, JSON, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
 _ROWS = 8  # of the ranking on standard output
 
 
@@ -59,6 +59,8 @@ def diagnose(records, nominal, refit_nominal, seconds, out, json_file, reading) 
         if out is not None:
             with staged_folder(out) as stage:
                 written = _write(found, stage)
+                write_json(str(stage / JSON), found.as_json(csv))
+                written.add(JSON)
                 save(stage / MODEL, descended(found.model, "diagnose", read_in, model))
     print(found)
     _print_ranking(found)

@@ -117,6 +117,12 @@ def load(path: str | os.PathLike) -> Model:
         raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
 
 
+def is_model_file(path: str | os.PathLike) -> bool:
+    """Whether a file begins as `save` begins one; it may be damaged behind that."""
+    with open(path, "rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC
+
+
 def _checked_bytes(path) -> bytes:
     """Everything after the digest, once it matches."""
     name, path = path, cleaned(path)

@@ -112,8 +112,10 @@ def judge(nominal: Model, records: Sequence[Record]) -> Judge:
     return Judge(records, errors(nominal, records), np.array(noise))
 
 
-def kept(best: Candidate, judged: Judge, between: Callable[[Model], Iterable[Model]]) -> tuple[Candidate, list[str]]:
-    """The candidate to hand back, worse on no record, and lines that say what failed.
+def kept(
+    best: Candidate, judged: Judge, between: Callable[[Model], Iterable[Model]]
+) -> tuple[Candidate, list[str], str | None]:
+    """The candidate to hand back, worse on no record; lines that say what failed; what stands in for `best`, or None.
 
     `between`: models from this one towards the nominal, which comes last.
     """
@@ -125,13 +127,13 @@ def kept(best: Candidate, judged: Judge, between: Callable[[Model], Iterable[Mod
         lost = ", ".join(
             f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
         )
-        what = "a model between it and the nominal is" if good else "the nominal itself is"
-        return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} handed back; "
-                        "look at these records with `pitp check`, or leave them out"]  # fmt: skip
+        what = "a model between it and the nominal" if good else "the nominal itself"
+        return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} is handed back; "
+                        "look at these records with `pitp check`, or leave them out"], what  # fmt: skip
     if not chosen.converged:
         left = f"{chosen.mean:.3g} % of range is left on average, {_mean(chosen.nominal):.3g} % by the nominal"
-        return chosen, [f"not converged: {left}; `pitp diagnose` looks for what this model lacks"]
-    return chosen, []
+        return chosen, [f"not converged: {left}; `pitp diagnose` looks for what this model lacks"], None
+    return chosen, [], None
 
 
 def _mean(errors) -> float:
