@@ -95,11 +95,32 @@ def no_gap(found):
     gap = Gap(0.41, 0.41, 0.41, 0.4, "a band", None, None)
     ranking = tuple(replace(r, closed_fraction=None, ci95=None) for r in found.ranking)
     model = replace(found.model, effects=())
-    return replace(found, verdict="no_gap", effects=(), gap=gap, ranking=ranking, model=model, added=(), handed_back=(), budget=budget())
+    return replace(
+        found,
+        verdict="no_gap",
+        effects=(),
+        gap=gap,
+        ranking=ranking,
+        model=model,
+        added=(),
+        handed_back=(),
+        budget=budget(),
+    )
 
 
 def unknown(found):
     """Nothing helps."""
     gap, model = Gap(8.0, 7.9, 8.0, 0.4, "a band", 0.01, (0.0, 0.02)), replace(found.model, effects=())
     ranking = tuple(replace(r, closed_fraction=0.01) for r in found.ranking)
-    return replace(found, verdict="unknown", effects=(), gap=gap, ranking=ranking, model=model, added=(), handed_back=(), budget=budget(), notes=("no effect of the catalogue pays",))
+    return replace(
+        found,
+        verdict="unknown",
+        effects=(),
+        gap=gap,
+        ranking=ranking,
+        model=model,
+        added=(),
+        handed_back=(),
+        budget=budget(),
+        notes=("no effect of the catalogue pays",),
+    )

@@ -86,7 +86,11 @@ def test_no_gap_where_there_is_none(nominal):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "form", "values"),
-    [("voltage_clip", "hard", (1 / 850.0,)), ("electrode_rc", "one lag", (0.02,)), ("coulomb_friction", "Coulomb", (0.02,))],
+    [
+        ("voltage_clip", "hard", (1 / 850.0,)),
+        ("electrode_rc", "one lag", (0.02,)),
+        ("coulomb_friction", "Coulomb", (0.02,)),
+    ],
     ids=lambda v: v if isinstance(v, str) else "",
 )
 def test_effects_of_every_port_are_named(nominal, name, form, values):

@@ -1,4 +1,4 @@
-"""The fits of a diagnosis: they reach what the true numbers leave, without a fold as well, and take zeros and starts out."""
+"""The fits of a diagnosis: they find what was planted, without a fold as well, and take zeros and starts out."""
 
 from dataclasses import replace
 
@@ -67,7 +67,9 @@ def test_a_moved_zero_is_no_part_of_a_residual(nominal):
 
 
 def test_a_record_that_begins_in_motion_has_its_first_state_fitted(nominal):
-    records = [replace(r, time=r.time[333:], voltage=r.voltage[333:], displacement=r.displacement[333:]) for r in play(nominal)]
+    records = [
+        replace(r, time=r.time[333:], voltage=r.voltage[333:], displacement=r.displacement[333:]) for r in play(nominal)
+    ]
     case = build_case(nominal, records)
     assert "moving" in {s.begins for s in case.series}
     (plain,) = Fitter(case).fit([Fit((), (), case.nominal.copy(), case.starts.copy())], 0)
@@ -87,7 +89,10 @@ def test_a_nominal_of_high_order_is_its_dominant_pair_and_what_follows(roots, co
     a = np.real(np.poly(roots))[::-1] * 3.0
     found, tau, second = sections(a)
     assert found[0] == pytest.approx(a[0]) and tau == pytest.approx(lag)
-    np.testing.assert_allclose(sorted(np.roots(found[::-1]), key=lambda p: (p.real, p.imag)), sorted(core, key=lambda p: (np.real(p), np.imag(p))))
+    np.testing.assert_allclose(
+        sorted(np.roots(found[::-1]), key=lambda p: (p.real, p.imag)),
+        sorted(core, key=lambda p: (np.real(p), np.imag(p))),
+    )
     assert (second is not None) == bool(filtered)
     s = 7j
     rest = (1 + tau * s) * ((second[0] * s) ** 2 + 2 * second[1] * second[0] * s + 1 if second else 1)
@@ -104,5 +109,13 @@ def test_distinct_excitations_are_counted(nominal):
 def test_oversampled_records_are_thinned_and_the_mode_stays_resolved(nominal):
     case = build_case(nominal, play(nominal, noise=0.0))
     assert case.thinned >= 1 and case.dt * 5.0 < 1 / 16
-    fine = [replace(r, time=np.arange(8 * len(r.time)) * 5e-4, voltage=np.repeat(r.voltage, 8), displacement=np.repeat(r.displacement, 8)) for r in play(nominal, noise=0.0)[:2]]
+    fine = [
+        replace(
+            r,
+            time=np.arange(8 * len(r.time)) * 5e-4,
+            voltage=np.repeat(r.voltage, 8),
+            displacement=np.repeat(r.displacement, 8),
+        )
+        for r in play(nominal, noise=0.0)[:2]
+    ]
     assert build_case(nominal, fine).thinned > case.thinned

@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from diagnosis_cases import budget, candidate, no_gap, tied

@@ -58,10 +58,7 @@ def test_an_error_is_told_at_the_harmonic_it_has(case, order, name):
 def test_a_missing_force_is_told_where_the_actuator_was(case):
     """Put in beyond eight tenths of the range of x: in the two last bins of ten, and in cells of large motions."""
     low, high = (np.quantile(np.concatenate([s.states[:, 0] for s in case.motions]), q) for q in (0.001, 0.999))
-    series = tuple(
-        replace(s, force=0.1 * (s.states[:, 0] > low + 0.8 * (high - low)))
-        for s in case.motions
-    )
+    series = tuple(replace(s, force=0.1 * (s.states[:, 0] > low + 0.8 * (high - low))) for s in case.motions)
     where = locate(case._replace(motions=series), nowhere(case))
     assert sum(row["share"] for row in where["displacement"][7:]) == pytest.approx(1.0, abs=1e-6)
     assert sum(row["share"] for row in where["displacement"][:7]) == pytest.approx(0.0, abs=1e-6)

@@ -91,7 +91,7 @@ def _print_ranking(found: Diagnosis) -> None:
         mark = " *" if r.effect in found.effects else " =" if r.effect in found.equivalent else ""
         ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)
         closed = None if r.closed_fraction is None else 100 * r.closed_fraction
-        rows.append((f"{r.effect}{mark}", form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
+        rows.append((f"{r.effect}{mark}", r.form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
     print_table(("effect", "form", "fitted (%)", "held out (%)", "closed (%)", "95 % interval"), rows)
     left = len(found.ranking) - len(rows)
     if left > 0:

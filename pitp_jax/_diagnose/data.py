@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._errors import BadInput
-from .._model.encoder import ConstantEncoder
 from .._model.model import Model
 from .._record.initial_state import aligned, noise_std
 from .._record.preprocess import force_band
@@ -115,7 +114,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     """
     model = at_rate(model, records[0].dt)
     known = len(records) > 1 and session_clock(records)
-    _, spent, begun = begin(model, records, known)
+    _, _, begun = begin(model, records, known)
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
             raise BadInput(f"the nominal model diverges on {r.name}: it cannot be diagnosed, identify it again")
@@ -124,7 +123,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     k = _thinning(model, nominal, turned)
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
-    for r, b, n in zip(turned, begun, spent, strict=True):
+    for r, b in zip(turned, begun, strict=True):
         size = r.samples // k * k
         volts = r.voltage[:size].reshape(-1, k)
         volts = _root(np.mean(volts * np.abs(volts), 1)) if square else volts.mean(1)
@@ -143,7 +142,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     substeps = int(np.clip(np.ceil(STEPS * omega * dt / (2 * np.pi)), 1, _MOST_STEPS))
     simulator = Simulator(tuple(drives), square, float(model.scales.force), substeps, tuple(devices))
     case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
-    return _beside(case, records, turned, foreign) if foreign else case
+    return _beside(case, records) if foreign else case
 
 
 def _root(force: np.ndarray) -> np.ndarray:
@@ -178,13 +177,15 @@ def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(int(k) for k in order[g::groups]) for g in range(groups))
 
 
-def _beside(case: Case, records, turned, foreign) -> Case:
-    """The case of a trained nominal, or one with effects that are no slots: what they do beside the linear model is
-    taken off the measurement, so that the slots describe the change alone."""
+def _beside(case: Case, records) -> Case:
+    """The case of a trained nominal, or one with effects that are no slots.
+
+    What they do beside the linear model is taken off the measurement, so that the slots describe the change alone.
+    """
     scale, model = float(case.model.scales.state[0]), case.model
     runs = case.simulator.run(np.tile(case.nominal, (len(records), 1)), range(len(records)), case.starts)
     series = []
-    for s, r, run, p in zip(case.series, turned, runs, predict(model, records), strict=True):
+    for s, run, p in zip(case.series, runs, predict(model, records), strict=True):
         own = p.direction * (p.displacement - p.zero) / scale
         own = own[: len(run) * case.thinned].reshape(-1, case.thinned).mean(1)
         series.append(replace(s, output=s.output - (own - run), counts=s.counts & np.isfinite(own - run)))

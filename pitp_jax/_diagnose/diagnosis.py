@@ -209,14 +209,16 @@ def diagnose(
 def own_error(case: Case, search: Search) -> tuple[float, str]:
     """The nominal's own error on the records it was identified on, as these thinned records would show it.
 
-    own^2 = noise^2 (1 / k + misfit^2 - 1):  averaging k samples takes off what is white, and not what the nominal missed.
+    (OWN own)^2 = noise^2 (OWN^2 misfit^2 - 1 + 1 / k):   averaging k samples takes the white part off on either side,
+    so that the figures compare as they would at the full rate, at which the misfit was found.
     """
     misfit = case.model.provenance.misfit
     if not np.isfinite(misfit):
         return 0.0, "unknown: the nominal carries no error of its own"
     scale = float(case.model.scales.state[0])
     each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
-    thinned = [n * np.sqrt(1 / case.thinned + max(misfit**2 - 1, 0.0)) for n in each]
+    part = np.sqrt((rules.OWN * misfit) ** 2 - 1 + 1 / case.thinned) / rules.OWN
+    thinned = [n * part for n in each]
     return float(np.exp(np.mean(np.log(np.maximum(thinned, 1e-12))))), "what the nominal leaves where nothing is wrong"
 
 
@@ -297,7 +299,9 @@ def _moved(search: Search, handed: Hypothesis, errors: dict) -> tuple[Added, ...
 
 
 def _shift(case: Case, fit, model: Model) -> np.ndarray:
-    ratio = [fit.slots[INDEX[k]] / case.nominal[INDEX[k]] if case.nominal[INDEX[k]] > 0 else 1.0 for k in ("a0", "a1", "a2")]
+    ratio = [
+        fit.slots[INDEX[k]] / case.nominal[INDEX[k]] if case.nominal[INDEX[k]] > 0 else 1.0 for k in ("a0", "a1", "a2")
+    ]
     return np.array([*ratio, *[1.0] * max(model.order - 2, 0)])[: model.order + 1]
 
 
@@ -309,7 +313,11 @@ def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment
     if not names or not best.names or not limit.allows("an experiment that separates the tied names"):
         return None
     lacking = dict(zip(best.labels, best.names, strict=True)).get(names[0])
-    rivals = [h for h in search.every.values() if h.names and lacking not in h.names and len(h.names) <= len(best.names)]
-    return separate(search.case, search.scale, best, min(rivals, key=lambda h: h.rms), (names[0], names[1])) if rivals else None
-
-
+    rivals = [
+        h for h in search.every.values() if h.names and lacking not in h.names and len(h.names) <= len(best.names)
+    ]
+    return (
+        separate(search.case, search.scale, best, min(rivals, key=lambda h: h.rms), (names[0], names[1]))
+        if rivals
+        else None
+    )

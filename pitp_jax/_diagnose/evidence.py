@@ -66,7 +66,11 @@ def draws(sets: Sequence[Evidence]) -> np.ndarray:
     """S of every set in every draw, shape (sets, draws); all sets are drawn alike."""
     rng, first = np.random.default_rng(0), sets[0]
     there = np.unique(first.records)
-    picks = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS) if len(there) > 1 else np.ones((_DRAWS, 1))
+    picks = (
+        rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS)
+        if len(there) > 1
+        else np.ones((_DRAWS, 1))
+    )
     size = np.array([first.sizes[first.records == r].sum() for r in there])
     weight = picks * size
     weight = weight / weight.sum(1, keepdims=True)

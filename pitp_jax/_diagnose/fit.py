@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .data import Case
-from .simulator import INDEX, LOGARITHM, NAMES
+from .simulator import INDEX, LOGARITHM
 
 _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
@@ -58,7 +58,10 @@ class Fit:
 
     def again(self, **changes) -> "Fit":
         """A copy to go on with."""
-        same = {k: getattr(self, k) for k in ("names", "free", "slots", "starts", "unit", "fold", "residuals", "jacobian", "cost")}
+        same = {
+            k: getattr(self, k)
+            for k in ("names", "free", "slots", "starts", "unit", "fold", "residuals", "jacobian", "cost")
+        }
         same = same | {"slots": self.slots.copy(), "starts": self.starts.copy()} | changes
         return Fit(**same)
 

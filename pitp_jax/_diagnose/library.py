@@ -66,14 +66,29 @@ def forms(s: Scale) -> list[Form]:
         found.extend(Form(name, start, second) for start in starts)
 
     add("spring", *({"k3": c / x**2} for c in (0.1, 0.5, -0.1)), *({"k2": c / x} for c in (-0.2, 0.2)))
-    add("spring", {"k2": 0.05 / x, "k3": 0.1 / x**2}, {"k3": 0.1 / x**2, "k5": 0.1 / x**4}, {"gent": 0.5 / x}, {"gent": 0.85 / x})
-    add("spring", {"tanh": 0.6 / x}, {"expo": 0.5 / x}, *({"sine": c / x} for c in (0.5, 1.2, 2.5)), {"root": 0.5, "reach": x})
+    add(
+        "spring",
+        {"k2": 0.05 / x, "k3": 0.1 / x**2},
+        {"k3": 0.1 / x**2, "k5": 0.1 / x**4},
+        {"gent": 0.5 / x},
+        {"gent": 0.85 / x},
+    )
+    add(
+        "spring",
+        {"tanh": 0.6 / x},
+        {"expo": 0.5 / x},
+        *({"sine": c / x} for c in (0.5, 1.2, 2.5)),
+        {"root": 0.5, "reach": x},
+    )
     for hard in (2.0, 20.0):
         for far in (0.6, 0.9):
             add("end_stop", {"stop": hard, "stop_at": s.bottom + far * (s.top - s.bottom)})
         add("end_stop", {"low_stop": hard, "low_stop_at": s.top - 0.85 * (s.top - s.bottom)})
         middle, half = (s.top + s.bottom) / 2, (s.top - s.bottom) / 2
-        add("end_stop", {"stop": hard, "stop_at": middle + 0.75 * half, "low_stop": hard, "low_stop_at": middle - 0.75 * half})
+        add(
+            "end_stop",
+            {"stop": hard, "stop_at": middle + 0.75 * half, "low_stop": hard, "low_stop_at": middle - 0.75 * half},
+        )
     if s.acceleration > 0:
         add("slack", *({"slack": f / s.acceleration} for f in (1.3, 3.0)), second=True)
     for strength, times in ((0.2, 3.0), (1.0, 3.0), (0.2, 20.0), (1.0, 20.0), (0.3, 100.0)):
@@ -83,9 +98,21 @@ def forms(s: Scale) -> list[Form]:
         add("hysteresis", {"bouc": 0.3, "yield": width * x}, {"bouc": 0.5, "yield": width * x, "gamma": -0.5})
         add("hysteresis", {"plays": 0.4, "plays_width": 0.6 * width * x})
     add("hysteresis", {"bouc": 0.5, "yield": 0.5 * x, "gamma": 0.5})
-    add("hysteresis", *({"play1": 0.1, "play2": 0.1, "play3": 0.1, "play4": 0.1, "play_range": f * pull} for f in (0.5, 1.5)))
-    add("coulomb_friction", *({"dry": f * pull} for f in (0.01, 0.05, 0.2)), {"dry": 0.04 * pull, "rise": 0.5, "rise_speed": 0.1 * s.speed})
-    add("coulomb_friction", {"dry": 0.02 * pull, "dry_load": 0.1}, {"dry": 0.1 * pull, "dry_load": 0.3}, {"dry_load": 0.05})
+    add(
+        "hysteresis",
+        *({"play1": 0.1, "play2": 0.1, "play3": 0.1, "play4": 0.1, "play_range": f * pull} for f in (0.5, 1.5)),
+    )
+    add(
+        "coulomb_friction",
+        *({"dry": f * pull} for f in (0.01, 0.05, 0.2)),
+        {"dry": 0.04 * pull, "rise": 0.5, "rise_speed": 0.1 * s.speed},
+    )
+    add(
+        "coulomb_friction",
+        {"dry": 0.02 * pull, "dry_load": 0.1},
+        {"dry": 0.1 * pull, "dry_load": 0.3},
+        {"dry_load": 0.05},
+    )
     add("drag", *({"drag": f * damping / s.speed} for f in (0.3, 2.0)))
     add("electrode_rc", *({"rc": f * s.tau} for f in (0.2, 1.0)))
     add("slew_limit", *({"slew": f * s.slew} for f in (0.1, 0.4, 0.8)))
@@ -101,13 +128,24 @@ def forms(s: Scale) -> list[Form]:
     if s.session > 1.5 * s.duration:
         add("stiffness_drift", *({"drift": c, "drift_time": 0.3 * s.session} for c in (0.1, -0.1)))
     add("sensor_lag", *({"lag": f * s.tau} for f in (0.2, 1.0)))
-    add("sensor_nonlinearity", {"s2": 0.05 / x}, {"s2": -0.05 / x}, {"s3": 0.03 / x**2}, {"s2": 0.03 / x, "s3": 0.03 / x**2}, {"fold": 1.0})
+    add(
+        "sensor_nonlinearity",
+        {"s2": 0.05 / x},
+        {"s2": -0.05 / x},
+        {"s3": 0.03 / x**2},
+        {"s2": 0.03 / x, "s3": 0.03 / x**2},
+        {"fold": 1.0},
+    )
     add("backlash", *({"backlash": f * x} for f in (0.04, 0.2, 0.5)))
     add("mullins", *({"mullins": c, "mullins_length": 0.5 * x} for c in (0.15,)))
     add("sensor_gain", {"gain": 0.05})
     if s.a2 <= 0:
         add("added_mass", *({"a2": f * s.tau * damping} for f in (0.05, 0.5)))
-    add(FREE, *({"place_damping": f * damping / x} for f in (-0.3, 0.5)), *({"place_damping2": f * damping / x**2} for f in (0.3, 2.0)))
+    add(
+        FREE,
+        *({"place_damping": f * damping / x} for f in (-0.3, 0.5)),
+        *({"place_damping2": f * damping / x**2} for f in (0.3, 2.0)),
+    )
     add(FREE, *({"field_damping": f * damping / pull} for f in (-0.3, 0.5)))
     return found
 
@@ -221,7 +259,7 @@ def _number(slots: np.ndarray, code: str) -> float:
 
 
 def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tuple], list[str]]:
-    """The catalogue's effects that these slots are, each with the slots of its numbers, and slots that no row carries."""
+    """The catalogue's effects that these slots are, each with its numbers' slots, and slots that no row has."""
     on = {k for k in NAMES if slots[INDEX[k]] != OFF[INDEX[k]]} - {"a0", "a1", "a2", "bias"}
     rates, found, used = np.asarray(model.scales.rates, float), [], set()
 
@@ -324,7 +362,9 @@ def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | No
     return core_a, lag, filtered
 
 
-def model_of(case_nominal: np.ndarray, slots: np.ndarray, model: Model, omega: float) -> tuple[Model, list[tuple], list[str]]:
+def model_of(
+    case_nominal: np.ndarray, slots: np.ndarray, model: Model, omega: float
+) -> tuple[Model, list[tuple], list[str]]:
     """The nominal with these slots in place of its own; what was added with its slots; and what no row can carry."""
     core, behind = ("a0", "a1", "a2"), ("delay", "lag", "filter", "filter_zeta")
     places = [INDEX[k] for k in core]
@@ -334,10 +374,14 @@ def model_of(case_nominal: np.ndarray, slots: np.ndarray, model: Model, omega: f
     change = slots.copy()
     same = (slots[places] > 0) == (case_nominal[places] > 0)
     if model.order <= 2 and same.all():
-        factors = np.where(case_nominal[places] > 0, slots[places] / np.where(case_nominal[places] > 0, case_nominal[places], 1), 1)
+        factors = np.where(
+            case_nominal[places] > 0, slots[places] / np.where(case_nominal[places] > 0, case_nominal[places], 1), 1
+        )
         for k in NAMES:  # the nominal keeps its own parts; those that moved are made anew
             if k not in core and slots[INDEX[k]] == case_nominal[INDEX[k]]:
-                change[INDEX[k]] = OFF[INDEX[k]] if k not in behind or case_nominal[INDEX[k]] == OFF[INDEX[k]] else change[INDEX[k]]
+                change[INDEX[k]] = (
+                    OFF[INDEX[k]] if k not in behind or case_nominal[INDEX[k]] == OFF[INDEX[k]] else change[INDEX[k]]
+                )
         moved = [k for k in behind if slots[INDEX[k]] != case_nominal[INDEX[k]]]
         if model.hold == "zoh" and "delay" in moved:
             change[INDEX["delay"]] = max(change[INDEX["delay"]] - model.provenance.dt / 2, 0.0)

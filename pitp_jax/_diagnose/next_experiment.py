@@ -80,7 +80,10 @@ def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tupl
         for (what, u), x, y in zip(tried.items(), *runs, strict=True):
             if not (np.isfinite(x).all() and np.isfinite(y).all()):
                 continue
-            inside = max(x.max(), y.max()) <= 1.05 * reach[0] + 1e-9 and min(x.min(), y.min()) >= min(reach[1], 0.0) * 1.05 - 0.02 * reach[0]
+            inside = (
+                max(x.max(), y.max()) <= 1.05 * reach[0] + 1e-9
+                and min(x.min(), y.min()) >= min(reach[1], 0.0) * 1.05 - 0.02 * reach[0]
+            )
             difference = float(np.std(x - y) / noise)
             if inside and (best is None or difference > best.difference):
                 best = Experiment(names, what, np.arange(len(u)) * dt, u, difference)

@@ -186,9 +186,9 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
         mine = next(((e, c) for e, c in found if e.name in (label, "found_term")), None)
         errors = errors_of(search, h.fit) if len(rows) < 3 else {}
         numbers = told(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
-        after = percent(search, h)
+        after, moved = percent(search, h), label == "parameter_change"
         rows.append(Ranked(
-            label, family(label), mine[0].form if mine else "refitted coefficients" if label == "parameter_change" else "form of the library",
+            label, family(label), mine[0].form if mine else "refitted coefficients" if moved else "of the library",
             numbers, _train(search, h.fit), after, closed(before, after, low), interval(search, search.base, h, low),
             probability(h.evidence, search.base.evidence),
         ))  # fmt: skip
@@ -205,7 +205,15 @@ def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tu
     first = predict(nominal, records)
     second = first if augmented is nominal else predict(augmented, records)
     return tuple(
-        Trace(r.name, len(records) > 1, r.time, r.voltage, np.where(p.scored, r.displacement, np.nan), _levelled(p, r), _levelled(q, r))
+        Trace(
+            r.name,
+            len(records) > 1,
+            r.time,
+            r.voltage,
+            np.where(p.scored, r.displacement, np.nan),
+            _levelled(p, r),
+            _levelled(q, r),
+        )
         for r, p, q in zip(records, first, second, strict=True)
     )
 

@@ -15,13 +15,13 @@ from .budget import Budget
 from .data import Case
 from .evidence import Evidence, evidence, probability
 from .fit import Fit, Fitter
-from .library import FREE, Form, Scale, forms, named
+from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
 BEAM, DEPTH, NAMES = 2, 4, 14  # fronts, names of a set, names that go on after the first level
 _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 14, 2
 PARAMETERS = "parameters"
-_LONE = ("added_mass", "sensor_gain", "delay")
+LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,9 @@ def scale_of(case: Case, base: Fit) -> Scale:
     x = np.concatenate([s.output[s.counts] for s in case.series])
     moves = [_smooth(s.output) for s in case.series]
     v = np.concatenate([np.gradient(m, d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)])
-    a = np.concatenate([np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)])
+    a = np.concatenate(
+        [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
+    )
     a0, a1, a2 = (base.value(k) for k in ("a0", "a1", "a2"))
     tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
     tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
@@ -68,7 +70,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
     return Scale(
         tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
         reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
-        speed=float(np.quantile(np.abs(v), 0.9)) + 1e-12, acceleration=float(np.quantile(np.abs(a), 0.98)) if a2 > 0 else 0.0,
+        speed=float(np.quantile(np.abs(v), 0.9)) + 1e-12, acceleration=float(np.quantile(np.abs(a), 0.98) * (a2 > 0)),
         voltage=float(np.abs(volts).max()),
         slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
         area=0.0, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
@@ -102,14 +104,22 @@ class Search:
         self.base = base
         self.scale = scale_of(case, base.fit)
         self.every[frozenset()] = base
-        self.library = [f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)]
+        self.library = [
+            f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)
+        ]
         self.library = [f for f in self.library if not (f.name == "delay" and "delay" in self.core and refit)]
         if refit:
-            self.library = [f for f in self.library if f.name != "sensor_gain" and not (f.name == "added_mass" and self.scale.a2 > 0)]
+            self.library = [
+                f
+                for f in self.library
+                if f.name != "sensor_gain" and not (f.name == "added_mass" and self.scale.a2 > 0)
+            ]
         else:
             if self.scale.a2 > 0:
                 self.library += [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
-            self.every[frozenset([PARAMETERS])] = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",))
+            self.every[frozenset([PARAMETERS])] = replace(
+                self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",)
+            )
             self.library += [Form(PARAMETERS, {})]
 
     # -- fits ----------------------------------------------------------------------------------------------------------
@@ -117,7 +127,9 @@ class Search:
     def _judged(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
         found = []
         for fit, rows in zip(fits, self.fitter.left_out(fits, steps), strict=True):
-            labels = tuple("parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
+            labels = tuple(
+                "parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names
+            )
             found.append(Hypothesis(fit, labels, rows, evidence(rows, np.sqrt(self.floors))))
         return found
 
@@ -133,7 +145,9 @@ class Search:
         if self.refit:
             extras += [] if slots[INDEX["delay"]] > 0 else [{"delay": self.case.dt}]
             extras += [] if a2 > 0 else [{"a2": f * tau * a1} for f in (0.05, 0.5)]
-            extras += [{"lag": 0.3 * tau}, {"filter": 0.2 * tau, "filter_zeta": 0.3}] if not slots[INDEX["filter"]] else []
+            extras += (
+                [{"lag": 0.3 * tau}, {"filter": 0.2 * tau, "filter_zeta": 0.3}] if not slots[INDEX["filter"]] else []
+            )
         starts, fits = [1.0] if not self.refit else [1.0, 0.5, 2.0], []
         for extra in extras:
             for faster in starts if not extra else [1.0]:
@@ -181,15 +195,32 @@ class Search:
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
         if form.name == PARAMETERS:
-            return front.again(names=(*front.names, PARAMETERS), free=tuple(dict.fromkeys((*self.core, *front.free))), slots=slots, unit=np.zeros(0), jacobian=None, cost=np.inf)
+            return front.again(
+                names=(*front.names, PARAMETERS),
+                free=tuple(dict.fromkeys((*self.core, *front.free))),
+                slots=slots,
+                unit=np.zeros(0),
+                jacobian=None,
+                cost=np.inf,
+            )
         for k, v in form.start.items():
             slots[INDEX[k]] = v
-        stiff = 1 + slots[INDEX["bouc"]] * ("bouc" in form.start)  # what adds stiffness begins with as much less of the core
+        stiff = 1 + slots[INDEX["bouc"]] * (
+            "bouc" in form.start
+        )  # what adds stiffness begins with as much less of the core
         free = tuple(dict.fromkeys((*front.free, *(k for k in form.start if k not in ("fold", "reach")))))
         if stiff > 1.05 and "a0" in free:
             for k in ("a0", "a1", "a2"):
                 slots[INDEX[k]] /= stiff
-        return front.again(names=(*front.names, form.name), free=free, slots=slots, unit=np.zeros(0), jacobian=None, cost=np.inf, residuals=[])
+        return front.again(
+            names=(*front.names, form.name),
+            free=free,
+            slots=slots,
+            unit=np.zeros(0),
+            jacobian=None,
+            cost=np.inf,
+            residuals=[],
+        )
 
     # -- the beam ------------------------------------------------------------------------------------------------------
 
@@ -198,7 +229,7 @@ class Search:
         names = list(dict.fromkeys(f.name for f in self.library))
         fronts, levels = [self.base], [self.base]
         for depth in range(1, DEPTH + 1):
-            self.progress(f"sets of {depth}: {len(names)} names beside {' and '.join('+'.join(f.labels) or 'the linear model' for f in fronts)}")
+            self.progress(f"sets of {depth}: {len(names)} names beside {' and '.join(map(_written, fronts))}")
             self.extend(fronts, names)
             level = self.level(depth)
             if not level:
@@ -243,7 +274,14 @@ class Search:
                 free.append(k)
         for k in ("fold", "reach"):
             slots[INDEX[k]] = fit.slots[INDEX[k]] if any(k in f.start for f in keep) else OFF[INDEX[k]]
-        one = fit.again(names=tuple(n for n in fit.names if n in key), free=tuple(dict.fromkeys(free)), slots=slots, unit=np.zeros(0), jacobian=None, cost=np.inf)
+        one = fit.again(
+            names=tuple(n for n in fit.names if n in key),
+            free=tuple(dict.fromkeys(free)),
+            slots=slots,
+            unit=np.zeros(0),
+            jacobian=None,
+            cost=np.inf,
+        )
         (done,) = self.fitter.fit([one], _STEPS)
         if np.isfinite(done.cost):
             self.every[key] = self._judged([done])[0]
@@ -256,11 +294,20 @@ class Search:
             level = self.level(depth)
             if best.rms < rules.OWN * floor or not level:
                 break
-            h, more = level[0], depth - len(best.names)
+            h, more = self._fewest_numbers(level), depth - len(best.names)
             ratio = rules.FURTHER**more if best.names else rules.FIRST * rules.FURTHER ** (depth - 1)
             if probability(h.evidence, best.evidence, ratio) >= rules.SURE:
                 best = h
         return best
+
+    def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
+        """The best of a level; one moved number instead of all of them, unless all are surely better."""
+        best = level[0]
+        if best.names != (PARAMETERS,):
+            return best
+        lone = [h for h in level if h.names[0] in LONE]
+        as_good = [h for h in lone if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
+        return as_good[0] if as_good else best
 
     def without(self, name: str, depth: int) -> Hypothesis:
         """The best set of at most so many names that lacks a name, searched anew: it finds the twins."""
@@ -270,7 +317,13 @@ class Search:
             names = [h.names[0] for h in self.level(1, lacking)[:NAMES]]
             if fronts and self.budget.allows(f"rivals of {name}"):
                 self.extend(fronts, names)
-        return min((h for h in self.every.values() if name not in h.names and len(h.names) <= depth), key=lambda h: h.rms)
+        return min(
+            (h for h in self.every.values() if name not in h.names and len(h.names) <= depth), key=lambda h: h.rms
+        )
+
+
+def _written(h: Hypothesis) -> str:
+    return "+".join(h.labels) or "the linear model"
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:

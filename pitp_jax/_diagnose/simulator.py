@@ -24,30 +24,26 @@ WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # lanes a block, steps a call, block
 FAR = 1e4  # scaled displacement from which a run has diverged
 _NEVER = 1e30
 # slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
-_COSTLY = (
-    "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise"
-).split()
+_COSTLY = ("play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise").split()
 
 # name: (value that switches it off, whether it is fitted by its logarithm)
 SLOTS: dict[str, tuple[float, bool]] = {
-    "a0": (0.0, True), "a1": (0.0, True), "a2": (0.0, True), "bias": (0.0, False),
-    "delay": (0.0, True), "rc": (0.0, True), "slew": (_NEVER, True), "clip": (_NEVER, True), "offset": (0.0, False),
-    "dead": (0.0, True), "charge": (0.0, False), "charge_tau": (1.0, True), "saturation": (0.0, True),
-    "play1": (0.0, False), "play2": (0.0, False), "play3": (0.0, False), "play4": (0.0, False), "play_range": (1.0, True),
-    "stretch": (0.0, False), "stretch_exp": (0.0, False),
-    "k2": (0.0, False), "k3": (0.0, False), "k5": (0.0, False), "power": (0.0, True), "exponent": (2.0, True), "reach": (1.0, True),
-    "gent": (0.0, True), "tanh": (0.0, True), "expo": (0.0, False), "sine": (0.0, True), "root": (0.0, False),
-    "stop": (0.0, True), "stop_at": (1.0, False), "low_stop": (0.0, True), "low_stop_at": (-1.0, False),
-    "mullins": (0.0, False), "mullins_length": (1.0, True), "drift": (0.0, False), "drift_time": (1.0, True),
-    "branch": (0.0, False), "branch_tau": (1.0, True), "branch2": (0.0, False), "branch2_tau": (1.0, True),
-    "bouc": (0.0, False), "yield": (1.0, True), "gamma": (0.0, False),
-    "plays": (0.0, True), "plays_width": (1.0, True),
-    "drag": (0.0, False), "dry": (0.0, True), "rise": (0.0, True), "rise_speed": (1.0, True), "dry_load": (0.0, True),
-    "place_damping": (0.0, False), "place_damping2": (0.0, False), "field_damping": (0.0, False),
-    "slack": (0.0, True),
-    "mode_gain": (0.0, False), "mode_force": (0.0, True), "mode_w": (1.0, True), "mode_zeta": (0.1, True),
-    "backlash": (0.0, True), "lag": (0.0, True), "filter": (0.0, True), "filter_zeta": (1.0, True),
-    "gain": (0.0, False), "s2": (0.0, False), "s3": (0.0, False), "fold": (0.0, False),
+    "a0": (0.0, True), "a1": (0.0, True), "a2": (0.0, True), "bias": (0.0, False), "delay": (0.0, True),
+    "rc": (0.0, True), "slew": (_NEVER, True), "clip": (_NEVER, True), "offset": (0.0, False), "dead": (0.0, True),
+    "charge": (0.0, False), "charge_tau": (1.0, True), "saturation": (0.0, True), "play1": (0.0, False),
+    "play2": (0.0, False), "play3": (0.0, False), "play4": (0.0, False), "play_range": (1.0, True),
+    "stretch": (0.0, False), "stretch_exp": (0.0, False), "k2": (0.0, False), "k3": (0.0, False), "k5": (0.0, False),
+    "power": (0.0, True), "exponent": (2.0, True), "reach": (1.0, True), "gent": (0.0, True), "tanh": (0.0, True),
+    "expo": (0.0, False), "sine": (0.0, True), "root": (0.0, False), "stop": (0.0, True), "stop_at": (1.0, False),
+    "low_stop": (0.0, True), "low_stop_at": (-1.0, False), "mullins": (0.0, False), "mullins_length": (1.0, True),
+    "drift": (0.0, False), "drift_time": (1.0, True), "branch": (0.0, False), "branch_tau": (1.0, True),
+    "branch2": (0.0, False), "branch2_tau": (1.0, True), "bouc": (0.0, False), "yield": (1.0, True),
+    "gamma": (0.0, False), "plays": (0.0, True), "plays_width": (1.0, True), "drag": (0.0, False), "dry": (0.0, True),
+    "rise": (0.0, True), "rise_speed": (1.0, True), "dry_load": (0.0, True), "place_damping": (0.0, False),
+    "place_damping2": (0.0, False), "field_damping": (0.0, False), "slack": (0.0, True), "mode_gain": (0.0, False),
+    "mode_force": (0.0, True), "mode_w": (1.0, True), "mode_zeta": (0.1, True), "backlash": (0.0, True),
+    "lag": (0.0, True), "filter": (0.0, True), "filter_zeta": (1.0, True), "gain": (0.0, False), "s2": (0.0, False),
+    "s3": (0.0, False), "fold": (0.0, False),
 }  # fmt: skip
 NAMES = tuple(SLOTS)
 INDEX = {name: k for k, name in enumerate(NAMES)}
@@ -55,11 +51,12 @@ OFF = np.array([off for off, _ in SLOTS.values()])
 LOGARITHM = np.array([log for _, log in SLOTS.values()])
 
 _CONSTANTS = (
-    "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp saturation "
-    "play1 play2 play3 play4 play_range force stretch stretch_exp bias k2 k3 k5 power exponent reach gent tanh expo sine root stop stop_at low_stop "
-    "low_stop_at mullins mullins_length drift drift_time age branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays "
-    "plays_width drag dry rise rise_speed dry_load place_damping place_damping2 field_damping slack mode_gain mode_force m11 m12 "
-    "m21 m22 mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 n21 n22 nb1 nd1 nb2 nd2 filtered gain s2 s3 fold"
+    "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp "
+    "saturation play1 play2 play3 play4 play_range force stretch stretch_exp bias k2 k3 k5 power exponent reach "
+    "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age "
+    "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry rise "
+    "rise_speed dry_load place_damping place_damping2 field_damping slack mode_gain mode_force m11 m12 m21 m22 "
+    "mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 n21 n22 nb1 nd1 nb2 nd2 filtered gain s2 s3 fold "
 ).split()
 _PLACE = {name: k for k, name in enumerate(_CONSTANTS)}
 _STATES = "x v vm rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play lag fy fv".split()
@@ -102,7 +99,7 @@ class Simulator:
     devices: tuple = ()
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
-        """Scaled outputs (T,) of lanes: slots (lanes, slots), the record and the start (x, v) of each; nan if diverged."""
+        """Scaled outputs (T,) of slots (lanes, slots) beside a record and from a start (x, v) each; nan if diverged."""
         records = np.asarray(records, int)
         costly = (slots[:, [INDEX[k] for k in _COSTLY]] != OFF[[INDEX[k] for k in _COSTLY]]).any(1)
         steps = np.array([len(d.voltage) for d in self.drives])[records]
@@ -164,10 +161,19 @@ class Simulator:
         c |= {"bx": b[:, 0], "bv": b[:, 1], "dx": d[:, 0], "dv": d[:, 1], "second": second, "h": h}
         c["force"] = np.full(len(h), 1 / self.force_scale)
         c["age"] = np.array([self.drives[r].age for r in records])
-        for name, tau in (("rc", s["rc"]), ("q", s["charge_tau"]), ("z", s["branch_tau"]), ("y", s["branch2_tau"]), ("o", s["lag"])):
+        for name, tau in (
+            ("rc", s["rc"]),
+            ("q", s["charge_tau"]),
+            ("z", s["branch_tau"]),
+            ("y", s["branch2_tau"]),
+            ("o", s["lag"]),
+        ):
             c[f"{name}_keep"], c[f"{name}_ramp"] = _lag(tau, h)
         c["z_half"], c["y_half"] = (-np.expm1(-h / 2 / s[k]) for k in ("branch_tau", "branch2_tau"))
-        for name, w, zeta in (("m", s["mode_w"], s["mode_zeta"]), ("n", 1 / np.maximum(s["filter"], 1e-9), s["filter_zeta"])):
+        for name, w, zeta in (
+            ("m", s["mode_w"], s["mode_zeta"]),
+            ("n", 1 / np.maximum(s["filter"], 1e-9), s["filter_zeta"]),
+        ):
             e, b, d = step_response(np.ones_like(h), 2 * zeta / w, 1 / w**2, h)
             c |= {f"{name}{i + 1}{j + 1}": e[:, i, j] for i in (0, 1) for j in (0, 1)}
             c |= {f"{name}b{i + 1}": b[:, i] for i in (0, 1)} | {f"{name}d{i + 1}": d[:, i] for i in (0, 1)}
@@ -211,7 +217,7 @@ def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _bouc(z, dx, size, gamma):
-    """Bouc-Wen with n = 1, exact while the signs hold: dz = dx (1 - (sgn dx + gamma sgn z) z / size); gamma 0 is Dahl."""
+    """Bouc-Wen, n = 1, exact while the signs hold: dz = dx (1 - (sgn dx + gamma sgn z) z / size); gamma 0 is Dahl."""
     q = (jnp.sign(dx) + gamma * jnp.sign(z)) / size
     r = jnp.clip(q * dx, -50.0, 50.0)
     small = jnp.abs(r) < 1e-6
@@ -243,7 +249,32 @@ def _begin(square, constants, volts, start):
     q = jnp.where(c["charge"] > 0, jnp.abs(volts), volts)
     force = _film(square, c, volts, volts, q, volts)
     zero = jnp.zeros_like(x)
-    return (x, v, v, volts, volts, q, force, force, force, force, x, x, zero, x, x, x, x, jnp.abs(x), x, zero, x, x, x, zero)
+    return (
+        x,
+        v,
+        v,
+        volts,
+        volts,
+        q,
+        force,
+        force,
+        force,
+        force,
+        x,
+        x,
+        zero,
+        x,
+        x,
+        x,
+        x,
+        jnp.abs(x),
+        x,
+        zero,
+        x,
+        x,
+        x,
+        zero,
+    )
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -266,7 +297,9 @@ def _advance(square, costly, constants, state, volts, clock):
         shape = shape + c["mullins"] * jnp.expm1(-jnp.maximum(s["most"], size) / c["mullins_length"]) * x
         shape = shape + c["drift"] * jnp.expm1(-(c["age"] + time) / c["drift_time"]) * x
         shape = shape + c["bouc"] * _bouc(s["w"], dx, c["yield"], c["gamma"])
-        inside = [jnp.clip(s[f"b{k + 1}"], x - w * c["plays_width"], x + w * c["plays_width"]) for k, w in enumerate(_PLAYS)]
+        inside = [
+            jnp.clip(s[f"b{k + 1}"], x - w * c["plays_width"], x + w * c["plays_width"]) for k, w in enumerate(_PLAYS)
+        ]
         return shape + c["plays"] * (x - sum(inside) / 4)
 
     def forces(x, v, force, time, s):
@@ -279,10 +312,14 @@ def _advance(square, costly, constants, state, volts, clock):
         shape = x * (c["k2"] * x + c["k3"] * x * x + c["k5"] * x**4 + gent)
         shape = shape + c["stop"] * jnp.maximum(x - c["stop_at"], 0.0)
         shape = shape - c["low_stop"] * jnp.maximum(c["low_stop_at"] - x, 0.0)
-        shape = shape + c["branch"] * (x - s["z"]) * (1 - c["z_half"]) + c["branch2"] * (x - s["z2"]) * (1 - c["y_half"])
+        shape = (
+            shape + c["branch"] * (x - s["z"]) * (1 - c["z_half"]) + c["branch2"] * (x - s["z2"]) * (1 - c["y_half"])
+        )
         shape = shape + c["mode_force"] * (x - s["my"])
         shape = shape + rarer(x, dx, time, s) if costly else shape
-        damping = c["drag"] * jnp.abs(v) + c["place_damping"] * x + c["place_damping2"] * x * x + c["field_damping"] * force
+        damping = (
+            c["drag"] * jnp.abs(v) + c["place_damping"] * x + c["place_damping2"] * x * x + c["field_damping"] * force
+        )
         return c["a0"] * shape + damping * v
 
     def step(carry, ends):

@@ -7,7 +7,6 @@ It is fitted on whole free runs and judged out of fold as an effect is; it acts 
 
 from dataclasses import dataclass
 
-
 from .result import Gap, told
 from .search import Hypothesis, Search
 
@@ -66,5 +65,3 @@ def written(name: str, square: bool) -> str:
     if not square:
         return name.replace("F", "V")
     return name.replace("F^2", "V^4").replace("|F|", "V^2").replace("F", "V^2").replace("U", "|V|")
-
-

@@ -18,7 +18,7 @@ from . import rules
 from .evidence import Evidence, probability
 from .library import FREE, TWINS
 from .reference import reference
-from .search import PARAMETERS, Hypothesis, Search
+from .search import LONE, PARAMETERS, Hypothesis, Search
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,9 @@ def decide(search: Search, own: float, distinct: int) -> Decision:
     settled = 0 < chosen.rms <= rules.OWN * own
 
     def answer(verdict, said=(), tied=None, p=None, fractions=None, reason="", rivals=()):
-        return Decision(verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason, tuple(rivals))
+        return Decision(
+            verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason, tuple(rivals)
+        )
 
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="the nominal leaves no more than on its own records")
@@ -77,7 +79,8 @@ def decide(search: Search, own: float, distinct: int) -> Decision:
         p[label] = probability(chosen.evidence, rivals[name].evidence)
         fractions[label] = _fraction(search, chosen, name)
     told = {"p": p, "fractions": fractions}
-    if not settled and probability(chosen.evidence, bar) < rules.SURE:
+    moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
+    if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
         return answer("unknown", reason="a flexible model without names explains as much", **told)
     if FREE in chosen.names:
         return answer("unknown", reason="a force that has no name is part of it", **told)
@@ -120,8 +123,7 @@ def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bo
 
 def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
     """Whether a rival only frees all of the nominal's numbers where the set has moved one of them."""
-    lone = {"added_mass", "sensor_gain", "delay"}
-    return PARAMETERS in h.names and bool(lone & set(chosen.names)) and PARAMETERS not in chosen.names
+    return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
 
 
 def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
@@ -129,7 +131,7 @@ def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     for name in without:
         search.without(name, len(chosen.names))
     found = [h for h in search.every.values() if not without & set(h.names) and len(h.names) <= len(chosen.names)]
-    fair = [h for h in found if not _nested(h, chosen)] or found
+    fair = [h for h in found if not _nested(h, chosen) and not _nested(chosen, h)] or found
     return min(fair, key=lambda h: h.rms)
 
 
@@ -154,5 +156,5 @@ def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str
         if len(new) != 1 or len(group) == rules.TIED:
             return None
         group |= new
-        labels += [l for n, l in zip(rival.names, rival.labels, strict=True) if n in new]
+        labels += [label for n, label in zip(rival.names, rival.labels, strict=True) if n in new]
     return None

@@ -34,7 +34,11 @@ def verdict_text(d: Diagnosis) -> str:
         return f"On {_judged_on(d)}, {_error_left(d)}. There is no effect to add."
     if d.effects:
         what = "; ".join(plain_words(name) for name in d.effects)
-        more = " A part of the error can be explained from the input, and no name is sure for it." if d.verdict == "partly" else ""
+        more = (
+            " A part of the error can be explained from the input, and no name is sure for it."
+            if d.verdict == "partly"
+            else ""
+        )
         return f"{what[:1].upper()}{what[1:]}. {_far(d)}{more}"
     line = outside_line(d)
     if line:
@@ -55,9 +59,15 @@ def budget_bar(d: Diagnosis) -> str:
     b = d.budget
     if not b:
         return ""
-    parts = [("sensor's zero and start", b["nuisance"], "#b9cfe0"), ("the model's own numbers", b["parameters"], "#6a9fc9")]
+    parts = [
+        ("sensor's zero and start", b["nuisance"], "#b9cfe0"),
+        ("the model's own numbers", b["parameters"], "#6a9fc9"),
+    ]
     parts += [(name, row, "#0072b2") for name, row in b["effects"].items()]
-    parts += [("explainable without a name", b["unnamed"], "#e69f00"), ("not from the input", b["unexplainable"], "#999999")]
+    parts += [
+        ("explainable without a name", b["unnamed"], "#e69f00"),
+        ("not from the input", b["unexplainable"], "#999999"),
+    ]
     bar, rows = [], []
     for label, row, color in parts:
         width = 100 * max(row["share"], 0.0)
@@ -69,7 +79,9 @@ def budget_bar(d: Diagnosis) -> str:
             rows.append(f"{label}: {percent(row['share'])} ({percent(low)} to {percent(high)}{p})")
     if not bar:
         return ""
-    return f'<div style="white-space:nowrap;overflow:hidden">{"".join(bar)}</div>' + tag("p", "Of the gap's energy: " + "; ".join(rows) + ".", "soft")
+    return f'<div style="white-space:nowrap;overflow:hidden">{"".join(bar)}</div>' + tag(
+        "p", "Of the gap's energy: " + "; ".join(rows) + ".", "soft"
+    )
 
 
 def next_step(d: Diagnosis) -> str:
@@ -89,7 +101,7 @@ def _error_left(d: Diagnosis) -> str:
     g = d.gap
     if g.noise_floor is None:
         return f"it is off by {of_range(g.before)} of range"
-    return f"it is off by {of_range(g.before)} of range, of which it leaves on its own recordings {of_range(g.noise_floor)}"
+    return f"it is off by {of_range(g.before)} of range, and by {of_range(g.noise_floor)} on its own"
 
 
 def _far(d: Diagnosis) -> str:
@@ -135,7 +147,9 @@ def _how_far(d: Diagnosis) -> str:
         big = f"{of_range(g.before)} → {of_range(g.after)}"
         lines.append(_in_units(d))
     lines.append(
-        "Every recording was judged by a fit that did not see it." if d.heldout else "Judged on stretches of one recording."
+        "Every recording was judged by a fit that did not see it."
+        if d.heldout
+        else "Judged on stretches of one recording."
     )
     return html.card("How far", big, *(tag("p", line) for line in lines))
 

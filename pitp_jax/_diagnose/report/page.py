@@ -127,16 +127,16 @@ def _records(d: Diagnosis) -> list[str]:
 
 def _reading(d: Diagnosis) -> list[str]:
     method = (
-        "Sets of up to four effects of the catalogue were added to the model and fitted to free runs; a set is judged by "
+        "Sets of up to four effects of the catalogue were added to the model and fitted to free runs; judged is "
         "the error it leaves on recordings that its fit did not see, each recording counting by the logarithm of its "
         "mean square. P is the share of draws of recordings and of stretches within them in which it is better."
     )
     verdicts = (
-        f"“No gap” means that the error is within {rules.OWN:g} times what the model leaves on its own recordings. A name "
-        f"is said where the set with it beats the best set searched without it with P of at least {rules.SURE:g}, where "
-        "it also beats a flexible model that knows no names, and where it closes at least "
+        f"“No gap” means that the error is within {rules.OWN:g} times what the model leaves on its own recordings. "
+        f"A name is said where its set beats the best set searched without it with P of at least {rules.SURE:g}, "
+        "where it also beats a flexible model that knows no names, and where it closes at least "
         f"{percent(rules.LISTED)} of what the set closes; with fewer than {rules.EXCITATIONS} kinds of excitation only "
-        f"where the best rival leaves {rules.TWICE:g} times the error. Else the verdict is “unknown”: no name is given, "
-        "and none should be read off the ranking. P means best of the catalogue, not the chance of being right."
+        f"where the best rival leaves {rules.TWICE:g} times the error. Else the verdict is “unknown”, "
+        "and no name should be read off the ranking. P means best of the catalogue, not the chance of being right."
     )
     return [tag("h2", "How to read this"), tag("p", method), tag("p", verdicts)]

@@ -7,7 +7,7 @@ from ..._report.html import tag
 from ..._report.numbers import of_range, percent, with_error
 from ..diagnosis import Diagnosis
 from ..result import Ranked
-from .formatting import coefficient_name, equation, named, parameter
+from .formatting import coefficient_name, named, parameter
 from .gap_figure import refitted
 
 _NEAREST = 3  # rejected candidates named
@@ -23,10 +23,14 @@ def which(d: Diagnosis) -> str:
             )
         return html.card("Which", named(d.effects), *lines, tag("p", _rivals(d)))
     if d.verdict == "no_gap":
-        return html.card("Which", "None", tag("p", "No effect takes off more than the model's own error allows to see."))
+        return html.card(
+            "Which", "None", tag("p", "No effect takes off more than the model's own error allows to see.")
+        )
     nearest = [f"{r.effect}: closes {share_closed(r.closed_fraction)}" for r in d.ranking]
     why = tag("p", f"{d.notes[0][:1].upper()}{d.notes[0][1:]}.") if d.notes else ""
-    return html.card("Which", "No name is sure", _term(d), why, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST]))
+    return html.card(
+        "Which", "No name is sure", _term(d), why, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST])
+    )
 
 
 def _term(d: Diagnosis) -> str:
