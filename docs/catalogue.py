@@ -1,4 +1,4 @@
-"""The catalogue's pages, one per effect, made from its classes: equation, parameters, signature, what it resembles.
+"""The catalogue's pages, one per effect, made from its rows: equation, parameters, signature, what it resembles.
 
     signature   d = y_effect - y_nominal        on every drive of `drives`, at a strong start of its first form
     refit       share of |d|^2 that the nominal's coefficients take up when they are fitted along
@@ -10,8 +10,8 @@ The nominal is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
-from inspect import cleandoc, getdoc
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.signal import lsim
 
 from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.base import AbstractEffect, Surroundings
+from pitp_jax._effects.spec import EffectSpec, Surroundings
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.model import Model, Output, Provenance, linear_model
 from pitp_jax._report.lines import ERROR, MEASURED
@@ -71,9 +71,10 @@ def surroundings(model: Model, played) -> Surroundings:
     states = [np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model)), float) for u in played]
     x, v = np.concatenate(states).T
     a, volts = np.asarray(model.coefficients, float), np.stack(played)
+    fastest = max(float(np.quantile(np.abs(np.gradient(s[:, 1], DT)), 0.999)) for s in states)
     return Surroundings(
         omega=model.natural_frequency, dt=DT, duration=SAMPLES * DT, session=60.0 * len(played), top=float(x.max()),
-        bottom=float(x.min()), speed=float(np.sqrt(np.mean(v**2))), acceleration=float(np.abs(x - a[1] * v).max()),
+        bottom=float(x.min()), speed=float(np.sqrt(np.mean(v**2))), acceleration=fastest / float(model.scales.rates[1]),
         voltage=float(np.abs(volts).max()), slew=float(np.abs(np.diff(volts)).max() / DT), stiffness=float(a[0]),
         inertia=float(a[2]), damping=float(a[1]),
     )  # fmt: skip
@@ -94,12 +95,12 @@ def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str
     )  # fmt: skip
     played = list(drives().values())
     around = surroundings(model, played)
-    first: dict[str, type[AbstractEffect]] = {}
+    first: dict[str, EffectSpec] = {}
     for form in CATALOGUE:
-        if form.starts(around):
+        if form.start(around):
             first.setdefault(form.name, form)
-    tried = [(n, f, start.values) for n, f in first.items() for start in f.starts(around)]
-    rows = [runs(model, played), *(runs(replace(model, effects=(f.of(values),)), played) for _, f, values in tried)]
+    tried = [(n, f, start.values) for n, f in first.items() for start in f.start(around)]
+    rows = [runs(model, played), *(runs(replace(model, effects=(f(*values),)), played) for _, f, values in tried)]
     nominal, made, numbers, strongest = rows[0], {}, {}, {}
     for (name, form, values), y in zip(tried, rows[1:], strict=True):
         size = np.linalg.norm(y - nominal) / np.linalg.norm(nominal)
@@ -156,15 +157,16 @@ def rows_of_effects() -> dict[str, list[str]]:
     return {line.split("`")[1]: [c.strip() for c in line.strip("|").split(" | ")] for line in lines}
 
 
-def page(name: str, form: type[AbstractEffect], values, share: float, near, left) -> str:
+def page(name: str, form: EffectSpec, values, share: float, near, left) -> str:
     """The page of one effect."""
     forms = [f for f in CATALOGUE if f.name == name]
-    used = ", ".join(f"{p.name} = {v:.3g}" for p, v in zip(form.PARAMETERS, values, strict=True))
+    used = ", ".join(f"{p.name} = {v:.3g}" for p, v in zip(form.parameters, values, strict=True))
     ports = ", ".join(dict.fromkeys(f"{PORTS[f.port]} ({f.port})" for f in forms))
     tells = rows_of_effects()[name][-1]
     text = [
         "---\nhide: [toc]\n---",
         f"# {name}",
+        forms[0].title,
         f"`{name}` · family {form.family} · enters at {ports}",
         f"Tells itself by: **{tells}**.",
         "## Signature",
@@ -175,8 +177,7 @@ def page(name: str, form: type[AbstractEffect], values, share: float, near, left
         f"units of (1 kV)²). The nominal is an actuator of {HZ:g} Hz, damping ratio {ZETA:g}, 1 mm at 1 kV; no noise. "
         "Drawn by `docs/catalogue.py`.",
         "## Equation",
-        f"```text\n{cleandoc(sys.modules[form.__module__].__doc__ or '')}\n```",
-        "| form | | parameters |\n|---|---|---|\n" + "\n".join(_row(f) for f in forms),
+        "| form | | equation | parameters |\n|---|---|---|---|\n" + "\n".join(_row(f) for f in forms),
         "`x` in a unit stands for the unit of the displacement; k is the nominal's stiffness.",
         "## Confused with",
         "Effects that move this actuator's output most alike (1: in proportion on all five drives), strong as drawn:",
@@ -195,10 +196,10 @@ def page(name: str, form: type[AbstractEffect], values, share: float, near, left
     return "\n\n".join(text) + "\n"
 
 
-def _row(form: type[AbstractEffect]) -> str:
-    told = cleandoc(getdoc(form) or "").splitlines()[0].replace("|", "\\|")
-    units = ", ".join(f"{p.name} [{p.unit.replace('|', '')}]" for p in form.PARAMETERS)
-    return f"| {form.form} | {told} | {units} |"
+def _row(form: EffectSpec) -> str:
+    equation = form.equation.replace("|", "\\|")
+    units = ", ".join(f"{p.name} [{p.unit.replace('|', '')}]" for p in form.parameters)
+    return f"| {form.form} | {form.title} | `{equation}` | {units} |"
 
 
 def index(names: Sequence[str]) -> str:
@@ -207,7 +208,7 @@ def index(names: Sequence[str]) -> str:
     lines = [f"| [`{n}`]({n}.md) | {rows[n][-1]} |" for n in names]
     head = [
         "# The catalogue",
-        "What a diagnosis can name, a page each. Every page is made from the effect's classes when this site is built; "
+        "What a diagnosis can name, a page each. Every page is made from the effect's rows when this site is built; "
         "all forms in one table stand in [effects](../effects.md).",
         "| effect | tells itself by |\n|---|---|\n" + "\n".join(lines),
     ]

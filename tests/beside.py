@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from pitp_jax._effects.base import Surroundings
+from pitp_jax._effects.spec import Surroundings
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
 
@@ -36,7 +36,7 @@ def beside(model, voltages, dt, apart=10.0) -> Beside:
         omega=model.natural_frequency, dt=dt, duration=max(len(u) for u in voltages) * dt,
         session=apart * (len(series) - 1) + len(voltages[-1]) * dt, top=float(x.max()), bottom=float(x.min()),
         speed=float(np.sqrt(np.mean(speed**2))),
-        acceleration=fastest / model.natural_frequency,
+        acceleration=fastest / float(model.scales.rates[1]),
         voltage=max(float(np.abs(u).max()) for u in voltages),
         slew=max(float(np.abs(np.diff(u)).max()) for u in voltages) / dt,
         stiffness=float(a[0]), inertia=float(a[2]), damping=float(a[1]),
@@ -52,7 +52,7 @@ class Composite:
         neutral = tuple(f.neutral() for f in forms)
         self._neutral, unravel = ravel_pytree(neutral)
         whole = replace(case.model, effects=neutral)
-        self._sizes = np.cumsum([0, *(len(f.PARAMETERS) for f in forms)])
+        self._sizes = np.cumsum([0, *(len(f.parameters) for f in forms)])
 
         def run(theta, volts, age):
             model = replace(whole, effects=unravel(theta))

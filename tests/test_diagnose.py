@@ -10,13 +10,12 @@ from played import nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax._effects import CATALOGUE
+from pitp_jax._effects import CATALOGUE, lookup
+from pitp_jax._effects.found_term import FOUND_TERM, NAMES, sparse_term
 
 
 def effect(name, form, *values):
-    spec = next(c for c in CATALOGUE if (c.name, c.form) == (name, form))
-    values = [jnp.asarray(v, jnp.float32) for v in values]
-    return spec.of(values) if hasattr(spec, "of") else spec(*values)
+    return lookup(name, form)(*values)
 
 
 @pytest.fixture(scope="module")
@@ -138,12 +137,10 @@ def test_a_heavier_load_is_added_mass_and_moved_damping_a_parameter_change(nomin
 @pytest.mark.slow
 def test_a_force_without_a_name_is_an_equation(nominal):
     """Damping that grows with the square of the displacement is no form of the catalogue."""
-    from pitp_jax._effects.found_term import NAMES, FoundTerm
-
-    values = [0.0] * len(FoundTerm.PARAMETERS)
+    values = [0.0] * len(FOUND_TERM.parameters)
     values[NAMES.index("x^2 x'")] = 0.6
     values[len(NAMES) :] = [1.0] * (len(values) - len(NAMES))
-    found = pitp.diagnose(nominal, play(replace(nominal, effects=(FoundTerm.of(values),))))
+    found = pitp.diagnose(nominal, play(replace(nominal, effects=(sparse_term(values),))))
     assert found.verdict == "unknown" and found.effects == ()
     term = some(found.term)
     assert "x^2 x'" in term.equation and "term" in found.handed_back

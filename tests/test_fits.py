@@ -11,12 +11,11 @@ from pitp_jax._diagnose.data import build_case, excitations
 from pitp_jax._diagnose.fit import Fit, Fitter
 from pitp_jax._diagnose.library import sections
 from pitp_jax._diagnose.simulator import INDEX
-from pitp_jax._effects import CATALOGUE
+from pitp_jax._effects import lookup
 
 
 def effect(name, form, *values):
-    spec = next(c for c in CATALOGUE if (c.name, c.form) == (name, form))
-    return spec.of(values) if hasattr(spec, "of") else spec(*values)
+    return lookup(name, form)(*values)
 
 
 @pytest.fixture(scope="module")

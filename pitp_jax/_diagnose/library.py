@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._effects import CATALOGUE
+from .._effects.found_term import FOUND_TERM, sparse_term
 from .._effects.found_term import NAMES as TERMS
-from .._effects.found_term import FoundTerm
 from .._model.encoder import ConstantEncoder
 from .._model.model import Model, linear_model
 from .simulator import INDEX, NAMES, OFF
@@ -231,7 +231,7 @@ _TERMS = {
 
 def row(name: str, form: str):
     """The catalogue's row, or None where it has none."""
-    return next((c for c in CATALOGUE if c.name == name and c.form == form), None)
+    return next((c for c in CATALOGUE if (c.name, c.form) == (name, form)), None)
 
 
 def _factor(parameter, rates: np.ndarray) -> float:
@@ -241,16 +241,6 @@ def _factor(parameter, rates: np.ndarray) -> float:
 
 def _slot(code: str) -> str:
     return code.removeprefix("-").removeprefix("1/")
-
-
-def parameters(spec) -> tuple:
-    """Of a row of the catalogue."""
-    return spec.PARAMETERS if hasattr(spec, "PARAMETERS") else spec.parameters
-
-
-def made(spec, values):
-    """An effect of these numbers."""
-    return spec.of(values) if hasattr(spec, "of") else spec(*values)
 
 
 def _number(slots: np.ndarray, code: str) -> float:
@@ -266,8 +256,8 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
     def add(name: str, form: str, codes: tuple[str, ...]) -> None:
         spec, keys = row(name, form), {_slot(c) for c in codes}
         if spec is not None and not keys & used:
-            values = zip(parameters(spec), codes, strict=True)
-            found.append((made(spec, [_number(slots, c) * _factor(p, rates) for p, c in values]), codes))
+            values = zip(spec.parameters, codes, strict=True)
+            found.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
             used.update(keys)
 
     for (name, form), codes in ROWS.items():
@@ -292,7 +282,7 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
 
 def _term(slots: np.ndarray, chosen: tuple[str, ...], rates: np.ndarray):
     """Springs, dampers and friction by load as a sum of functions."""
-    values = [0.0] * len(FoundTerm.PARAMETERS)
+    values = [0.0] * len(FOUND_TERM.parameters)
     for k, text in enumerate(TERMS):
         slot = _TERMS.get(text)
         if slot not in chosen:
@@ -300,10 +290,10 @@ def _term(slots: np.ndarray, chosen: tuple[str, ...], rates: np.ndarray):
         value = slots[INDEX[slot]]
         if slot in ("k2", "k3", "k5", "dry_load"):
             value = value * slots[INDEX["a0"]]
-        values[k] = float(value * _factor(FoundTerm.PARAMETERS[k], rates))
+        values[k] = float(value * _factor(FOUND_TERM.parameters[k], rates))
     for k in range(len(TERMS), len(values)):
         values[k] = 1.0
-    return FoundTerm.of(values)
+    return sparse_term(values)
 
 
 def slots_of(model: Model) -> tuple[np.ndarray, bool]:

@@ -54,8 +54,7 @@ def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: d
 
 def equation(effect, beside: list, square: bool) -> str:
     """`missing force = c1 x x' + c2 x^3`, with what stands beside it."""
-    functions = effect.functions if hasattr(effect, "functions") else effect.spec.functions
-    terms = " + ".join(f"c{k + 1} {written(name, square)}" for k, name in enumerate(functions))
+    terms = " + ".join(f"c{k + 1} {written(name, square)}" for k, name in enumerate(effect.spec.functions))
     others = f", beside {' and '.join(f'{f.name} ({f.form})' for f in beside)}" if beside else ""
     return f"missing force = {terms}{others}"
 
