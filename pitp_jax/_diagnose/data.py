@@ -134,7 +134,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         rest = b.begins == "rest"
         starts.append((0.0, 0.0) if rest else (first, 0.0))
-        drives.append(Drive(volts, r.dt * k, starts[-1], age))
+        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     dt = records[0].dt * k

@@ -97,6 +97,7 @@ def forms(s: Scale) -> list[Form]:
     for width in (0.1, 0.5):
         add("hysteresis", {"bouc": 0.3, "yield": width * x}, {"bouc": 0.5, "yield": width * x, "gamma": -0.5})
         add("hysteresis", {"plays": 0.4, "plays_width": 0.6 * width * x})
+    add("hysteresis", *({"drive_bouc": c * pull, "drive_yield": f * s.area} for c in (0.5, -0.5) for f in (0.1, 0.5)))
     add("hysteresis", {"bouc": 0.5, "yield": 0.5 * x, "gamma": 0.5})
     add(
         "hysteresis",
@@ -106,6 +107,7 @@ def forms(s: Scale) -> list[Form]:
         "coulomb_friction",
         *({"dry": f * pull} for f in (0.01, 0.05, 0.2)),
         {"dry": 0.04 * pull, "rise": 0.5, "rise_speed": 0.1 * s.speed},
+        {"dry": 0.05 * pull, "dry_speed": 0.05 * s.speed},
     )
     add(
         "coulomb_friction",
@@ -212,6 +214,7 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
     ("hysteresis", "plays"): ("plays", "plays_width"),
     ("drag", "quadratic"): ("drag",),
     ("coulomb_friction", "Coulomb"): ("dry",),
+    ("coulomb_friction", "smooth"): ("dry", "dry_speed"),
     ("coulomb_friction", "Stribeck"): ("dry", "rise", "rise_speed"),
     ("slack", "free fall"): ("slack",),
     ("second_mode", "attached"): ("mode_force", "mode_w", "mode_zeta"),
@@ -221,7 +224,14 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
     ("sensor_lag", "second order"): ("filter", "filter_zeta"),
     ("sensor_gain", "share"): ("gain",),
     ("sensor_nonlinearity", "quadratic and cubic"): ("s2", "s3"),
+    ("sensor_nonlinearity", "quadratic"): ("s2",),
+    ("sensor_nonlinearity", "cubic"): ("s3",),
 }
+# numbers that do nothing where the strength beside them is off
+_SHAPES = set(
+    "charge_tau play_range exponent reach stop_at low_stop_at mullins_length drift_time branch_tau branch2_tau yield "
+    "plays_width rise_speed mode_w mode_zeta filter_zeta drive_yield".split()
+)
 _BRANCHES = (("branch", "branch_tau"), ("branch2", "branch2_tau"))
 _TERMS = {
     "x^2": "k2", "x^3": "k3", "x^5": "k5", "x x'": "place_damping", "x^2 x'": "place_damping2", "x' F": "field_damping",
@@ -260,24 +270,20 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
             found.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
             used.update(keys)
 
-    for (name, form), codes in ROWS.items():
-        wrong = name == "charge_leak" and slots[INDEX["charge"]] > 0 or form == "Dahl" and slots[INDEX["gamma"]] != 0
-        if _slot(codes[0]) in on and not wrong and not (form == "Coulomb" and "rise" in on):
+    for (name, form), codes in sorted(ROWS.items(), key=lambda item: -len(item[1])):  # the fullest form that fits
+        signed = name != "charge_leak" or slots[INDEX["charge"]] < 0
+        if {_slot(c) for c in codes} - _SHAPES <= on - used and signed:
             add(name, form, codes)
     for strength, tau in _BRANCHES:
         if strength in on:
             add("creep" if slots[INDEX[tau]] * omega > BORDER else "relaxation", "one branch", (strength, tau))
-    if "s3" in on:
-        add("sensor_nonlinearity", "cubic", ("s3",))
     terms = tuple(_TERMS[t] for t in TERMS if _TERMS.get(t) in on - used)
     if terms:
         found.append((_term(slots, terms, rates), terms))
         used.update(terms)
     place = {(c.name, c.form): k for k, c in enumerate(CATALOGUE)}
     found.sort(key=lambda pair: place.get((pair[0].name, pair[0].form), len(place)))
-    extra = {"charge_tau", "play_range", "exponent", "reach", "stop_at", "low_stop_at", "mullins_length", "drift_time"}
-    extra |= {"branch_tau", "branch2_tau", "yield", "plays_width", "rise_speed", "mode_w", "mode_zeta", "filter_zeta"}
-    return found, sorted(on - used - extra)
+    return found, sorted(on - used - _SHAPES)
 
 
 def _term(slots: np.ndarray, chosen: tuple[str, ...], rates: np.ndarray):

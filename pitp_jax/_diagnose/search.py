@@ -65,6 +65,8 @@ def scale_of(case: Case, base: Fit) -> Scale:
     drives = case.simulator.drives
     volts = np.concatenate([d.voltage for d in drives])
     force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
+    parts = [(d.voltage**2 if case.simulator.square else d.voltage) / case.simulator.force_scale for d in drives]
+    area = float(max(np.std(np.cumsum(f - f.mean()) * d.dt) for f, d in zip(parts, drives, strict=True))) + 1e-12
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
     return Scale(
@@ -73,7 +75,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
         speed=float(np.quantile(np.abs(v), 0.9)) + 1e-12, acceleration=float(np.quantile(np.abs(a), 0.98) * (a2 > 0)),
         voltage=float(np.abs(volts).max()),
         slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
-        area=0.0, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
+        area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
     )  # fmt: skip
 
 

@@ -24,7 +24,9 @@ WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # lanes a block, steps a call, block
 FAR = 1e4  # scaled displacement from which a run has diverged
 _NEVER = 1e30
 # slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
-_COSTLY = ("play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise").split()
+_COSTLY = (
+    "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc"
+).split()
 
 # name: (value that switches it off, whether it is fitted by its logarithm)
 SLOTS: dict[str, tuple[float, bool]] = {
@@ -39,11 +41,12 @@ SLOTS: dict[str, tuple[float, bool]] = {
     "drift": (0.0, False), "drift_time": (1.0, True), "branch": (0.0, False), "branch_tau": (1.0, True),
     "branch2": (0.0, False), "branch2_tau": (1.0, True), "bouc": (0.0, False), "yield": (1.0, True),
     "gamma": (0.0, False), "plays": (0.0, True), "plays_width": (1.0, True), "drag": (0.0, False), "dry": (0.0, True),
-    "rise": (0.0, True), "rise_speed": (1.0, True), "dry_load": (0.0, True), "place_damping": (0.0, False),
-    "place_damping2": (0.0, False), "field_damping": (0.0, False), "slack": (0.0, True), "mode_gain": (0.0, False),
-    "mode_force": (0.0, True), "mode_w": (1.0, True), "mode_zeta": (0.1, True), "backlash": (0.0, True),
-    "lag": (0.0, True), "filter": (0.0, True), "filter_zeta": (1.0, True), "gain": (0.0, False), "s2": (0.0, False),
-    "s3": (0.0, False), "fold": (0.0, False),
+    "dry_speed": (0.0, True), "drive_bouc": (0.0, False), "drive_yield": (1.0, True), "rise": (0.0, True),
+    "rise_speed": (1.0, True), "dry_load": (0.0, True), "place_damping": (0.0, False), "place_damping2": (0.0, False),
+    "field_damping": (0.0, False), "slack": (0.0, True), "mode_gain": (0.0, False), "mode_force": (0.0, True),
+    "mode_w": (1.0, True), "mode_zeta": (0.1, True), "backlash": (0.0, True), "lag": (0.0, True),
+    "filter": (0.0, True), "filter_zeta": (1.0, True), "gain": (0.0, False), "s2": (0.0, False), "s3": (0.0, False),
+    "fold": (0.0, False),
 }  # fmt: skip
 NAMES = tuple(SLOTS)
 INDEX = {name: k for k, name in enumerate(NAMES)}
@@ -54,12 +57,13 @@ _CONSTANTS = (
     "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp "
     "saturation play1 play2 play3 play4 play_range force stretch stretch_exp bias k2 k3 k5 power exponent reach "
     "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age "
-    "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry rise "
-    "rise_speed dry_load place_damping place_damping2 field_damping slack mode_gain mode_force m11 m12 m21 m22 "
-    "mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 n21 n22 nb1 nd1 nb2 nd2 filtered gain s2 s3 fold "
+    "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry "
+    "dry_speed drive_bouc drive_yield rise rise_speed dry_load place_damping place_damping2 field_damping slack "
+    "mode_gain mode_force m11 m12 m21 m22 mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 n21 n22 nb1 nd1 "
+    "nb2 nd2 filtered gain s2 s3 fold "
 ).split()
 _PLACE = {name: k for k, name in enumerate(_CONSTANTS)}
-_STATES = "x v vm rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play lag fy fv".split()
+_STATES = "x v vm zd rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play lag fy fv".split()
 _PLAYS, _DRIVE_PLAYS = (0.15, 0.4, 1.0, 2.2), (0.08, 0.25, 0.5, 0.8)
 
 
@@ -72,12 +76,14 @@ class Drive:
         dt: s.
         start: scaled (x, v) at the first sample, as the data show it.
         age: of the session, s.
+        before: V, what was played before the first sample; None: the same as there.
     """
 
     voltage: np.ndarray
     dt: float
     start: tuple[float, float]
     age: float = 0.0
+    before: float | None = None
 
 
 @dataclass(frozen=True)
@@ -133,9 +139,11 @@ class Simulator:
         steps = -(-max(sizes) * self.substeps // CHUNK) * CHUNK
         inputs = self._inputs(slots, records, steps)
         constants = self._constants(slots, records)
+        played = [self.drives[r].before for r in records]
+        before = np.array([inputs[0, k] if p is None else p for k, p in enumerate(played)], float)
         program = self.square, costly
         with jax.enable_x64(True):
-            state, pieces = _begin(self.square, constants, inputs[0], starts.T), []
+            state, pieces = _begin(self.square, constants, before, starts.T), []
             for first in range(0, steps, CHUNK):
                 state, y = _advance(*program, constants, state, inputs[first : first + CHUNK + 1], float(first))
                 pieces.append(np.asarray(y))
@@ -148,7 +156,9 @@ class Simulator:
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
             drive = self.drives[int(record)]
-            columns.append(np.interp(place - delay / drive.dt, np.arange(len(drive.voltage)), drive.voltage))
+            columns.append(
+                np.interp(place - delay / drive.dt, np.arange(len(drive.voltage)), drive.voltage, left=drive.before)
+            )
         return np.ascontiguousarray(np.stack(columns, 1)[:, which.ravel()])
 
     def _constants(self, slots: np.ndarray, records: np.ndarray) -> np.ndarray:
@@ -249,32 +259,20 @@ def _begin(square, constants, volts, start):
     q = jnp.where(c["charge"] > 0, jnp.abs(volts), volts)
     force = _film(square, c, volts, volts, q, volts)
     zero = jnp.zeros_like(x)
-    return (
-        x,
-        v,
-        v,
-        volts,
-        volts,
-        q,
-        force,
-        force,
-        force,
-        force,
-        x,
-        x,
-        zero,
-        x,
-        x,
-        x,
-        x,
-        jnp.abs(x),
-        x,
-        zero,
-        x,
-        x,
-        x,
-        zero,
-    )
+    settled = {
+        "x": x,
+        "v": v,
+        "vm": v,
+        "zd": zero,
+        "rc": volts,
+        "slewed": volts,
+        "q": q,
+        "w": zero,
+        "mv": zero,
+        "fv": zero,
+    }
+    settled |= {f"p{k}": force for k in (1, 2, 3, 4)} | {"most": jnp.abs(x)}
+    return tuple(settled.get(k, x) for k in _STATES)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -322,6 +320,16 @@ def _advance(square, costly, constants, state, volts, clock):
         )
         return c["a0"] * shape + damping * v
 
+    def smoothed(dry, level, free):
+        """Level tanh(v / speed) at the end of the step, v = free - reply f: two Newton steps from its ramp."""
+        reply, speed = jnp.where(second, c["bv"], c["bx"] / h), jnp.maximum(c["dry_speed"], 1e-30)
+        most = reply * level
+        v = jnp.where(jnp.abs(free) < speed + most, free * speed / (speed + most), free - jnp.sign(free) * most)
+        for _ in range(2):
+            t = jnp.tanh(v / speed)
+            v = v - (v + most * t - free) / (1 + most / speed * (1 - t * t))
+        return jnp.where(c["dry_speed"] > 0, level * jnp.tanh(v / speed), dry)
+
     def step(carry, ends):
         s = dict(zip(_STATES, carry, strict=True))
         before, after, time = ends
@@ -338,6 +346,9 @@ def _advance(square, costly, constants, state, volts, clock):
             half = width * 0.5 * c["play_range"]
             n[f"p{k + 1}"] = jnp.clip(s[f"p{k + 1}"], f1 - half, f1 + half)
             p0, p1 = p0 + w * (s[f"p{k + 1}"] - f0), p1 + w * (n[f"p{k + 1}"] - f1)
+        if costly:
+            n["zd"] = _bouc(s["zd"], h * (f0 + f1) / 2, c["drive_yield"], 0.0)
+            p0, p1 = (p + c["drive_bouc"] * z / c["drive_yield"] for p, z in ((p0, s["zd"]), (p1, n["zd"])))
         ahead = s["x"] + h / 2 * s["vm"]
         couple = jnp.maximum(1 + c["stretch"] * ahead, 0.05)
         couple = couple * jnp.exp(jnp.clip(c["stretch_exp"] * ahead, -8.0, 8.0)) if costly else couple
@@ -352,6 +363,7 @@ def _advance(square, costly, constants, state, volts, clock):
         level = level + c["dry_load"] * c["a0"] * jnp.abs(middle)
         stops = jnp.where(second, v / jnp.where(second, c["bv"], 1.0), (x - s["x"]) / c["bx"])
         dry = jnp.clip(stops, -level, level)
+        dry = smoothed(dry, level, jnp.where(second, v, (x - s["x"]) / h)) if costly else dry
         x, v = x - c["bx"] * dry, v - c["bv"] * dry
         least = s["v"] - h / jnp.maximum(c["slack"], 1e-30)
         falls = (v < least) & (c["slack"] > 0) & second
