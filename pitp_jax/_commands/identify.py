@@ -3,8 +3,8 @@
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
 from .._model_file.model_file import save
-from .._record.units import from_base
 from .._report.description import describe
+from .._table.units import from_base
 from .console import number, print_table, say
 from .outputs import check_files, staged_files, write_json
 from .recordings import read_records, warn

@@ -113,7 +113,7 @@ def forms(s: Scale) -> list[Form]:
         "coulomb_friction",
         {"dry": 0.02 * pull, "dry_load": 0.1},
         {"dry": 0.1 * pull, "dry_load": 0.3},
-        {"dry_load": 0.05},
+        {"dry": 0.003 * pull, "dry_load": 0.05},
     )
     add("drag", *({"drag": f * damping / s.speed} for f in (0.3, 2.0)))
     add("electrode_rc", *({"rc": f * s.tau} for f in (0.2, 1.0)))
@@ -195,7 +195,7 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
     ("slew_limit", "rate limit"): ("1/slew",),
     ("voltage_clip", "hard"): ("1/clip",),
     ("voltage_offset", "constant"): ("offset",),
-    ("dead_zone", "dead zone"): ("dead",),
+    ("dead_zone", "symmetric"): ("dead",),
     ("delay", "pure"): ("delay",),
     ("charge_leak", "one trap"): ("-charge", "charge_tau"),
     ("charge_retention", "one store"): ("charge", "charge_tau"),
@@ -214,6 +214,7 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
     ("hysteresis", "plays"): ("plays", "plays_width"),
     ("drag", "quadratic"): ("drag",),
     ("coulomb_friction", "Coulomb"): ("dry",),
+    ("coulomb_friction", "loaded by the spring"): ("dry", "dry_load"),
     ("coulomb_friction", "smooth"): ("dry", "dry_speed"),
     ("coulomb_friction", "Stribeck"): ("dry", "rise", "rise_speed"),
     ("slack", "free fall"): ("slack",),
@@ -235,7 +236,6 @@ _SHAPES = set(
 _BRANCHES = (("branch", "branch_tau"), ("branch2", "branch2_tau"))
 _TERMS = {
     "x^2": "k2", "x^3": "k3", "x^5": "k5", "x x'": "place_damping", "x^2 x'": "place_damping2", "x' F": "field_damping",
-    "|x| sgn x'": "dry_load",
 }  # fmt: skip
 
 
@@ -294,7 +294,7 @@ def _term(slots: np.ndarray, chosen: tuple[str, ...], rates: np.ndarray):
         if slot not in chosen:
             continue
         value = slots[INDEX[slot]]
-        if slot in ("k2", "k3", "k5", "dry_load"):
+        if slot in ("k2", "k3", "k5"):
             value = value * slots[INDEX["a0"]]
         values[k] = float(value * _factor(FOUND_TERM.parameters[k], rates))
     for k in range(len(TERMS), len(values)):

@@ -18,7 +18,7 @@ import numpy as np
 from .._record.excitation_kind import kind, spectrum
 from .._record.preprocess import preprocess
 from .._record.record import Record
-from .._record.units import from_base
+from .._table.units import from_base
 from .data import Case
 from .search import Scale
 from .simulator import INDEX

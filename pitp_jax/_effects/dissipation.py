@@ -73,6 +73,19 @@ FRICTION = (
         law=lambda p, now: dry(now, p.level),
     ),
     EffectSpec(
+        "coulomb_friction", "loaded by the spring", (_LEVEL, Parameter("mu", off=0.0)),
+        "Dry friction that grows with the force of the spring, as of a loaded gear.", "f = (level + mu |k x|) sgn(x')",
+        "dissipation", "C", start=lambda s: starts((s.pull, 1), [(0.02, 0.05), (0.05, 0.3)], 1e-4, 1),
+        law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x)),
+    ),
+    EffectSpec(
+        "coulomb_friction", "loaded by spring and mass", (_LEVEL, Parameter("mu", off=0.0)),
+        "Dry friction that grows with the force of spring and mass together.",
+        "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", "dissipation", "C",
+        start=lambda s: starts((s.pull, 1), [(0.02, 0.05), (0.05, 0.3)], 1e-4, 1),
+        law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x + now.inertial)),
+    ),
+    EffectSpec(
         "coulomb_friction", "smooth", (_LEVEL, Parameter("speed", "x/s", speed=1)),
         "Dry friction that creeps under a small force.", "f = level tanh(x' / speed)", "dissipation", "C",
         start=lambda s: starts((s.pull, s.speed), [(0.05, 0.02), (0.05, 0.2)], (1e-4, 1e-3), (1, 3)), law=_smooth,

@@ -6,7 +6,7 @@ physical = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: t
 from collections.abc import Iterable
 
 from .._model.model import Model
-from .._record.units import base_unit
+from .._table.units import base_unit
 from .effect import Effect
 from .spec import Parameter
 

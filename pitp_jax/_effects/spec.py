@@ -162,6 +162,11 @@ class EffectSpec:
         return f"{self.name}: {self.form}"
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of the arrays that hold its numbers."""
+        return tuple(name for name, _ in self.arrays) or tuple(p.name for p in self.parameters)
+
+    @property
     def off(self) -> tuple[float, ...]:
         """Numbers at which it does nothing."""
         return tuple(1.0 if p.off is None else p.off for p in self.parameters)

@@ -1,7 +1,7 @@
 """Springs that are not linear (port K), k = sigma_0 of the nominal; forces f beside k x.
 
 stiffening  k c x^3,   k c x |x / x_r|^p,   k x (1/(1 - (x/L)^2) - 1)
-softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x)
+softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x)
 mullins     -k d (1 - exp(-m/L)) x,   m = max |x| so far
 end_stop    k kappa max(x - x_s, 0),   k kappa max(x - x_s, 0)^(3/2) max(1 + lambda x', 0)   (Hunt and Crossley)
 
@@ -120,6 +120,12 @@ SPRINGS = (
         "The spring gets softer the further it is stretched, and harder the other way.",
         "f = k ((1 - exp(-b x)) / b - x)", "stiffness", "K",
         start=lambda s: starts(1 / s.reach, [0.5], 0.01, 3), law=_exponential,
+    ),
+    EffectSpec(
+        "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, which pulls less the further it turns.",
+        "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K",
+        start=lambda s: starts(1 / s.reach, [0.6, 1.5], 0.02, 3),
+        law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
     ),
     EffectSpec(
         "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..._effects import CATALOGUE
 from ..._effects.spec import EffectSpec
-from ..._record.units import OUTPUT_UNITS, base_unit
 from ..._report.numbers import figure, percent, shown_unit, with_error
+from ..._table.units import OUTPUT_UNITS, base_unit
 
 PLAIN = {"parameter_change": "nothing is missing: the model's own coefficients have moved"} | {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
