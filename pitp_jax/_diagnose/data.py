@@ -133,6 +133,8 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         age = model.provenance.age(r.time[0]) if known else 0.0
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         rest = b.begins == "rest"
+        if rest and k > 1:  # a mean over k samples stands in their middle: the rest before it is a sample of its own
+            volts, x, seen = np.append(0.0, volts), np.append(np.nan, x), np.append(False, seen)
         starts.append((0.0, 0.0) if rest else (first, 0.0))
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
@@ -187,8 +189,9 @@ def _beside(case: Case, records) -> Case:
     series = []
     for s, run, p in zip(case.series, runs, predict(model, records), strict=True):
         own = p.direction * (p.displacement - p.zero) / scale
-        own = own[: len(run) * case.thinned].reshape(-1, case.thinned).mean(1)
-        series.append(replace(s, output=s.output - (own - run), counts=s.counts & np.isfinite(own - run)))
+        own = own[: len(own) // case.thinned * case.thinned].reshape(-1, case.thinned).mean(1)
+        own = np.append(np.full(len(run) - len(own), np.nan), own)
+        series.append(replace(s, output=s.output - np.nan_to_num(own - run), counts=s.counts & np.isfinite(own - run)))
     return replace(case, series=tuple(series))
 
 

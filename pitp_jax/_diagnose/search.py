@@ -18,7 +18,7 @@ from .fit import Fit, Fitter
 from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
-BEAM, DEPTH, NAMES = 2, 4, 14  # fronts, names of a set, names that go on after the first level
+BEAM, DEPTH, NAMES = 2, 4, 20  # fronts, names of a set, names that go on after the first level
 _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 14, 2
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
@@ -118,11 +118,14 @@ class Search:
             ]
         else:
             if self.scale.a2 > 0:
-                self.library += [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
-            self.every[frozenset([PARAMETERS])] = replace(
+                heavier = [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
+                self.library += heavier if "added_mass" not in self.exclude else []
+            moved = replace(
                 self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",)
             )
-            self.library += [Form(PARAMETERS, {})]
+            if "parameter_change" not in self.exclude:
+                self.every[frozenset([PARAMETERS])] = moved
+                self.library += [Form(PARAMETERS, {})]
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
@@ -237,7 +240,8 @@ class Search:
             if not level:
                 break
             if depth == 1:
-                names = [h.names[0] for h in level[:NAMES]]
+                first = [h.names[0] for h in level]  # what helps beside another may do nothing alone
+                names = [*first, *(n for n in names if n not in first)][:NAMES]
                 if not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
                     self.progress("no single effect helps")
             levels.append(level[0])
