@@ -169,7 +169,7 @@ def diagnose(
         search.run()
     distinct = excitations(case)
     progress("which of them is sure")
-    decision = decide(search, own, distinct)
+    decision = decide(search, own, _thinned(case, 1.0), distinct)
     handed, made, parts = hand_back(search, decision, model, records)
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)
@@ -215,11 +215,16 @@ def own_error(case: Case, search: Search) -> tuple[float, str]:
     misfit = case.model.provenance.misfit
     if not np.isfinite(misfit):
         return 0.0, "unknown: the nominal carries no error of its own"
+    return _thinned(case, misfit), "what the nominal leaves where nothing is wrong"
+
+
+def _thinned(case: Case, misfit: float) -> float:
+    """So many times the sensor's white noise, as thinned records show it."""
     scale = float(case.model.scales.state[0])
     each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
     part = np.sqrt((rules.OWN * misfit) ** 2 - 1 + 1 / case.thinned) / rules.OWN
     thinned = [n * part for n in each]
-    return float(np.exp(np.mean(np.log(np.maximum(thinned, 1e-12))))), "what the nominal leaves where nothing is wrong"
+    return float(np.exp(np.mean(np.log(np.maximum(thinned, 1e-12)))))
 
 
 def _floor(search: Search, own: float) -> float:

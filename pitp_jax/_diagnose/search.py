@@ -120,9 +120,7 @@ class Search:
             if self.scale.a2 > 0:
                 heavier = [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
                 self.library += heavier if "added_mass" not in self.exclude else []
-            moved = replace(
-                self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",)
-            )
+            moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",))
             if "parameter_change" not in self.exclude:
                 self.every[frozenset([PARAMETERS])] = moved
                 self.library += [Form(PARAMETERS, {})]

@@ -50,8 +50,8 @@ class Decision:
     rivals: tuple[str, ...] = field(default=())
 
 
-def decide(search: Search, own: float, distinct: int) -> Decision:
-    """Judge a search; `own`: the nominal's own error (0 where it is not known), `distinct`: excitations."""
+def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
+    """Judge a search; `own`: the nominal's own error, 0 where it is not known; `distinct`: excitations."""
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
     bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
@@ -68,9 +68,8 @@ def decide(search: Search, own: float, distinct: int) -> Decision:
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="the nominal leaves no more than on its own records")
     if not chosen.names:
-        floor = np.exp(np.mean([np.log(s.noise) for s in case.series]))
         gains = [h.rms for h in search.every.values()] + [bar.rms]
-        if base.rms <= rules.OWN * floor and min(gains) > (1 - rules.GAIN) * base.rms:
+        if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
             return answer("no_gap", reason="what is left is the sensor's noise")
         return answer("unknown", reason="no effect of the catalogue pays")
     p, rivals, fractions = {}, {}, {}
