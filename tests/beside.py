@@ -9,6 +9,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from pitp_jax._effects.spec import Surroundings
+from pitp_jax._model.model import Model
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
 
@@ -17,7 +18,7 @@ from pitp_jax._simulate.decoder import rest_state, rollout
 class Beside:
     """A nominal, what starts of effects are taken from, and its runs: voltage, age, run, span of every drive."""
 
-    model: object
+    model: Model
     surroundings: Surroundings
     series: tuple[SimpleNamespace, ...]
 

@@ -134,7 +134,8 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         rest = b.begins == "rest"
         if rest and k > 1:  # a mean over k samples stands in their middle: the rest before it is a sample of its own
-            volts, x, seen = np.append(0.0, volts), np.append(np.nan, x), np.append(False, seen)
+            volts, x = np.append(0.0, volts), np.append(np.nan, x)
+            seen = np.isfinite(x)
         starts.append((0.0, 0.0) if rest else (first, 0.0))
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)

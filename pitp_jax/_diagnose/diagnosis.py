@@ -164,12 +164,13 @@ def diagnose(
     limit = Budget(seconds)
     search = Search(case, refit_nominal, exclude, limit, progress)
     own, source = own_error(case, search) if not refit_nominal else (0.0, "unknown in a refit")
-    search.own = own
+    noise = _thinned(case, 1.0)
+    search.own = max(own, noise)  # nothing is fitted below the sensor's white noise
     if not search.given.rms <= rules.OWN * own:
         search.run()
     distinct = excitations(case)
     progress("which of them is sure")
-    decision = decide(search, own, _thinned(case, 1.0), distinct)
+    decision = decide(search, own, noise, distinct)
     handed, made, parts = hand_back(search, decision, model, records)
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)

@@ -9,7 +9,7 @@ cost a run a number and need no program of their own. A run that diverges is a r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,12 +58,8 @@ class Fit:
 
     def again(self, **changes) -> "Fit":
         """A copy to go on with."""
-        same = {
-            k: getattr(self, k)
-            for k in ("names", "free", "slots", "starts", "unit", "fold", "residuals", "jacobian", "cost")
-        }
-        same = same | {"slots": self.slots.copy(), "starts": self.starts.copy()} | changes
-        return Fit(**same)
+        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "done": False}
+        return replace(self, **(fresh | changes))
 
     def value(self, name: str) -> float:
         """Of one slot."""
@@ -99,8 +95,7 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     else:
         root = np.sqrt(complex(a1 * a1 - 4 * a0 * a2))
         poles = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
-    for pole in poles if not np.iscomplex(poles[0]) else poles[:1]:
-        pole = complex(pole)
+    for pole in map(complex, poles if not np.iscomplex(poles[0]) else poles[:1]):
         if abs(pole) * time[-1] < 1e-3 and a2 > 0:  # no spring: the zero stands for x(0)
             continue
         wave = np.exp(np.clip(pole.real * time, -700, 50)) * np.exp(1j * pole.imag * time)

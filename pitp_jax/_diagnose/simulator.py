@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -106,10 +107,10 @@ class Simulator:
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
         """Scaled outputs (T,) of slots (lanes, slots) beside a record and from a start (x, v) each; nan if diverged."""
-        records = np.asarray(records, int)
+        places = np.asarray(records, int)
         costly = (slots[:, [INDEX[k] for k in _COSTLY]] != OFF[[INDEX[k] for k in _COSTLY]]).any(1)
-        steps = np.array([len(d.voltage) for d in self.drives])[records]
-        order = np.lexsort((slots[:, INDEX["delay"]], records, -steps, costly))
+        steps = np.array([len(d.voltage) for d in self.drives])[places]
+        order = np.lexsort((slots[:, INDEX["delay"]], places, -steps, costly))
         blocks, place = [], 0
         while place < len(order):
             mixed = costly[order[place]]
@@ -122,7 +123,7 @@ class Simulator:
         def run(numbered):
             k, (block, width, mixed) = numbered
             with jax.default_device(self.devices[k % len(self.devices)] if self.devices else None):
-                return self._block(slots[block], records[block], starts[block], width, mixed)
+                return self._block(slots[block], places[block], starts[block], width, mixed)
 
         with ThreadPoolExecutor(max(THREADS, len(self.devices))) as pool:
             runs = pool.map(run, enumerate(blocks))
@@ -331,7 +332,7 @@ def _advance(square, costly, constants, state, volts, clock):
         return jnp.where(c["dry_speed"] > 0, level * jnp.tanh(v / speed), dry)
 
     def step(carry, ends):
-        s = dict(zip(_STATES, carry, strict=True))
+        s: dict[str, Any] = dict(zip(_STATES, carry, strict=True))
         before, after, time = ends
         n = dict(s)
         n["rc"] = _follow(c["rc_keep"], c["rc_ramp"], s["rc"], before, after)

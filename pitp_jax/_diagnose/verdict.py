@@ -11,6 +11,7 @@ A confident wrong name costs a laboratory a week, `unknown` an hour.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -51,16 +52,16 @@ class Decision:
 
 
 def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
-    """Judge a search; `own`: the nominal's own error, 0 where it is not known; `distinct`: excitations."""
+    """Judge a search; `own`: the nominal's own error, 0 where unknown; `noise`: the sensor's; `distinct`: excitations."""
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
     bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
     bar = min(bars, key=lambda e: e.score)
     above = reference(case, chosen, floors) if chosen.names else bar
     more = probability(above, chosen.evidence, 1 - rules.GAIN)
-    settled = 0 < chosen.rms <= rules.OWN * own
+    settled = chosen.rms <= rules.OWN * max(own, noise)
 
-    def answer(verdict, said=(), tied=None, p=None, fractions=None, reason="", rivals=()):
+    def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
         return Decision(
             verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason, tuple(rivals)
         )
@@ -77,7 +78,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         rivals[name] = _rival(search, chosen, {name})
         p[label] = probability(chosen.evidence, rivals[name].evidence)
         fractions[label] = _fraction(search, chosen, name)
-    told = {"p": p, "fractions": fractions}
+    told: dict[str, Any] = {"p": p, "fractions": fractions}
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
         return answer("unknown", reason="a flexible model without names explains as much", **told)
