@@ -9,6 +9,7 @@ from pitp_jax._diagnose.diagnosis import Diagnosis
 from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._diagnose.result import Gap, Ranked, Trace
 from pitp_jax._effects import electrode
+from pitp_jax._model import Fitted, Origin
 
 T = np.arange(2000) / 500.0
 NAMES = ("sweep<1>", "sine2", "sine&4")
@@ -58,8 +59,7 @@ def candidate(effect, form, parameters, closed, **options):
 
 def explained(actuator):
     """An `explained` diagnosis by an electrode's lag, in mm."""
-    known = actuator.provenance.with_(displacement_unit="mm")
-    model = replace(actuator, provenance=known, effects=(electrode.ElectrodeRC(jnp.asarray(0.012345)),))
+    model = replace(actuator, effects=(electrode.ElectrodeRC(jnp.asarray(0.012345)),))
     return Diagnosis(
         verdict="explained", effects=("electrode_rc",), equivalent=(), added=(),
         gap=Gap(8.0, 0.41, 8.0, 0.4, "a <band>", 0.995, (0.98, 1.0)),
@@ -70,7 +70,7 @@ def explained(actuator):
             candidate("drag", "quadratic", {"c": (4.2e7, "V^2 s^2/m^2", None)}, -0.4, screened=True),
         ),
         where=where(), next_experiment=None, fitted=NAMES[:1], heldout=NAMES[1:], shift=np.ones(3), traces=traces(),
-        model=model,
+        model=Fitted(model, Origin(displacement_unit="mm")),
     )  # fmt: skip
 
 
@@ -84,12 +84,12 @@ def no_gap(found):
     """The model's error is noise."""
     gap = Gap(0.41, 0.41, 0.41, 0.4, "a band", None, None)
     ranking = tuple(replace(r, closed_fraction=None, ci95=None) for r in found.ranking)
-    model = replace(found.model, effects=())
+    model = found.model.but(effects=())
     return replace(found, verdict="no_gap", effects=(), gap=gap, ranking=ranking, model=model)
 
 
 def unknown(found):
     """Nothing helps."""
-    gap, model = Gap(8.0, 7.9, 8.0, 0.4, "a band", 0.01, (0.0, 0.02)), replace(found.model, effects=())
+    gap, model = Gap(8.0, 7.9, 8.0, 0.4, "a band", 0.01, (0.0, 0.02)), found.model.but(effects=())
     ranking = tuple(replace(r, closed_fraction=0.01) for r in found.ranking)
     return replace(found, verdict="unknown", effects=(), gap=gap, ranking=ranking, model=model)

@@ -96,7 +96,7 @@ def test_ties_are_said_first_and_come_with_an_experiment(tied):
 
 def test_two_effects_are_both_told_with_their_own_numbers(explained):
     limited = stiffness.GentStiffening(jnp.asarray(0.25))
-    model = replace(explained.model, effects=(limited, *explained.model.effects))
+    model = explained.model.but(effects=(limited, *explained.model.effects))
     both = replace(explained, effects=("electrode_rc", "stiffening"), model=model)
     _, text = read(both)
     assert "explained by electrode_rc and stiffening" in text
@@ -122,7 +122,7 @@ def test_no_gap_after_a_refit_tells_how_the_coefficients_moved(no_gap):
 
 def test_a_changed_coefficient_is_an_explanation_of_its_own(explained):
     row = candidate("parameter_change", "refitted coefficients", {"a_1 over given": (1.28, "1", 0.004)}, 0.99)
-    model = replace(explained.model, effects=())
+    model = explained.model.but(effects=())
     change = replace(
         explained, effects=("parameter_change",), ranking=(row,), shift=np.array([1.0, 1.28, 1.0]), model=model
     )

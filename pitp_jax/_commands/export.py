@@ -36,11 +36,11 @@ def export(model, to, out, steps, precision, fmi, name, json_file=None) -> None:
     else:
         cost = export_c(loaded, out, **options, precision=precision or "double")
     what = {"c": "C99 (`make` there checks it)", "fmu": f"FMU {fmi or 2}.0", "matlab": "MATLAB functions"}[to]
-    rate = steps or 1 / loaded.provenance.dt
+    rate = steps or 1 / loaded.dt
     print(f"pitp_{name}: {what}, {number(rate)} steps a second, in {out}")
     if json_file:
         told = {"to": to, "folder": str(out), "name": name, "rate_hz": rate, "rate_costs_e_rms_percent": cost}
         write_json(json_file, told)
     if cost is not None:
-        own = number(1 / loaded.provenance.dt)
+        own = number(1 / loaded.dt)
         print(f"at this rate instead of the model's {own} Hz it predicts {number(cost, 2)} % of range off (e_rms)")

@@ -2,12 +2,11 @@
 
 import math
 
-from .._model.model import Model
-from .._model_file.lineage import lineage
+from .._model.fitted import Fitted
 from .._model_file.model_file import digest, load
 from .console import number, print_table
 from .outputs import check_files, write_json
-from .reports import describe, in_words, notes, print_model
+from .reports import describe, in_words, print_model
 
 _SAME = ("kind", "order", "input_map", "encoder", "memory_states", "hold", "substeps", "dt", "offset", "polarity")
 
@@ -36,10 +35,15 @@ def info(model, other, json_file) -> None:
     print_lineage(told[0])
 
 
-def traced(model: Model) -> dict:
+def traced(model: Fitted) -> dict:
     """`describe`, the file's digest, what it was adapted to, and its line of descent."""
-    adapted = notes(model).get("adapted", [])
-    return {**describe(model), "digest": digest(model), "adapted": adapted, "lineage": lineage(model)}
+    origin = model.origin
+    return {
+        **describe(model),
+        "digest": digest(model),
+        "adapted": list(origin.adapted),
+        "lineage": list(origin.lineage),
+    }
 
 
 def print_lineage(told: dict) -> None:
@@ -56,7 +60,7 @@ def print_lineage(told: dict) -> None:
             print(f"  {r['sha256']}  {r['name']}{'' if r.get('of') == 'file' else ' (samples)'}")
 
 
-def differences(a: Model, b: Model) -> dict:
+def differences(a: Fitted, b: Fitted) -> dict:
     """What differs between two models: plain values, coefficients with intervals, effects, recordings, descent."""
     one, two = traced(a), traced(b)
     values = {k: [one[k], two[k]] for k in _SAME if one[k] != two[k]}

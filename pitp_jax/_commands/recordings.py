@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from .._check.one_record import quick_problems
+from .._model.fitted import Fitted
 from .._model.input_map import SquareInput
-from .._model.model import Model
 from .._record.plausible import monitor_warning
 from .._record.reading import read
 from .._record.record import Record
@@ -56,6 +56,6 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
-def is_square(model: Model) -> bool:
+def is_square(model: Fitted) -> bool:
     """Whether a model's force is the square of the voltage."""
     return isinstance(model.input_map, SquareInput)

@@ -8,7 +8,7 @@ the fit never saw, not on another part of the same one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import jax
@@ -18,6 +18,7 @@ from jax.sharding import Mesh
 
 from .._effects.base import Surroundings
 from .._errors import BadInput
+from .._model.fitted import Fitted, Origin, fitted_of
 from .._model.model import Model
 from .._record.excitation_kind import kind, loudest
 from .._record.initial_state import aligned
@@ -79,6 +80,7 @@ class Case:
         surroundings: what starts and bounds of effects are taken from.
         split: which of the splits this is.
         mesh: devices that share the rollouts; None: the default one.
+        origin: what the nominal was made from.
     """
 
     model: Model
@@ -86,6 +88,7 @@ class Case:
     surroundings: Surroundings
     split: Split = "first"
     mesh: Mesh | None = None
+    origin: Origin = field(default_factory=Origin)
 
     @property
     def dt(self) -> float:
@@ -103,13 +106,16 @@ class Case:
         return tuple(s for s in self.series if not s.fitted)
 
 
-def build_case(model: Model, records: Sequence[Record], *, how: Split = "first", mesh: Mesh | None = None) -> Case:
+def build_case(
+    given: Model | Fitted, records: Sequence[Record], *, how: Split = "first", mesh: Mesh | None = None
+) -> Case:
     """Roll the nominal out beside every record and take what else a diagnosis needs; `how`: see `split`.
 
     Every record enters with its own zero and direction taken out (`begin`): they belong to the sensor, and no effect
     may explain them.
     """
-    model = _finer(at_rate(model, records[0].dt), records[0].dt)
+    fitted_model = fitted_of(given)
+    model = _finer(at_rate(fitted_model.model, records[0].dt), records[0].dt)
     known = len(records) > 1 and session_clock(records)
     starts, spent, begun = begin(model, records, known)
     records = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
@@ -122,14 +128,14 @@ def build_case(model: Model, records: Sequence[Record], *, how: Split = "first",
     top = force_band([model.input_map.force(r.voltage) for r in records], records[0].dt)
     cut = min(max(3 * top, 3 * model.natural_frequency / (2 * np.pi)), 0.3 / records[0].dt)
     reached = reaches(model, records) if known else [0.0] * len(records)
-    ages = [model.provenance.age(r.time[0]) if known else 0.0 for r in records]
+    ages = [model.domain.age(r.time[0]) if known else 0.0 for r in records]
     series = tuple(
         _series(
             model, r, r.name in fitted, runs[k, : r.samples], spent[k], np.asarray(starts[k]), cut, ages[k], reached[k]
         )
         for k, r in enumerate(records)
     )
-    return Case(model, series, _surroundings(model, series, known), how, mesh)
+    return Case(model, series, _surroundings(model, series, known), how, mesh, fitted_model.origin)
 
 
 def _finer(model: Model, dt: float) -> Model:

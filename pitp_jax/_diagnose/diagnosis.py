@@ -11,6 +11,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from .._errors import BadInput
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import clock_start
@@ -58,7 +59,7 @@ class Diagnosis:
     heldout: tuple[str, ...]
     shift: np.ndarray
     traces: tuple[Trace, ...]
-    model: Model
+    model: Fitted
     notes: tuple[str, ...] = ()
     term: Term | None = None
 
@@ -111,7 +112,7 @@ class Diagnosis:
 
 
 def diagnose(
-    model: Model,
+    model: Model | Fitted,
     records: Sequence[Record],
     *,
     refit_nominal: bool = False,
@@ -145,10 +146,12 @@ def diagnose(
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)
-    model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
+    fitted = fitted_of(model)
+    domain = fitted.model.domain
+    model = replace(fitted.model, domain=replace(domain, clock=domain.clock or clock_start(records)))
     budget = Budget(seconds)
     options = {"refit": refit_nominal, "exclude": exclude, "progress": progress, "budget": budget}
-    case, found, gap, name, level = _over_splits(model, records, mesh, options)
+    case, found, gap, name, level = _over_splits(Fitted(model, fitted.origin), records, mesh, options)
     _, judged = sides(case)
     if name == "explained":
         best, model = settled(case, found.best, model)
@@ -185,7 +188,7 @@ def diagnose(
         heldout=tuple(s.record.name for s in case.heldout),
         shift=np.asarray((found.best if effects else found.base).candidate.factors),
         traces=tuple(trace_of(case, shown, k) for k in range(len(case.series))),
-        model=added,
+        model=Fitted(added, fitted.origin),
         notes=notes + budget.notes(),
         term=described[0] if described else None,
     )
@@ -201,7 +204,7 @@ class _Said(NamedTuple):
     rezeroed: float
 
 
-def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Said:
+def _over_splits(model: Fitted, records, mesh: Mesh | None, options: dict) -> _Said:
     """Split one way; then the other, where an effect may act in few drives; then not at all."""
 
     def said(how: Split) -> _Said:
@@ -209,7 +212,7 @@ def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Sa
         found = attribute(case, **options)
         _, judged = sides(case)
         gap = gap_of(case, found, found.best, floor(case, found.noise, judged), judged)
-        own, level = case.model.provenance.misfit, rezeroed(case, found.base, judged)
+        own, level = case.origin.misfit, rezeroed(case, found.base, judged)
         return _Said(case, found, gap, verdict(gap, found, own, level), level)
 
     first, progress, budget = said("first"), options["progress"], options["budget"]

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._model.fitted import Fitted
 from .batched_rollouts import Lanes
 from .budget import Budget
 from .case import Case, build_case
@@ -96,7 +97,7 @@ def _around(case: Case, catalogue, rivals: list[Judged], refit: bool) -> list[Sc
     found = []
     for r in list(near.values())[:_AROUND]:
         model, c = augmented(case, r, case.model), r.candidate
-        beside = build_case(model, [s.record for s in case.series], how=case.split, mesh=case.mesh)
+        beside = build_case(Fitted(model, case.origin), [s.record for s in case.series], how=case.split, mesh=case.mesh)
         partners = [s for s in singles(screen(beside, catalogue, c.factors, refit=refit)) if s.names != r.names]
         for name in list(dict.fromkeys(s.names for s in partners))[:_PARTNERS]:
             for s in [s for s in partners if s.names == name][:_PARTNERS]:

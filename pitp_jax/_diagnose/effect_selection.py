@@ -13,6 +13,7 @@ import numpy as np
 
 from .._effects import CATALOGUE, REMAINDERS
 from .._effects.viscoelastic import BORDER
+from .._model.fitted import Fitted
 from .bootstrap import means
 from .budget import Budget
 from .case import Case, build_case
@@ -87,7 +88,7 @@ def attribute(
     if not refit and "parameter_change" not in exclude:
         rivals.append(changed)
     _, held = sides(case)
-    best = _part_of_a_change(parsimonious(rivals), rivals, floor(case, noise, held), case.model.provenance.misfit)
+    best = _part_of_a_change(parsimonious(rivals), rivals, floor(case, noise, held), case.origin.misfit)
     noise = _lower(noise, estimate(case, _scaled_errors(case, best)))
     ranking = tuple(sorted(_by_name(rivals), key=lambda j: (j.names != best.names, j.heldout)))
     pair = second(case, catalogue, screening, best, rivals, base, noise, refit, progress, budget)
@@ -108,7 +109,12 @@ def _part_of_a_change(best: Judged, rivals: Sequence[Judged], low: float, own: f
 
 def moved(case: Case, factors: np.ndarray) -> Case:
     """The case around a nominal with other coefficients: a filter far from the plant misleads the screening."""
-    return build_case(case.model.changed(factors), [s.record for s in case.series], how=case.split, mesh=case.mesh)
+    return build_case(
+        Fitted(case.model.changed(factors), case.origin),
+        [s.record for s in case.series],
+        how=case.split,
+        mesh=case.mesh,
+    )
 
 
 def finalists(screened: list[Screened]) -> list[Screened]:

@@ -117,5 +117,5 @@ def augmented(case: Case, judged: Judged, model: Model) -> Model:
     output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
     return replace(
         model.changed(c.factors), effects=(*model.effects, *effects), substeps=substeps, output=output,
-        provenance=model.provenance.driven_by([s.record for s in case.series]),
+        domain=model.domain.driven_by([s.record for s in case.series]),
     )  # fmt: skip

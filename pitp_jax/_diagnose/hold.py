@@ -8,6 +8,7 @@ sensor's second-order lag of 8.00 ms read 7.57 +- 0.01; under a linear voltage 8
 
 from dataclasses import replace
 
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .batched_rollouts import Lanes
 from .case import Case, build_case
@@ -20,7 +21,7 @@ def settled(case: Case, best: Judged, nominal: Model) -> tuple[Judged, Model]:
     if not best.candidate.refit or nominal.hold != "zoh":
         return best, nominal
     linear = replace(nominal, hold="foh")
-    again = build_case(linear, [s.record for s in case.series], how=case.split, mesh=case.mesh)
+    again = build_case(Fitted(linear, case.origin), [s.record for s in case.series], how=case.split, mesh=case.mesh)
     lanes = Lanes(again, [best.candidate.forms])
     (found,) = judge(lanes, fit(lanes, [best.candidate]))
     better = found.train < best.train and found.heldout < best.heldout

@@ -22,7 +22,7 @@ from .fit import Candidate, nudged, residuals, stacked
 
 def doubted(case: Case, judged: Judged, nominal: Model) -> Judged:
     """The explanation with a covariance that knows the nominal's; as it is where that is not known."""
-    c, spread = judged.candidate, np.asarray(nominal.provenance.covariance, np.float64)
+    c, spread = judged.candidate, case.origin.covariance
     if c.refit and c.covariance.size:
         return replace(judged, candidate=replace(c, covariance=c.covariance + _of_the_hold(c, nominal, case.dt)))
     if not spread.size or not c.covariance.size:

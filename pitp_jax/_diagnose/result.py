@@ -9,6 +9,7 @@ import numpy as np
 
 from .._effects import CATALOGUE
 from .._effects.physical import physical
+from .._model.fitted import Fitted
 from .bootstrap import means
 from .case import Case
 from .effect_selection import Attribution
@@ -111,7 +112,7 @@ def added_of(case: Case, judged: Judged) -> tuple[Added, ...]:
     for form, values, start in zip(c.forms, c.values, c.starts, strict=True):
         told = {}
         for p, v, low, high in zip(form.PARAMETERS, values, start.low, start.high, strict=True):
-            value, unit = physical(case.model, p, v)
+            value, unit = physical(Fitted(case.model, case.origin), p, v)
             error = None
             if high > low:
                 if errors is not None:
@@ -167,7 +168,7 @@ def _fitted(case: Case, found: Attribution, j: Judged, low: float, held) -> Rank
 def _screened(case: Case, found: Attribution, s: Screened, low: float) -> Ranked:
     form, told = s.forms[0], {}
     for p, v in zip(form.PARAMETERS, s.values[0], strict=True):
-        value, unit = physical(case.model, p, v)
+        value, unit = physical(Fitted(case.model, case.origin), p, v)
         told[p.name] = {"value": value, "unit": unit, "stderr": None}
     train, heldout = (float(np.sqrt(max(e, 0))) for e in (s.train, s.heldout))
     return Ranked(

@@ -13,6 +13,7 @@ import numpy as np
 
 from .._effects.found_term import LIBRARY, NAMES, FoundTerm
 from .._effects.physical import physical
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .case import Case
 from .effect_selection import Attribution
@@ -98,7 +99,7 @@ def told(case: Case, found: Attribution, best: Judged) -> Term:
     names += [p.name for p, _ in effect.numbers()[len(names) :]]
     rows = {}
     for k, (name, (p, value)) in enumerate(zip(names, effect.numbers(), strict=True)):
-        number, unit = physical(case.model, p, float(value))
+        number, unit = physical(Fitted(case.model, case.origin), p, float(value))
         spread = abs(float(errors[k]) * (number if p.positive else number / float(value))) if len(errors) else None
         near = [number - 1.96 * spread, number + 1.96 * spread] if spread else None
         rows[name] = {"value": number, "unit": unit, "stderr": spread or None, "ci95": near}

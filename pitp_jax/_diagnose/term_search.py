@@ -12,6 +12,7 @@ import numpy as np
 
 from .._effects.base import Start
 from .._effects.found_term import NAMES, FoundTerm, held_knees
+from .._model.fitted import Fitted
 from .batched_rollouts import Lanes
 from .bootstrap import means
 from .case import Case, build_case
@@ -35,7 +36,7 @@ def search(case: Case, base: Judged, low: float, progress: Callable[[str], None]
     around = moved(case, start.factors) if start.refit else case
     if start.forms:
         model = augmented(case, base, case.model)
-        around = build_case(model, [s.record for s in case.series], how=case.split, mesh=case.mesh)
+        around = build_case(Fitted(model, case.origin), [s.record for s in case.series], how=case.split, mesh=case.mesh)
     progress("looking for an equation of the missing force")
     by_size = _needed(subsets(around, start.refit))
     lanes, rivals = Lanes(case, [(*start.forms, FoundTerm)]), [base]

@@ -184,7 +184,7 @@ def windows(s: Series, case: Case):
 def _sentence(case: Case, out: dict) -> str:
     """Cells that hold most of the gap, the loudest record and band, in words."""
     from_unit = {"mm": 1e3, "um": 1e6, "m": 1.0, "mV": 1e3, "V": 1.0}
-    unit = case.model.provenance.displacement_unit
+    unit = case.origin.displacement_unit
     factor = from_unit.get(unit, 1.0)
     ordered = sorted(out["cells"], key=lambda c: -c["share"])
     held = np.cumsum([c["share"] for c in ordered])

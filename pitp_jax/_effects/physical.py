@@ -4,10 +4,13 @@ physical = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: t
 """
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from .._model.model import Model
 from .._record.units import base_unit
 from .base import AbstractEffect, Parameter
+
+if TYPE_CHECKING:
+    from .._model.fitted import Fitted
 
 
 def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float:
@@ -21,9 +24,9 @@ def in_scales(effect: AbstractEffect, old: tuple, new: tuple) -> AbstractEffect:
     return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 
 
-def physical(model: Model, p: Parameter, value: float) -> tuple[float, str]:
+def physical(fitted: "Fitted", p: Parameter, value: float) -> tuple[float, str]:
     """A number stored in an effect, in physical units."""
-    unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))
+    unit = p.unit.replace("x", base_unit(fitted.origin.displacement_unit))
     if p.force:
-        unit = unit.replace("V^2", model.input_map.unit)
-    return value * physical_factor(p, model.scales.state, model.scales.force), unit
+        unit = unit.replace("V^2", fitted.input_map.unit)
+    return value * physical_factor(p, fitted.scales.state, fitted.scales.force), unit

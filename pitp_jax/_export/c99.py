@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .._invert.pi_control import KV_PER_MM
+from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
 from . import steps
@@ -18,7 +19,12 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def export_c(
-    model: Model, folder: str | Path, *, name: str = "model", rate: float | None = None, precision: str = "double"
+    model: Model | Fitted,
+    folder: str | Path,
+    *,
+    name: str = "model",
+    rate: float | None = None,
+    precision: str = "double",
 ) -> float | None:
     """Write a model and its inverse as C99 into a new folder.
 
@@ -79,7 +85,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
         "tolerance": repr(planning._PREDICTED[precision]), "force_tolerance": repr(planning._PLANNED[precision]),
         "rest_number": repr(float(plan.model.output.offset)),
         "stroke": repr(float(plan.model.output.polarity) * float(np.ptp(test.motion[:, 0]))),
-        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.provenance.dt:g} Hz; at this one its "
+        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; at this one its "
         f"predictions are {cost:.2g} % of the range away (e_rms).\n",
         "period": f"{1e6 * plan.dt:.0f}_us", "hz": f"{1 / plan.dt:g}", "precision": precision,
         "ahead_ms": f"{1e3 * plan.look_ahead * plan.dt:.0f}_ms",

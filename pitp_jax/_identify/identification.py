@@ -8,7 +8,6 @@ Starts come from the equation error, from the spectrum's peak and from the next 
 by plain output error diverges from a bad start. Poles are stable by construction (`linear_ode`).
 """
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,11 +16,13 @@ import numpy as np
 
 from .._effects.amplifier import Delay
 from .._errors import BadInput, ComputationFailed
+from .._model.domain import Domain
+from .._model.fitted import Fitted, Origin
 from .._model.input_map import INPUT_MAPS
-from .._model.model import Hold, Model, Output, Provenance, linear_model
+from .._model.model import Hold, Output, linear_model
 from .._model_file.lineage import descended
 from .._numerics.levenberg_marquardt import minimise
-from .._record.initial_state import Beginning, aligned
+from .._record.initial_state import Beginning, aligned, noise_std
 from .._record.long_record import thinned
 from .._record.record import Record
 from .._record.sets import check_set
@@ -29,7 +30,7 @@ from .beginnings import find_beginnings
 from .final_fit import refine
 from .initial_guess import equation_error_roots, linear_start, peak_roots
 from .linear_ode import polynomial
-from .order_selection import Fit, OrderFit, advice, choose, describe, summary
+from .order_selection import Fit, OrderFit, advice, choose, describe
 from .output_error import (
     OutputError,
     build_problem,
@@ -58,7 +59,7 @@ class Identification:
         beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
     """
 
-    model: Model
+    model: Fitted
     chosen: OrderFit
     orders: tuple[OrderFit, ...]
     beginnings: dict[str, Beginning]
@@ -139,7 +140,7 @@ def identify(
     orders = tuple(chosen if d.order == chosen.order else d for d in described)
     orders = orders if order == "auto" else (chosen,)
     begun = _fitted(begun, fit, problem)
-    model = descended(_to_model(chosen, records, begun, input_map, orders), "identify", records)
+    model = descended(_to_model(chosen, records, begun, input_map), "identify", records)
     return Identification(model, chosen, orders, dict(zip([r.name for r in records], begun, strict=True)))
 
 
@@ -221,11 +222,11 @@ def _least_squares(params: np.ndarray, order: int, hold: Hold, problem: OutputEr
     return Fit(found, order, hold, cost, converged) if np.isfinite(cost) else None
 
 
-def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, orders) -> Model:
+def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str) -> Fitted:
     """Scaled model: state scales are the rms of the identified model's own derivatives over the records."""
     n = chosen.order
-    a, told = chosen.coefficients, summary(chosen, orders, records)
-    share = chosen.stderr / a
+    a = chosen.coefficients
+    relative = chosen.stderr / a
     output = Output(chosen.offset, chosen.polarity)
     moved = [output.to_model(aligned(r, b, output).displacement) for r, b in zip(records, begun, strict=True)]
     forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage)) for r in records]
@@ -235,19 +236,18 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
     omega = (a[0] / a[n]) ** (1 / n)
     dt = records[0].dt
     fastest = max(float(np.abs(np.roots(a[::-1])).max()), 1e-12)
-    provenance = Provenance(
-        dt=dt,
+    long = thinned(aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest")
+    noise = float(np.median([noise_std(r.displacement) for r in records]))
+    origin = Origin(
         displacement_unit=records[0].displacement_unit,
         voltage_unit=records[0].voltage_unit,
-        voltage_range=(np.inf, -np.inf),
-        slew=0.0,
-        notes=json.dumps({"identification": told}),
-        covariance=tuple(map(tuple, (chosen.correlation * np.outer(share, share)).tolist())),
-        misfit=max(chosen.rms / told["noise_std"], 1.0) if told["noise_std"] else float("inf"),
-        long_record=thinned(
-            aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest"
-        ),
-    ).driven_by(records)
+        covariance=chosen.correlation * np.outer(relative, relative),
+        stderr=tuple(chosen.stderr.tolist()),
+        misfit=max(chosen.rms / noise, 1.0) if noise else float("inf"),
+        level=float("nan") if long is None else 100 * chosen.rms / long.range,
+        identified_on=tuple(r.name for r in records),
+        long_record=long,
+    )
     model = linear_model(
         a,
         input_map=INPUT_MAPS[input_map](),
@@ -256,6 +256,8 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
         output=output,
         hold=chosen.hold,
         substeps=int(np.clip(np.ceil(fastest * dt / 0.25), 1, 16)),
-        provenance=provenance,
+        domain=Domain(dt, (np.inf, -np.inf), 0.0).driven_by(records),
     )
-    return replace(model, effects=(Delay(jnp.asarray(chosen.delay)),)) if chosen.delay > 0 else model
+    if chosen.delay > 0:
+        model = replace(model, effects=(Delay(jnp.asarray(chosen.delay)),))
+    return Fitted(model, origin)

@@ -5,15 +5,12 @@
 Standard errors follow from the Jacobian of that and the covariance of `output_error`.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .._errors import ComputationFailed
 from .._model.model import Hold
-from .._record.initial_state import noise_std
-from .._record.record import Record
 from .linear_ode import polynomial, polynomial_slopes
 from .output_error import OutputError, covariance, residual
 
@@ -146,16 +143,3 @@ def advice(chosen: OrderFit, described: list[OrderFit]) -> str:
     hint = f"orders that are: {', '.join(good)}" if good else "no lower order is either"
     where = f"order {chosen.order} cannot be identified from these records ({why})"
     return f"{where}; {hint}; record a sweep or use --order auto"
-
-
-def summary(chosen: OrderFit, orders: Sequence[OrderFit], records: Sequence[Record]) -> dict:
-    """The identification as plain numbers, for model files and `pitp info`."""
-    noise = float(np.median([noise_std(r.displacement) for r in records]))
-    rows = [{k: (v.tolist() if isinstance(v, np.ndarray) else v) for k, v in vars(f).items()} for f in orders]
-    return {
-        "order": chosen.order,
-        "hold": chosen.hold,
-        "noise_std": noise,
-        "records": [r.name for r in records],
-        "orders": rows,
-    }

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._record.reading import Target
 from .._simulate.prediction import at_rate, outside_share
@@ -51,7 +52,7 @@ class Feedforward:
 
 
 def feedforward(
-    model: Model,
+    model: Model | Fitted,
     target: Target,
     *,
     max_voltage: float | None = None,
@@ -80,13 +81,14 @@ def feedforward(
         >>> plan.self_check_e_rms_percent < 1
         True
     """
+    model = model_of(model)
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement)
     model = at_rate(model, target.dt)
     wanted = model.output.to_model(target.displacement)
     path = extend(wanted, target.dt, model, limits)
     warnings += on_target(model, target, wanted, path)
     first, last = path.target.start, path.target.stop
-    age = max(model.provenance.age(target.time[0] - first * target.dt), 0.0)
+    age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
     if any(e.name == "stiffness_drift" for e in model.effects):
         warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)
     course = Course(model, path, limits, target.dt, age)

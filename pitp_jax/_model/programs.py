@@ -1,55 +1,17 @@
-"""Compiled programs that all models of one structure share: what a model was made from is no part of their key.
+"""Compiled programs, which all models of one structure share, and the way of host arrays to the device.
 
-    jit(f)(model, ...) = eqx.filter_jit(f)(bare(model), ...)
-
-Arrays (weights, scales, offsets; of JAX or NumPy) are arguments of a program; static fields (order, hold, substeps, the
-classes of the parts, layer sizes) make another one. Provenance is static too, since its texts cannot be traced, and is
-taken off before the call. Were it merely left out of the comparison, a function that reads it would bake in, and one
-that returns a model hand back, the notes of whoever called first.
+Arrays of a model (weights, scales, offsets, its domain; of JAX or NumPy) are arguments of a program; static fields
+(order, hold, substeps, the classes of the parts, layer sizes) make another one.
 """
-
-from collections.abc import Callable
-from copy import copy
-from functools import wraps
-from typing import ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array
 
-from .model import REMOVED, Model
-
-P = ParamSpec("P")
-R = TypeVar("R")
-T = TypeVar("T")
+jit = eqx.filter_jit
 
 
 def on_device(values, dtype=None) -> Array:
     """Copy an array of the host's to the device; `jnp.asarray` compiles a program for every shape, 20 ms each."""
     return jax.device_put(np.asarray(values, dtype))
-
-
-def bare(tree: T) -> T:
-    """The same with every model in it without its provenance; reading that fails then."""
-
-    def removed(node):
-        if not isinstance(node, Model):
-            return node
-        without = copy(node)  # not `replace`: what is stacked, or half a model, passes no check of shapes
-        object.__setattr__(without, "provenance", REMOVED)
-        return without
-
-    return jax.tree.map(removed, tree, is_leaf=lambda node: isinstance(node, Model))
-
-
-def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """`eqx.filter_jit` for functions of models; a model that is returned comes without provenance."""
-    compiled = eqx.filter_jit(function)
-
-    @wraps(function)
-    def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        args, kwargs = bare((args, kwargs))
-        return compiled(*args, **kwargs)
-
-    return run

@@ -7,7 +7,6 @@ prints it; any other the sum of its samples t, u, y (little-endian float64, one 
 """
 
 import hashlib
-import json
 import os
 import platform
 from collections.abc import Sequence
@@ -18,13 +17,13 @@ import numpy as np
 
 from .. import __version__
 from .._errors import BadInput
-from .._model.model import Model
+from .._model.fitted import Fitted
 from .._record.record import Record
 from .model_file import digest
 
 
-def descended(model: Model, step: str, records: Sequence[Record], parent: Model | None = None) -> Model:
-    """The model with one step more in its notes."""
+def descended(fitted: Fitted, step: str, records: Sequence[Record], parent: Fitted | None = None) -> Fitted:
+    """Add one step to the line of descent."""
     versions = {
         "pitp_jax": __version__,
         "jax": jax.__version__,
@@ -36,31 +35,17 @@ def descended(model: Model, step: str, records: Sequence[Record], parent: Model 
     except BadInput:  # a part of one's own, which no file holds
         known = None
     entry = {"step": step, "versions": versions, "parent": known, "records": [_sum(r) for r in records]}
-    try:
-        notes = json.loads(model.provenance.notes)
-    except ValueError:
-        notes = {}
-    notes["lineage"] = [*notes.get("lineage", []), entry]
-    return replace(model, provenance=model.provenance.with_(notes=json.dumps(notes)))
-
-
-def lineage(model: Model) -> list[dict]:
-    """All steps, oldest first; none for a model of before there were any."""
-    try:
-        found = json.loads(model.provenance.notes).get("lineage", [])
-    except (AttributeError, ValueError):
-        return []
-    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
+    return replace(fitted, origin=replace(fitted.origin, lineage=(*fitted.origin.lineage, entry)))
 
 
 def _sum(record: Record) -> dict:
-    found, of = hashlib.sha256(), "samples"
+    checksum, of = hashlib.sha256(), "samples"
     if os.path.isfile(record.source):
         of = "file"
         with open(record.source, "rb") as file:
             for block in iter(lambda: file.read(1 << 20), b""):
-                found.update(block)
+                checksum.update(block)
     else:
         for series in (record.time, record.voltage, record.displacement):
-            found.update(np.asarray(series, "<f8").tobytes())
-    return {"name": record.name, "sha256": found.hexdigest(), "of": of}
+            checksum.update(np.asarray(series, "<f8").tobytes())
+    return {"name": record.name, "sha256": checksum.hexdigest(), "of": of}

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._model.model import Model, check_model
+from .._model.fitted import Fitted, model_of
+from .._model.model import Model
 from .._model.programs import jit, on_device
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from .._record.record import Record
@@ -63,7 +64,7 @@ def estimate_start(
 
 def at_rate(model: Model, dt: float) -> Model:
     """The same model with enough substeps for records sampled more coarsely than those it was trained on."""
-    factor = max(1, round(dt / model.provenance.dt))
+    factor = max(1, round(dt / model.dt))
     return replace(model, substeps=model.substeps * factor) if factor > 1 else model
 
 
@@ -105,7 +106,7 @@ class Prediction:
         )
 
 
-def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
+def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Prediction, ...]:
     """Free run of the model under every record's voltage, batched; records may have any lengths, one sampling rate.
 
     Args:
@@ -123,7 +124,7 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
         >>> run.displacement.shape == records[0].displacement.shape
         True
     """
-    check_model(model)
+    model = model_of(model)
     check_set(records)
     model = at_rate(model, records[0].dt)
     found, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
@@ -160,7 +161,7 @@ def begin(
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
     """The same, and how each record begins, with its zero and direction."""
     aged = session_clock(records) if aged is None else aged
-    ages = [model.provenance.age(r.time[0]) if aged else 0.0 for r in records]
+    ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
     begun, states = beginnings(model, records, ages)
     found, spent = [], []
     for record, age, state in zip(records, ages, states, strict=True):
@@ -201,9 +202,9 @@ def outside_share(model: Model, features: np.ndarray) -> float:
     The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
     in short records). A model without a region (identified only) returns 0.
     """
-    if not model.provenance.region or len(features) == 0:
+    if not len(model.domain.region) or len(features) == 0:
         return 0.0
-    low, high = np.asarray(model.provenance.region).T
+    low, high = model.domain.region.T
     slack = 0.05 * np.maximum(high - low, high[0] - low[0])
     return float(((features < low - slack) | (features > high + slack)).any(-1).mean())
 

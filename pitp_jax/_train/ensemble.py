@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import bare, jit
+from .._model.programs import jit
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._record.sets import check_set
@@ -39,13 +40,13 @@ class Ensemble:
         ValueError: fewer than 2 members, or members that differ in their parts, scales or output.
     """
 
-    models: tuple[Model, ...]
+    models: tuple[Model | Fitted, ...]
     error: float
 
     def __post_init__(self):
         """One member has no spread, and members of two makes cannot be run at once."""
         _enough(len(self.models))
-        first, *others = (_make(m) for m in self.models)
+        first, *others = (_make(model_of(m)) for m in self.models)
         if any(other != first for other in others):
             raise ValueError("members differ in their parts, scales or output: train them from one nominal")
 
@@ -69,7 +70,7 @@ class Band:
     scored: np.ndarray
 
 
-def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
+def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
     """Train `members` models from keys split off `key`; `options` as for `train`.
 
     Args:
@@ -117,7 +118,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     if not 0 < level < 1:
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
     check_set(records)
-    models = [at_rate(m, records[0].dt) for m in ensemble.models]
+    models = [at_rate(model_of(m), records[0].dt) for m in ensemble.models]
     stack = _stacked(models)
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
@@ -142,12 +143,12 @@ def _enough(members: int) -> None:
 
 def _stacked(models: Sequence[Model]) -> Model:
     """One model whose leaves have a leading axis of members."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(bare, models))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
 
 
 def _make(model: Model) -> tuple:
     """What members have in common: structure, shapes, scales and output."""
-    shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, bare(model)))
+    shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, model))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
 

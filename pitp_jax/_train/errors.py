@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._metrics import e_rms_percent
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.initial_state import noise_std
 from .._record.record import Record
@@ -37,7 +38,7 @@ class RecordError:
         return not self.trained <= _ALIKE * self.nominal
 
 
-def errors(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
+def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
     """e_rms of the free run of every record, %; infinite where it diverged, 0 where nothing can be counted."""
     runs = predict(model, records)
     found = [e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]

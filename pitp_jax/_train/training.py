@@ -8,7 +8,6 @@
 The equation error is fast and blind to what accumulates; free runs see just that (docs/readings.md, Algorithm 1).
 """
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -22,6 +21,7 @@ import optax
 from jax.sharding import Mesh
 
 from .._errors import BadInput, ComputationFailed
+from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
 from .._model.model import Model
 from .._model.programs import jit
@@ -62,7 +62,7 @@ class Training:
     `errors`: of every training record under the nominal and under this model. `problems`: lines that say what failed.
     """
 
-    model: Model
+    model: Fitted
     history: tuple[dict, ...]
     interrupted: bool
     notes: dict = field(default_factory=dict)
@@ -71,7 +71,7 @@ class Training:
 
 
 def train(
-    nominal: Model,
+    nominal: Model | Fitted,
     records: Sequence[Record],
     *,
     preset: str = "default",
@@ -111,10 +111,10 @@ def train(
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     records, left_out = in_motion(records)
-    seen, parent = records, nominal
-    nominal = at_rate(nominal, records[0].dt)
+    seen, parent = records, fitted_of(nominal)
+    nominal = at_rate(parent.model, records[0].dt)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
-    data, slow = _prepared(nominal, records, settings)
+    data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
     judged = judge(nominal, seen)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
@@ -134,11 +134,16 @@ def train(
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "errors": {e.name: [e.nominal, e.trained] for e in chosen.errors}, "problems": problems,
              "interrupted": interrupted}  # fmt: skip
-    model = descended(_annotated(chosen.model, data, slow, records, notes), "fit", seen, parent)
-    return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems))
+    origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
+    model = Fitted(_shown(chosen.model, data, slow, records), origin)  # an encoder stands beside the nominal now
+    return Training(
+        descended(model, "fit", seen, parent), tuple(history), interrupted, notes, chosen.errors, tuple(problems)
+    )
 
 
-def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:
+def _prepared(
+    nominal: Model, long: LongRecord | None, records, settings: Settings
+) -> tuple[Dataset, SlowBalance | None]:
     """What training reads; with the slow balance where the nominal keeps a record that outlasts the free runs.
 
     Not where the nominal has effects of its own, which that balance would not hold.
@@ -149,7 +154,7 @@ def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, Slo
                              difference=settings.difference,
                              memory=partial(memory_of, settings, nominal, long))  # fmt: skip
 
-    long, seen = nominal.provenance.long_record, run_samples(records) * records[0].dt
+    seen = run_samples(records) * records[0].dt
     fits = settings.memory == "fading" and settings.refine_steps > 0 and not nominal.effects
     if long and fits and long.seconds > OUTLASTS * seen:
         data = dataset(long)
@@ -303,9 +308,13 @@ def _second_mass_hz(model: Model) -> float | None:
     return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
-def _annotated(model: Model, data: Dataset, slow: SlowBalance | None, records, notes: dict) -> Model:
-    """The model with its trained region, the drives it has seen and the training summary in its provenance."""
-    told = json.dumps({**json.loads(model.provenance.notes), "training": notes})
+def _shown(model: Model, data: Dataset, slow: SlowBalance | None, records) -> Model:
+    """The model with the region it was trained in and the drives it has seen."""
     dt = records[0].dt
-    seen = model.provenance.driven_by(records).with_(dt=dt, region=_region(model, data, slow, dt), notes=told)
-    return replace(model, provenance=seen.with_(covariance=(), misfit=float("inf")))  # an encoder stands beside it now
+    domain = replace(model.domain.driven_by(records), dt=dt, region=_region(model, data, slow, dt))
+    return replace(model, domain=domain)
+
+
+def _level(history: Sequence[dict]) -> float:
+    """E_rms (%) of the best free runs; nan where there were none."""
+    return float(np.sqrt(min((e["error"] for e in history if e["stage"] == "free runs"), default=np.nan)))

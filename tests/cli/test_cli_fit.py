@@ -37,7 +37,7 @@ def trainer(monkeypatch):
                 raise self.error
             encoder = CompactEncoder(2, 0, width=4, key=options["key"])
             learned = tuple(PARTS[part](jnp.asarray(0.004)) for part in options["settings"].parts)
-            model = replace(nominal, encoder=encoder, effects=learned)
+            model = nominal.but(encoder=encoder, effects=learned)
             found = training.RecordError("sine2", 4.0, 0.3), training.RecordError("sine4", 0.2, 0.5)
             told = {"seconds": 1.0}
             return training.Training(
