@@ -170,7 +170,8 @@ def _parser() -> argparse.ArgumentParser:
     _export_arguments(command("export", "a model and its inverse as C, as an FMU or as MATLAB functions, for the rig"))
     info = command("info", "what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
-    info.add_argument("other", metavar="OTHER", nargs="?", help="another one: what differs")
+    info.add_argument("others", nargs="*", help=argparse.SUPPRESS)  # two are compared by `compare`
+    _compare_arguments(command("compare", "what differs between two models, two diagnoses or two sets of records"))
     return parser
 
 
@@ -217,6 +218,14 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--model", metavar="MODEL", help="also say which records this model does not explain")
     parser.add_argument("--out", metavar="DIR", help="write every record as understood, and a page, here")
+    _columns(parser)
+
+
+def _compare_arguments(parser: argparse.ArgumentParser) -> None:
+    kinds = "model file, diagnosis (its JSON or folder), or record files"
+    parser.add_argument("a", metavar="A", help=kinds)
+    parser.add_argument("b", metavar="B", help="another of the same kind")
+    parser.add_argument("--out", metavar="DIR", help="write a page and its figures here")
     _columns(parser)
 
 
@@ -305,7 +314,17 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--nominal", required=True, metavar="MODEL", help="identified or trained model")
+    beside = parser.add_mutually_exclusive_group(required=True)
+    beside.add_argument("--nominal", metavar="MODEL", help="identified or trained model")
+    beside.add_argument(
+        "--against", nargs="+", metavar="SIMULATED", help="recordings of a simulator instead of a model"
+    )
+    parser.add_argument(
+        "--position-gain",
+        type=_positive,
+        metavar="KP",
+        help="of the simulator's controller: numbers in N m, not ratios",
+    )
     parser.add_argument(
         "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
     )
@@ -329,5 +348,11 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate", dest="steps", type=_positive, metavar="HZ", help="steps per second (default: the model's)"
     )
     parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
+    parser.add_argument(
+        "--time-constant",
+        type=_positive,
+        metavar="S",
+        help="of the closed loop of the PI steps in C (default: by the model)",
+    )
     parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
     parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")

@@ -48,7 +48,15 @@ void commanded(int how, real y0, real u0, unsigned count, const real *y, const r
         if (how == 1) {{ u[k] = {id}_inverse_target_step(&s, y + k, flags + k); }}
         if (how == 2) {{ u[k] = {id}_pi_step(&s, y + k * TOKENS, measured[k], flags + k); }}
         if (how == 3) {{ u[k] = {id}_inverse_step(&s, isnan(y[k * TOKENS]) ? NULL : y + k * TOKENS, flags + k); }}
+        if (how == 4) {{ u[k] = {id}_inverse_target_step(&s, isnan(y[k]) ? NULL : y + k, flags + k); }}
+        if (how == 5) {{ u[k] = {id}_pi_target_step(&s, y + k, measured[k], flags + k); }}
     }}
+}}
+static {id}_state loop;
+void begin(real y0, real u0, int bounded) {{ {id}_init(&loop, y0, u0); if (!bounded) {{ loop.track = ZERO; }} }}
+real closed(int alive, const real *y, real measured, uint32_t *flags)
+{{
+    return alive ? {id}_pi_target_step(&loop, y, measured, flags) : {id}_pi_step(&loop, y, measured, flags);
 }}
 """
 
@@ -66,6 +74,7 @@ class Exported:
         subprocess.run([compiler, "-c", *FLAGS, "-o", "/dev/null", f"{name}.c"], cwd=folder, check=True)
         subprocess.run(command, cwd=folder, check=True)
         self.call = ctypes.CDLL(str(library))
+        self.call.closed.restype = type(self._real(0.0))
 
     def _array(self, values):
         return np.ascontiguousarray(values, self.kind)
@@ -100,13 +109,32 @@ class Exported:
         return u
 
     def command(self, how: int, target, measured=None, y0=0.0, u0=0.0):
-        """Voltage and flags of inverse_step (0), of the target's step (1), of pi_step (2); 3: nan means none came."""
+        """Voltage and flags of inverse_step (0), inverse_target_step (1), pi_step (2), pi_target_step (5).
+
+        3 and 4 are 0 and 1 where nan means that none came.
+        """
         target = self._array(target)
         measured = self._array(np.zeros(len(target)) if measured is None else measured)
         u, flags = np.empty(len(target), self.kind), np.zeros(len(target), np.uint32)
         pointers = map(self._at, (target, measured, u, flags))
         self.call.commanded(how, self._real(y0), self._real(u0), len(target), *pointers)
         return u, flags
+
+    def loop(self, plant, target, y0=0.0, u0=0.0, *, alive=False, bounded=True, seen=None):
+        """Readings, voltages and flags of a closed loop; plant(k, u) gives the reading after sample k.
+
+        `alive`: the target is given without derivatives; `seen`: what the controller reads of the reading.
+        """
+        target = self._array(target)
+        y, u, flags = np.full(len(target) + 1, y0), np.empty(len(target)), np.zeros(len(target), np.uint32)
+        self.call.begin(self._real(y0), self._real(u0), int(bounded))
+        one = ctypes.c_uint32()
+        for k, row in enumerate(target.reshape(len(target), -1)):
+            reading = y[k] if seen is None else seen(k, y[k])
+            u[k] = self.call.closed(int(alive), self._at(row), self._real(reading), ctypes.byref(one))
+            flags[k] = one.value
+            y[k + 1] = plant(k, u[k])
+        return y[:-1], u, flags
 
 
 def truth(step, inputs, y0=0.0, u0=0.0):

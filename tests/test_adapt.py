@@ -13,9 +13,9 @@ import pitp_jax as pitp
 from pitp_jax._adapt.evidence import covariance, directions, select, subsets
 from pitp_jax._adapt.factors import adapted, factors_of
 from pitp_jax._model import Fitted, Origin
-from pitp_jax._model.fitted import model_of
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AdaptedEncoder, CompactEncoder
+from pitp_jax._model.fitted import model_of
 from pitp_jax._model.memory import FadingMemory
 from pitp_jax._record.waveforms import smooth_step
 from pitp_jax._simulate.batched_rollout import fast_rollout

@@ -30,8 +30,9 @@ def fmus(actuator, tmp_path_factory):
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_fmu_is_complete(fmus, fmi):
     assert sorted(p.name for p in fmus[fmi].iterdir()) == [
-        "pitp_cone.fmu", "pitp_cone_in.csv", "pitp_cone_ref.csv", "pitp_cone_ref.opt",
+        "README.md", "check.py", "pitp_cone.fmu", "pitp_cone_in.csv", "pitp_cone_ref.csv", "pitp_cone_ref.opt",
     ]  # fmt: skip
+    assert not [p for p in fmus[fmi].glob("*.[mp][dy]") if "@" in p.read_text()]
     with zipfile.ZipFile(fmus[fmi] / "pitp_cone.fmu") as archive:
         names = archive.namelist()
         texts = [archive.read(n).decode() for n in names if not n.endswith(".so")]
@@ -57,6 +58,20 @@ def test_an_importer_plays_it(fmus, fmi):
     for name in ("displacement", "command"):
         found = np.interp(reference["time"], run["time"], run[name])
         np.testing.assert_allclose(found, reference[name], rtol=0, atol=1e-6 * np.ptp(reference[name]))
+
+
+def test_an_fmu_checks_itself(fmus, tmp_path):
+    """`check.py` passes, and fails on another reference."""
+    pytest.importorskip("fmpy")
+    shutil.copytree(fmus[2], tmp_path / "out")
+    command = [sys.executable, str(tmp_path / "out" / "check.py")]
+    told = subprocess.run(command, capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr
+    reference = tmp_path / "out" / "pitp_cone_ref.csv"
+    rows = table(reference)
+    rows["command"] *= 1.01
+    np.savetxt(reference, rows, delimiter=",", header="time,displacement,command", comments="")
+    assert subprocess.run(command, capture_output=True).returncode != 0
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -122,7 +137,11 @@ f = fopen('out.txt', 'w'); fprintf(f, '%.17g %.17g\\n', [y v]'); fclose(f);
 def test_octave_plays_the_functions(nonlinear, bounded, tmp_path):
     model = bounded(nonlinear(2, offset=1e-3))
     pitp.export_matlab(model, tmp_path / "m")
-    assert sorted(p.name for p in (tmp_path / "m").iterdir()) == ["pitp_model_inverse.m", "pitp_model_predict.m"]
+    check = "pitp_model_check"
+    assert sorted(p.name for p in (tmp_path / "m").iterdir()) == [
+        "README.md", f"{check}.m", "pitp_model_inverse.m", "pitp_model_predict.m",
+    ]  # fmt: skip
+    subprocess.run(["octave", "--no-gui", "-qf", "--eval", check], cwd=tmp_path / "m", check=True)
     test = plan(model, "model", None, "double").test
     np.savetxt(tmp_path / "m" / "u.txt", test.voltage[:300], fmt="%.17g")
     np.savetxt(tmp_path / "m" / "x.txt", test.motion[:300], fmt="%.17g")
@@ -148,7 +167,9 @@ def test_the_command_line(actuator, tmp_path, capsys):
     assert main(["export", model, "--to", "c", "--out", str(out), *names]) == 0
     told = json.loads((tmp_path / "j").read_text())
     assert told["rate_hz"] == pytest.approx(1000) and told["rate_costs_e_rms_percent"] is None
-    assert "pitp_cone" in capsys.readouterr().out
+    assert 1 < told["pi"]["max_sensitivity"] < 2 < told["pi"]["gain_margin"]
+    said = capsys.readouterr().out
+    assert "pitp_cone" in said and "maximum sensitivity" in said
     assert "float" in (out / "pitp_cone.h").read_text()
 
 

@@ -31,3 +31,28 @@ def test_a_stored_model_survives_being_saved_again(folder, name, tmp_path):
 def test_stored_models_run_as_they_did(folder, name):
     x = guard.runs(folder)[name]()
     np.testing.assert_allclose(x, RUNS[name], rtol=0, atol=1e-6 * np.ptp(RUNS[name]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", guard.SWEEPS)
+def test_actuators_are_identified_trained_and_inverted_as_they_were(name):
+    """Training ends where its last bits send it: a thousandth of range is far below what a changed method moves."""
+    was, now = guard.stored("figures")[name], guard.figures_of(name)
+    np.testing.assert_allclose(now["coefficients"], was["coefficients"], rtol=1e-4)
+    for series in was.keys() - {"coefficients"}:
+        np.testing.assert_allclose(now[series], was[series], rtol=0, atol=1e-3 * np.ptp(was[series]), err_msg=series)
+
+
+NOISY = ("gap after", "gap noise_floor")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", guard.DIAGNOSED)
+def test_diagnoses_say_what_they_said(folder, case):
+    was, now = guard.stored("verdicts")[case], guard.verdict(folder, case)
+    for key in ("verdict", "effects", "equivalent"):
+        assert now[key] == was[key], key
+    assert now["numbers"].keys() == was["numbers"].keys()
+    for key, number in was["numbers"].items():
+        expected = None if number is None else pytest.approx(number, rel=0.05 if key in NOISY else 0.01, abs=1e-6)
+        assert now["numbers"][key] == expected, key

@@ -42,7 +42,8 @@ def test_worse_on_one_record_is_not_handed_back(candidate, monkeypatch, between,
     left = iter(between)
     monkeypatch.setattr(judging, "errors", lambda *_: np.array(next(left)))
     judged, models = Judge([], np.array([2.0, 4.0]), np.zeros(2)), [candidate((0.0, 0.0)).model] * len(between)
-    chosen, problems = kept(candidate((3.0, 0.2)), judged, lambda _: models)
+    chosen, problems, fallback = kept(candidate((3.0, 0.2)), judged, lambda _: models)
     assert tuple(chosen.trained) == expected
+    assert fallback is not None and says in fallback
     assert len(problems) == 1 and says in problems[0] and "a (3 % of range instead of 2)" in problems[0]
-    assert kept(candidate((0.3, 0.4)), judged, lambda _: models)[1] == []
+    assert kept(candidate((0.3, 0.4)), judged, lambda _: models)[1:] == ([], None)

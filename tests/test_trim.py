@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pitp_jax._invert.pi_control import KV_PER_MM, pi_trim
+from pitp_jax._model.input_map import SquareInput
 from pitp_jax._plant.virtual_actuator import plant, simulate, stepper
 
 POLE, GAIN, DT = 0.9, 2e-7, 1e-3  # x' = POLE x + GAIN u + load
@@ -121,10 +122,50 @@ def test_a_long_saturation_is_forgotten_like_a_short_one():
     """The integral stops while the voltage is cut: what follows does not depend on how long it was."""
 
     def after(samples, limits):
-        wanted = np.concatenate([np.full(samples, 9e-3), np.full(500, 1e-3)])  # 9 mm: 2 mm is all 1000 V can do
+        wanted = np.concatenate([np.full(samples, 9e-3), np.full(1300, 1e-3)])  # 9 mm: 2 mm is all 1000 V can do
         return run(np.full(len(wanted), 500.0), wanted, p=1e5, i=2e6, limits=limits)[0][samples:]
 
     short, long = after(1000, (0.0, 1000.0)), after(4000, (0.0, 1000.0))
     assert short[0] == pytest.approx(2e-3, rel=1e-6)
     np.testing.assert_allclose(long, short, rtol=1e-6)
-    assert np.abs(long[-100:] - 1e-3).max() < 2e-5
+    assert np.abs(long[-100:] - 1e-3).max() < 2e-5  # after four time constants of the loop, 0.3 s each
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_it_leaves_a_limit_by_itself(direction):
+    """A plant 20 % weak, at its limit for 5 s, then 15 % strong: on the target within four time constants."""
+
+    def plant(state, now, later):
+        x, k = state
+        following = POLE * x + GAIN * jnp.where(k < 5000, 0.8, 1.15) * now
+        return (following, k + 1), direction * following
+
+    start = (jnp.zeros(()), jnp.zeros((), int))
+    u, wanted = jnp.full(7000, 900.0), jnp.full(7000, direction * 1.8e-3)
+    x, played = pi_trim(plant, start, u, wanted, DT, p=1e5, i=2e6, limits=(0.0, 1000.0), direction=direction)
+    assert played[4999] == 1000.0
+    assert np.abs(np.asarray(x)[5000 + 1200 :] - direction * 1.8e-3).max() < 0.02 * 1.8e-3
+
+
+def test_gains_on_the_force_make_the_same_loop_at_every_voltage():
+    """F = u^2, x' = POLE x + GAIN F: small errors decay alike about 300 V and about 900 V."""
+
+    def decay(volts):
+        gain = GAIN / 1000
+        still = gain * volts**2 / (1 - POLE)
+
+        def plant(x, now, later):
+            return 2 * (POLE * x + gain * now**2 + 0.01 * still * (1 - POLE),)
+
+        u, wanted = jnp.full(1500, volts), jnp.full(1500, still)
+        gains = {"p": 1e7, "i": 2e9, "input_map": SquareInput()}
+        x, _ = pi_trim(plant, jnp.asarray(still), u, wanted, DT, limits=(0.0, 3000.0), **gains)
+        return np.asarray(x) / still - 1
+
+    np.testing.assert_allclose(decay(900.0), decay(300.0), rtol=0, atol=1e-10)
+
+
+def test_the_rate_is_kept():
+    feed, wanted = np.concatenate([[0.0], np.full(199, 1000.0)]), np.full(200, 1e-3)
+    _, u = run(feed, wanted, p=1e5, i=1e6, max_slew=2e4)
+    assert np.abs(np.diff(u)).max() <= 20.0 * (1 + 1e-12)

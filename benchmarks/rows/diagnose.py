@@ -3,11 +3,10 @@
 import time
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._effects.electrode import ElectrodeRC
+from pitp_jax._effects import effect
 
 from ..clock import summary
 from ..subjects import DT, nominal, voltages
@@ -31,7 +30,7 @@ def records(model) -> tuple[pitp.Record, ...]:
 
 def measure(seconds: float) -> dict:
     """One diagnosis, compilation included."""
-    return diagnosed((ElectrodeRC(jnp.asarray(0.01)),))
+    return diagnosed((effect("electrode_rc", tau=0.01),))
 
 
 def diagnosed(effects: tuple, **how) -> dict:

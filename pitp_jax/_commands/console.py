@@ -6,6 +6,8 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from .._report.numbers import number as number
+
 _EVERY_S = 10.0  # between lines of progress where standard error is not a terminal
 _REDRAW_S = 0.1
 
@@ -14,11 +16,6 @@ def say(line: str) -> None:
     """One line on standard error, over whatever progress bar stands there."""
     clear = "\r\x1b[K" if sys.stderr.isatty() else ""
     print(f"{clear}pitp: {line}", file=sys.stderr, flush=True)
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A figure for a table; a dash where there is none."""
-    return "-" if value is None or value != value else f"{value:.{digits}g}"
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

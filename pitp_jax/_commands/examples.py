@@ -4,7 +4,7 @@ _PAGES = {
     "docs/start.md": ("demo", "identify", "fit", "predict", "invert", "simulate", "info"),
     "docs/which_recordings.md": ("plan",),
     "docs/my_rig_disagrees.md": ("diagnose",),
-    "docs/another_day.md": ("check", "adapt"),
+    "docs/another_day.md": ("check", "adapt", "compare"),
     "docs/to_the_rig.md": ("export",),
 }
 EXAMPLES = {
@@ -45,6 +45,10 @@ EXAMPLES = {
     "export": (
         "pitp export demo/model.pitp --to c --out rig_c",
         "pitp export demo/nominal.pitp --to matlab --out rig_matlab --name cone",
+    ),
+    "compare": (
+        "pitp compare demo/nominal.pitp demo/model.pitp",
+        "pitp compare demo/records/sweep.csv demo/records --out compared --json differences.json",
     ),
     "info": ("pitp info demo/model.pitp", "pitp info demo/nominal.pitp --json nominal.json"),
 }

@@ -1,13 +1,15 @@
 """`pitp export`: a model and its inverse for the rig, as C99, as an FMU or as MATLAB functions."""
 
+from dataclasses import asdict
+
 from .._errors import BadInput
-from .._export import export_c, export_fmu, export_matlab
+from .._export import export_c, export_fmu, export_matlab, loop_text, pi_gains
 from .._model_file.model_file import load
 from .console import number
 from .outputs import check_files, write_json
 
 
-def export(model, to, out, steps, precision, fmi, name, json_file=None) -> None:
+def export(model, to, out, steps, precision, time_constant, fmi, name, json_file=None) -> None:
     """Write the folder and say what is in it.
 
     Args:
@@ -16,6 +18,7 @@ def export(model, to, out, steps, precision, fmi, name, json_file=None) -> None:
         out: folder to make.
         steps: per second, or None for the model's own.
         precision: "single" or "double", or None.
+        time_constant: of the closed loop of C's PI steps, s, or None.
         fmi: version of the FMU's interface, or None.
         name: of files and functions.
         json_file: where to write what was made for machines, or None.
@@ -25,6 +28,8 @@ def export(model, to, out, steps, precision, fmi, name, json_file=None) -> None:
     """
     if fmi is not None and to != "fmu":
         raise BadInput(f"--fmi {fmi} is for --to fmu")
+    if time_constant is not None and to != "c":
+        raise BadInput(f"--time-constant {time_constant:g} is for --to c: FMU and MATLAB have no PI step")
     if precision == "single" and to == "matlab":
         raise BadInput("--precision single is for --to c and fmu: MATLAB computes in double")
     check_files(json_file, inputs=[model])
@@ -34,12 +39,17 @@ def export(model, to, out, steps, precision, fmi, name, json_file=None) -> None:
     elif to == "fmu":
         cost = export_fmu(loaded, out, **options, precision=precision or "double", fmi=fmi or 2)
     else:
-        cost = export_c(loaded, out, **options, precision=precision or "double")
-    what = {"c": "C99 (`make` there checks it)", "fmu": f"FMU {fmi or 2}.0", "matlab": "MATLAB functions"}[to]
+        cost = export_c(loaded, out, **options, precision=precision or "double", time_constant=time_constant)
+    checked = {"c": "`make`", "fmu": "`python check.py`", "matlab": f"`pitp_{name}_check`"}[to]
+    what = {"c": "C99", "fmu": f"FMU {fmi or 2}.0", "matlab": "MATLAB functions"}[to] + f" ({checked} there checks it)"
     rate = steps or 1 / loaded.dt
     print(f"pitp_{name}: {what}, {number(rate)} steps a second, in {out}")
+    gains = pi_gains(loaded, 1 / rate, time_constant) if to == "c" else None
+    if gains is not None:
+        print(f"PI on the force: {loop_text(gains)}")
     if json_file:
         told = {"to": to, "folder": str(out), "name": name, "rate_hz": rate, "rate_costs_e_rms_percent": cost}
+        told |= {"pi": None if gains is None else asdict(gains)}
         write_json(json_file, told)
     if cost is not None:
         own = number(1 / loaded.dt)

@@ -12,6 +12,7 @@ from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
 from .._record.record import Record
 from .._record.writing import write_text_atomic
+from .._report.description import describe, in_words
 from .._simulate.prediction import predict
 from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.settings import preset_of
@@ -22,7 +23,7 @@ from .fit_errors import errors_told, print_errors, suspects
 from .outputs import REPORT, check_files, check_folder, staged_folder, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
-from .reports import describe, in_words, listed, print_history
+from .reports import listed, print_history
 
 
 def fit(
@@ -87,7 +88,8 @@ def fit(
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
     if json_file:
-        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems)})
+        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems),
+                               "fallback": done.fallback})  # fmt: skip
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 

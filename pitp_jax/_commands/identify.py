@@ -3,11 +3,12 @@
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
 from .._model_file.model_file import save
-from .._record.units import from_base
+from .._report.description import describe
+from .._table.units import from_base
 from .console import number, print_table, say
 from .outputs import check_files, staged_files, write_json
 from .recordings import read_records, warn
-from .reports import describe, print_beginnings, print_model
+from .reports import print_beginnings, print_model
 
 
 def identify(records, out, order, input_map, learn, json_file, reading) -> None:

@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
 from .._record.record import Record
+from .._report.numbers import number
 
 ALIKE = 0.99  # correlation from which two drives are the same one
 _SAME_SIZE = 0.1  # relative difference of amplitude up to which two drives are the same one
@@ -59,18 +60,13 @@ class Pairing:
 
     def remarks(self, first: str, second: str) -> list[str]:
         """What a user should know of clocks and partners, in sentences; `first` and `second` name the sets."""
-        offsets = [p.offset for p in self.pairs]
         lines = []
-        if offsets and max(offsets) - min(offsets) < 1e-3:
-            if abs(offsets[0]) >= 1e-4:
-                lines.append(
-                    f"The clock of the {first} is {offsets[0]:.4g} s ahead of that of the {second}; this is no delay."
-                )
-        elif offsets:
-            lines.append(
-                f"The clock of the {first} is {min(offsets):.4g} to {max(offsets):.4g} s ahead of that of the "
-                f"{second}, by recording; this is no delay."
-            )
+        offsets = [p.offset for p in self.pairs]
+        if offsets and max(map(abs, offsets)) >= 1e-4:
+            sizes = sorted(abs(o) for o in offsets)
+            by = number(sizes[-1]) if sizes[-1] - sizes[0] < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
+            word = "ahead of" if np.median(offsets) > 0 else "behind"
+            lines.append(f"The clock of the {first} is {by} s {word} that of the {second}; this is no delay.")
         for side, alone in ((first, self.first_alone), (second, self.second_alone)):
             lines += [f"Recording {name} of the {side} has no partner: {why}." for name, why in alone]
         return lines

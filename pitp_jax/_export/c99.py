@@ -1,17 +1,19 @@
 """C99: one header, one source, a test vector, a Makefile, a loop and a page that says how to use them.
 
 init(state, y0, u0)     predict_step(state, u) -> y     inverse_step(state, [y, y', ..., y^(n)]) -> u, flags
+                        pi_step(state, [y, ..., y^(n)], measured), pi_target_step(state, y, measured) -> u, flags
 """
 
 from pathlib import Path
 
 import numpy as np
 
-from .._invert.pi_control import KV_PER_MM
 from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
 from . import steps
+from .differentiator import ALLOWED, BLOCKS
+from .pi_gains import PIGains
 from .plan import Plan, rate_error, whole_folder
 from .writing import Writer
 
@@ -19,13 +21,9 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def export_c(
-    model: Model | Fitted,
-    folder: str | Path,
-    *,
-    name: str = "model",
-    rate: float | None = None,
-    precision: str = "double",
-) -> float | None:
+    model: Model | Fitted, folder: str | Path, *, name: str = "model", rate: float | None = None,
+    precision: str = "double", time_constant: float | None = None,
+) -> float | None:  # fmt: skip
     """Write a model and its inverse as C99 into a new folder.
 
     Args:
@@ -34,6 +32,7 @@ def export_c(
         name: of the files and functions, `pitp_<name>`.
         rate: steps per second; None: the model's own.
         precision: "double" or "single".
+        time_constant: of the closed loop of the PI steps, s; None: what `pi_gains` takes.
 
     Returns:
         What another rate than the model's costs, e_rms in %; None at its own rate.
@@ -44,7 +43,7 @@ def export_c(
     Examples:
         >>> pitp.export_c(model, folder / "c")  # doctest: +SKIP
     """
-    plan = planning.plan(model, name, rate, precision)
+    plan = planning.plan(model, name, rate, precision, time_constant)
     cost = rate_error(plan)
     with whole_folder(folder) as stage:
         write_sources(plan, stage)
@@ -67,31 +66,48 @@ def write_sources(plan: Plan, folder: Path) -> None:
     )
     values["functions"], values["beside"] = functions, "\n".join(writer.beside)
     values["helpers"] = writer.helpers(functions + values["beside"])
-    values["weights"] = table(writer, plan.weights())
+    square, n = plan.model.input_map.one_sided, plan.model.order
+    values |= {
+        "weights": table(writer, plan.differentiator.weights), "onward": table(writer, plan.reference()),
+        "units": table(writer, plan.reference_time ** -np.arange(n + 1.0)).strip(),
+        "polarity": writer.number(float(plan.model.output.polarity)),
+        "force_of": "u * u" if square else "u",
+        "voltage_of": ("sqrtf(kept)" if plan.single else "sqrt(kept)") if square else "kept",
+    }  # fmt: skip
     (folder / f"{values['id']}.c").write_text(filled("model.c", values), encoding="utf-8")
 
 
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
     """What stands around the sources: test vector, Makefile, loop, README."""
-    values, writer, test = substitutions(plan), Writer("c", plan.single), plan.test
-    precision = "single" if plan.single else "double"
+    values, writer, test = frame(plan, cost), Writer("c", plan.single), plan.test
     square = plan.model.input_map.one_sided
     values |= {
-        "count": str(planning.SAMPLES), "what": test.what, "voltage": table(writer, test.voltage),
-        "displacement": table(writer, test.displacement), "targets": table(writer, test.motion),
-        "planned": table(writer, test.planned), "range": repr(float(np.ptp(test.displacement))),
+        "voltage": table(writer, test.voltage), "displacement": table(writer, test.displacement),
+        "targets": table(writer, test.motion), "planned": table(writer, test.planned),
         "force_error": "(u * u) - ((double)planned[k] * (double)planned[k])" if square else "u - (double)planned[k]",
-        "force_range": repr(float(np.abs(test.planned).max() ** (2 if square else 1))),
-        "tolerance": repr(planning._PREDICTED[precision]), "force_tolerance": repr(planning._PLANNED[precision]),
+        "target_error": "(got * got) - (right * right)" if square else "got - right",
+        "target_force": "right * right" if square else "right",
         "rest_number": repr(float(plan.model.output.offset)),
         "stroke": repr(float(plan.model.output.polarity) * float(np.ptp(test.motion[:, 0]))),
-        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; at this one its "
-        f"predictions are {cost:.2g} % of the range away (e_rms).\n",
-        "period": f"{1e6 * plan.dt:.0f}_us", "hz": f"{1 / plan.dt:g}", "precision": precision,
-        "ahead_ms": f"{1e3 * plan.look_ahead * plan.dt:.0f}_ms",
+        "slow": repr(plan.model.natural_frequency / 2), "target_tolerance": repr(ALLOWED),
+        "period": f"{1e6 * plan.dt:.0f}_us", "hz": f"{1 / plan.dt:g}",
+        "ahead_ms": f"{1e3 * plan.differentiator.look_ahead * plan.dt:.0f}_ms",
+        "loop": loop_text(plan.gains), **sizes(plan),
     }  # fmt: skip
     for template in ("main.c", "Makefile", "loop.c", "teensy.ino", "README.md"):
         (folder / template).write_text(filled(template, values), encoding="utf-8")
+
+
+def frame(plan: Plan, cost: float | None) -> dict[str, str]:
+    """What a README and a check of any language say, as text."""
+    test, precision = plan.test, "single" if plan.single else "double"
+    return substitutions(plan) | {
+        "count": str(planning.SAMPLES), "what": test.what, "range": repr(float(np.ptp(test.displacement))),
+        "force_range": repr(float(np.abs(test.planned).max() ** (2 if plan.model.input_map.one_sided else 1))),
+        "tolerance": repr(planning._PREDICTED[precision]), "force_tolerance": repr(planning._PLANNED[precision]),
+        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; at this one its "
+        f"predictions are {cost:.2g} % of the range away (e_rms).\n", "precision": precision,
+    }  # fmt: skip
 
 
 def substitutions(plan: Plan) -> dict[str, str]:
@@ -99,18 +115,47 @@ def substitutions(plan: Plan) -> dict[str, str]:
     writer, model = Writer("c", plan.single), plan.model
     low, high, slew = plan.voltages
     bottom, top = plan.displacements
+    differentiates = plan.differentiator
     numbers = {
         "dt_number": plan.dt, "low": low, "high": high, "slew": slew, "bottom": bottom, "top": top, "ahead": plan.late,
-        "rest": float(model.output.offset), "zero": 0.0, "p": 0.1 * KV_PER_MM, "i": 0.3 * KV_PER_MM,
+        "rest": float(model.output.offset), "zero": 0.0, "p": plan.gains.p, "i": plan.gains.i,
+        "track": 1 / plan.gains.time_constant,
     }  # fmt: skip
     identifier = f"pitp_{plan.name}"
     return {key: writer.number(value) for key, value in numbers.items()} | {
         "id": identifier, "UP": identifier.upper(), "real": "float" if plan.single else "double",
         "dt": f"{plan.dt:g}", "order": str(model.order), "tokens": str(model.order + 1),
         "model_states": str(plan.predict.states), "plan_states": str(plan.inverse.states),
-        "window": str(plan.weights().shape[1]), "watchdog": str(plan.silent), "look_ahead": str(plan.look_ahead),
+        "blocks": str(BLOCKS), "block": str(differentiates.block), "window": str(BLOCKS * differentiates.block),
+        "watchdog": str(plan.silent), "look_ahead": str(differentiates.look_ahead),
+        "force_unit": "V^2" if model.input_map.one_sided else "V", "reference_order": str(model.order + 1),
+        "reference_ms": f"{1e3 * plan.reference_time:.3g}",
         "late": str(steps.predict(model, plan.dt).late),
         "title": f"{identifier}: written by pitp_jax; do not edit, write it again.",
+    }  # fmt: skip
+
+
+def loop_text(gains: PIGains) -> str:
+    """The closed loop in one line."""
+    known = np.isfinite(gains.max_sensitivity)
+    margins = f"gain margin {gains.gain_margin:.3g}, maximum sensitivity {gains.max_sensitivity:.3g}"
+    return f"closed-loop time constant {gains.time_constant:.3g} s" + (f", {margins}" if known else "")
+
+
+def sizes(plan: Plan) -> dict[str, str]:
+    """What it takes of a controller: RAM and constants in bytes, operations of a call."""
+    width, n, block = 4 if plan.single else 8, plan.model.order, plan.differentiator.block
+    reals = plan.predict.states + plan.inverse.states + (BLOCKS + 1) * block + (n + 1) + 8
+    predict, inverse = plan.predict.run.operations(), plan.inverse.run.operations()
+    window = (2 * BLOCKS + 1) * (n + 1) + block
+    tables = width * ((n + 2) * BLOCKS + (n + 1) * (n + 2)) + sum(
+        width * one.run.constants() for one in (plan.predict, plan.inverse)
+    )
+    # a multiplication with its loads is some 10 bytes of Thumb-2 code; what frames the steps takes 2 kB
+    flash = tables + 10 * (predict + inverse) + 2048
+    return {
+        "ram": f"{width * reals + 16}", "flash": f"{flash / 1024:.0f}", "predict_operations": f"{predict}",
+        "inverse_operations": f"{inverse}", "target_operations": f"{inverse + window}",
     }  # fmt: skip
 
 

@@ -3,7 +3,8 @@
     voltage, held from t to t + DT   ->  displacement(t + DT)
     target, target_1, ... target_n   ->  command, flags            (`inverse_step`)
 
-Beside the FMU stand a run of it for cross checks: `_in.csv`, `_ref.csv`, `_ref.opt`.
+Beside the FMU stand a page, a run of it for cross checks (`_in.csv`, `_ref.csv`, `_ref.opt`) and `check.py`, which
+plays it.
 """
 
 import subprocess
@@ -20,7 +21,7 @@ from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
 from . import steps
-from .c99 import filled, substitutions, write_sources
+from .c99 import filled, frame, substitutions, write_sources
 from .plan import Plan, played, rate_error, whole_folder
 
 # what an importer looks up in every FMU and one of this kind has not: nothing to read, or no other mode
@@ -77,7 +78,7 @@ def export_fmu(
             for file in sorted(p for p in inside.rglob("*") if p.is_file()):
                 archive.write(file, file.relative_to(inside).as_posix())
         rmtree(inside)
-        _write_check(plan, stage, values["id"])
+        _write_check(plan, stage, values | frame(plan, cost))
     return cost
 
 
@@ -125,9 +126,13 @@ def _build(inside: Path, name: str, fmi: int) -> None:
     subprocess.run([*command, *sources, "-lm"], cwd=inside / "sources", check=True, capture_output=True)
 
 
-def _write_check(plan: Plan, folder: Path, name: str) -> None:
-    """The test vector as cross-check files: what goes in, what comes out, and how it is run."""
-    time, test = np.arange(planning.SAMPLES) * plan.dt, plan.test
+def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
+    """The test vector as cross-check files: what goes in, what comes out, and how it is run; a page and the check."""
+    time, test, name = np.arange(planning.SAMPLES) * plan.dt, plan.test, values["id"]
+    square = plan.model.input_map.one_sided
+    values |= {"force_error": "u**2 - planned**2" if square else "u - planned"}
+    (folder / "README.md").write_text(filled("README_fmu.md", values), encoding="utf-8")
+    (folder / "check.py").write_text(filled("check_fmu.txt", values), encoding="utf-8")
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
     (y,) = played(steps.predict(plan.model, plan.dt, held=True), test.voltage, float(plan.model.output.offset))

@@ -1,4 +1,4 @@
-"""MATLAB: one function file each way, the numbers inside, no toolbox; GNU Octave runs it as well.
+"""MATLAB: a function file each way and one that checks them, no toolbox; GNU Octave runs it as well.
 
 [y, s] = pitp_<name>_predict(u, s)        [u, s, flags] = pitp_<name>_inverse([y y' ... y^(n)], s)
 """
@@ -8,8 +8,8 @@ from pathlib import Path
 from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
-from .c99 import filled, substitutions
-from .plan import Written, rate_error, whole_folder
+from .c99 import filled, frame, substitutions
+from .plan import Plan, Written, rate_error, whole_folder
 from .writing import Writer
 
 
@@ -36,7 +36,19 @@ def export_matlab(
         for way, written, outputs in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2)):
             values = {**substitutions(plan), "functions": functions(written, outputs)}
             (stage / f"pitp_{plan.name}_{way}.m").write_text(filled(f"{way}.m", values), encoding="utf-8")
+        _write_check(plan, stage, frame(plan, cost))
     return cost
+
+
+def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
+    """A page, and a function that runs the test vector."""
+    test, square = plan.test, plan.model.input_map.one_sided
+    columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
+    values |= {name: ";\n".join(map(repr, column.tolist())) for name, column in columns.items()}
+    values["targets"] = ";\n".join(" ".join(map(repr, row)) for row in test.motion.tolist())
+    values["force_error"] = "u .^ 2 - planned .^ 2" if square else "u - planned"
+    (folder / f"pitp_{plan.name}_check.m").write_text(filled("check.m", values), encoding="utf-8")
+    (folder / "README.md").write_text(filled("README_matlab.md", values), encoding="utf-8")
 
 
 def functions(written: Written, outputs: int) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import comb
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -16,21 +17,23 @@ from tempfile import mkdtemp
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.linalg import expm
 
-from .._effects.amplifier import Delay
+from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
 from .._model.fitted import Fitted, Origin, fitted_of
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives
 from . import steps
+from .differentiator import ALLOWED, Differentiator, differentiator
 from .jaxpr import program
+from .pi_gains import PIGains, pi_gains, stroke
 from .scalars import Program
 
 SAMPLES = 1000
-_HALF = 12  # samples of a target on either side of the one it is differentiated at
 _NONE = 1e30  # no limit, in float as in double
+_SMALLEST = 20e-6  # m: the smallest motion single precision has to follow, or a fiftieth of the stroke
 _SILENT = 0.02  # s without a target before the voltage ramps to 0 V
 _PREDICTED, _PLANNED = {"double": 1e-9, "single": 1e-4}, {"double": 1e-9, "single": 1e-3}  # test vector's bounds
 
@@ -55,6 +58,7 @@ class Plan:
         name: of files and functions, an identifier.
         single: float instead of double.
         held: the voltage stands over a step (`steps.predict`).
+        time_constant: of the closed loop, s; None: what `pi_gains` takes.
     """
 
     model: Model
@@ -63,6 +67,7 @@ class Plan:
     name: str
     single: bool = False
     held: bool = False
+    time_constant: float | None = None
 
     @cached_property
     def predict(self) -> Written:
@@ -77,12 +82,7 @@ class Plan:
     @property
     def late(self) -> float:
         """What the drive's delays take, s."""
-        return float(sum(float(e.time) for e in self.model.effects if isinstance(e, Delay)))
-
-    @property
-    def look_ahead(self) -> int:
-        """How many samples early a target is given."""
-        return _HALF + int(np.ceil(self.late / self.dt))
+        return total_delay(self.model.effects)
 
     @property
     def voltages(self) -> tuple[float, float, float]:
@@ -108,12 +108,47 @@ class Plan:
         """Calls without a target before the ramp."""
         return max(int(np.ceil(_SILENT / self.dt)), 1)
 
-    def weights(self) -> np.ndarray:
-        """[y, ..., y^(n)] of the target at t + delay from its window, which ends at t + look-ahead: an odd spline."""
-        count, n = 2 * _HALF + 2, self.model.order
-        place = (count - 1 - (self.look_ahead - self.late / self.dt)) * self.dt
-        spline = make_interp_spline(np.arange(count) * self.dt, np.eye(count), k=2 * ((n + 3) // 2) + 1)
-        return np.stack([spline.derivative(i)(place) if i else spline(place) for i in range(n + 1)])
+    @cached_property
+    def differentiator(self) -> Differentiator:
+        """How a target is differentiated.
+
+        Raises:
+            BadInput: single precision is too coarse for it.
+        """
+        model, full = self.model, stroke(self.model)
+        smallest = min(full, max(full / 50, _SMALLEST))
+        farthest = abs(float(model.output.offset)) + full
+        kind = np.float32 if self.single else np.float64
+        rounding = float(np.spacing(kind(farthest))) / np.sqrt(12) / (smallest / 2)
+        found, error = differentiator(
+            model.physical_coefficients, self.dt, model.natural_frequency, rounding, self.late
+        )
+        if self.single and error > ALLOWED:
+            raise BadInput(
+                f"--precision single: at {1 / self.dt:g} Hz a target of {1e6 * smallest:.3g} um around "
+                f"{1e3 * farthest:.3g} mm would be off by {100 * error:.2g} % of the force: "
+                "export it in double precision, or at another --rate"
+            )
+        return found
+
+    @cached_property
+    def gains(self) -> PIGains:
+        """Of the PI steps."""
+        return pi_gains(self.model, self.dt, self.time_constant)
+
+    @property
+    def reference_time(self) -> float:
+        """T of the lags through which a target without derivatives is followed, s."""
+        return max(1 / self.model.natural_frequency, self.dt)
+
+    def reference(self) -> np.ndarray:
+        """What a call adds to [r, T r', ..., T^n r^(n)] for [target - r, T r', ...], r = target / (1 + s T)^(n + 1)."""
+        n = self.model.order
+        chain = np.eye(n + 1, k=1)
+        chain[n] = [-comb(n + 1, i) for i in range(n + 1)]
+        moved = expm(chain * self.dt / self.reference_time) - np.eye(n + 1)
+        moved[:, 0] *= -1  # it rests at the target
+        return moved
 
     @cached_property
     def test(self) -> "Vector":
@@ -132,7 +167,9 @@ class Vector:
     planned: np.ndarray
 
 
-def plan(model: object, name: str, rate: float | None, precision: str, *, held: bool = False) -> Plan:
+def plan(
+    model: object, name: str, rate: float | None, precision: str, time_constant: float | None = None, *, held=False
+) -> Plan:
     """A plan, or what is wrong with the request.
 
     Raises:
@@ -150,7 +187,7 @@ def plan(model: object, name: str, rate: float | None, precision: str, *, held: 
     own = fitted.dt
     with jax.enable_x64(True):
         double = steps.in_double(fitted.model)
-    made = Plan(double, fitted.origin, 1 / rate if rate else own, name, precision == "single", held)
+    made = Plan(double, fitted.origin, 1 / rate if rate else own, name, precision == "single", held, time_constant)
     if not made.dt <= 100 * own:
         raise BadInput(f"--rate {rate:g}: a hundredth of the model's {1 / own:g} Hz at least")
     return made
@@ -197,7 +234,7 @@ def _vector(plan: Plan) -> Vector:
         u = u.astype(np.float32).astype(np.float64)
     rest = float(plan.model.output.offset)
     (y,) = played(steps.predict(plan.model, plan.dt), u, rest)
-    smooth = rest + (y.max() - rest) * 0.4 * np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 4
+    smooth = rest + (y[np.argmax(np.abs(y - rest))] - rest) * 0.4 * np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 4
     motion = derivatives(smooth, plan.dt, plan.model.order)
     planned = within(plan, played(steps.inverse(plan.model, plan.dt), motion, rest)[0])
     return Vector(what, u, y, motion, planned)

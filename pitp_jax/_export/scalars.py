@@ -97,6 +97,23 @@ class Program:
                 open_ += [a for a in node.args if isinstance(a, Node)]
         return sorted(found.values(), key=lambda n: n.place)
 
+    def operations(self) -> int:
+        """How many operations a run takes, those of loops as often as they turn."""
+        count = 0
+        for node in self.nodes():
+            if isinstance(node.block, Loop):
+                count += node.block.count * node.block.body.operations()
+            elif node.op == "matrix":
+                count += 2 * np.asarray(node.block).size
+            else:
+                count += node.op not in ("input", "item")
+        return count
+
+    def constants(self) -> int:
+        """How many numbers its tables hold."""
+        blocks = [node.block for node in self.nodes() if node.block is not None]
+        return sum(b.body.constants() if isinstance(b, Loop) else np.asarray(b).size for b in blocks)
+
 
 @dataclass
 class Builder:

@@ -16,6 +16,7 @@ import numpy as np
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, criterion, project, whitener
 from .._numerics.levenberg_marquardt import minimise
+from .._record.averaged import averaged
 from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
 from .._record.preprocess import force_band
@@ -93,13 +94,7 @@ def _decimated(records: Sequence[Record], input_map: str) -> list[Record]:
     size = int(1 / (_PER_PERIOD * force_band(forces, records[0].dt) * records[0].dt))
     size = max(1, min(size, min(r.samples for r in records) // 64))
     chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))
-    found = []
-    for r, f in ((records[k], forces[k]) for k in chosen):
-        y, share = block_means(np.where(r.observed, r.displacement, 0.0), r.observed.astype(float), size)
-        force, _ = block_means(f, np.ones(len(f)), size)
-        time = r.time[0] + size * r.dt * np.arange(len(y))
-        found.append(Record(r.name, time, force, np.where(share > 0.5, y, np.nan), source=r.source))
-    return found
+    return [averaged(records[k], forces[k], size) for k in chosen]
 
 
 def _first_poles(records: Sequence[Record], input_map: str) -> tuple[np.ndarray, float] | None:

@@ -11,10 +11,9 @@ by plain output error diverges from a bad start. Poles are stable by constructio
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._effects.amplifier import Delay
+from .._effects import effect
 from .._errors import BadInput, ComputationFailed
 from .._model.domain import Domain
 from .._model.fitted import Fitted, Origin
@@ -259,5 +258,5 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
         domain=Domain(dt, (np.inf, -np.inf), 0.0).driven_by(records),
     )
     if chosen.delay > 0:
-        model = replace(model, effects=(Delay(jnp.asarray(chosen.delay)),))
+        model = replace(model, effects=(effect("delay", time=chosen.delay),))
     return Fitted(model, origin)

@@ -1,9 +1,13 @@
 """PI trim on top of a feedforward (paper, Fig. 14), as a simulated closed loop.
 
-    u_t = u_ff,t + P e_t + I sum_{s <= t} e_s dt,      e = x_target - x
+    v_t = h(u_ff,t) + P e_t + I z_t,   u_t = h^-1(v_t) within range and slew,   e = direction (x_target - x)
+    z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: what a limit cuts leaves z within T
 
-The paper gives P = 0.1, I = 0.3 without units; here they are kV per mm and kV per mm and second, that is V/um and
+h is the identity (P and I in V/m and V/(m s), as in the paper) or the input map (in V^2/m, gains of `pi_gains`). The
+paper gives P = 0.1, I = 0.3 without units; here they are kV per mm and kV per mm and second, that is V/um and
 V/(um s): 1e5 V/m and 3e5 V/(m s) below (docs/readings.md).
+
+Astrom and Hagglund (2006), Advanced PID Control, section 3.5.
 """
 
 from collections.abc import Callable
@@ -11,6 +15,8 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
+
+from .._model.input_map import AbstractInputMap, LinearInput
 
 KV_PER_MM = 1e6  # V/m
 
@@ -25,6 +31,10 @@ def pi_trim(
     p: float | Float[Array, ""] = 0.1 * KV_PER_MM,
     i: float | Float[Array, ""] = 0.3 * KV_PER_MM,
     limits: tuple[float, float] = (0.0, float("inf")),
+    max_slew: float = float("inf"),
+    input_map: AbstractInputMap | None = None,
+    tracking: float | None = None,
+    direction: float = 1.0,
 ) -> tuple[Float[Array, " time"], Float[Array, " time"]]:
     """Run a plant, at rest at the first sample, under feedforward plus PI.
 
@@ -36,8 +46,13 @@ def pi_trim(
         voltage: feedforward, V.
         target: wanted displacement, m.
         dt: sampling interval, s.
-        p, i: gains in V/m and V/(m s); p = i = 0 plays the feedforward alone.
-        limits: voltage range; the integral stops while the voltage is cut (conditional anti-windup).
+        p, i: gains in V/m and V/(m s), with an input map those of its force; p = i = 0 plays the feedforward alone.
+        limits: voltage range.
+        max_slew: V/s; the voltage starts from its first feedforward.
+        input_map: a model's: P and I act on the force, so that the loop is as fast at every voltage. None: on the
+            voltage, as in the paper.
+        tracking: time constant T of the back-calculation, s; None: p / i, at least dt. Take the closed loop's.
+        direction: -1 where the sensor reads a pull as less (`model.output.polarity`).
 
     Returns:
         Displacement (m) and the voltage at each sample (V), both of shape (T,).
@@ -49,18 +64,30 @@ def pi_trim(
         ((20,), (20,))
     """
     low, high = limits
+    h = input_map or LinearInput()
+    integrates = jnp.asarray(i) > 0
+    within = jnp.maximum(p / jnp.where(integrates, i, 1.0) if tracking is None else tracking, dt)
+
+    def kept(wanted, feed, before):
+        """Exactly the feedforward where nothing is added."""
+        u = jnp.where(wanted == h.force(feed), feed, h.voltage(wanted))
+        return jnp.clip(jnp.clip(u, low, high), before - max_slew * dt, before + max_slew * dt)
 
     def advance(carry, now):
-        state, x, total = carry
+        state, x, total, before = carry
         u, u_next, wanted = now
-        error = wanted - x
-        correction = p * error + i * (total + error * dt)
-        free = (u + correction >= low) & (u + correction <= high)
-        first, last = jnp.clip(u + correction, low, high), jnp.clip(u_next + correction, low, high)
-        total = jnp.where(free, total + error * dt, total)
+        error = direction * (wanted - x)
+        total = total + error * dt
+        correction = p * error + i * total
+        asked = h.force(u) + correction
+        first = kept(asked, u, before)
+        last = kept(h.force(u_next) + correction, u_next, first)
+        total = (
+            total + jnp.where(integrates, (h.force(first) - asked) / jnp.where(integrates, i, 1.0), 0.0) * dt / within
+        )
         state, following = step(state, first, last)
-        return (state, following, total), (x, first)
+        return (state, following, total, first), (x, first)
 
     u_next = jnp.append(voltage[1:], voltage[-1])
     zero = jnp.zeros((), voltage.dtype)
-    return jax.lax.scan(advance, (state, zero, zero), (voltage, u_next, target))[1]
+    return jax.lax.scan(advance, (state, zero, zero, voltage[0]), (voltage, u_next, target))[1]

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .domain import Domain
+from .dominant import dominant_frequency
 from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
@@ -114,9 +115,11 @@ class Model(eqx.Module):
 
     @property
     def natural_frequency(self) -> float:
-        """Geometric mean of the nominal's poles, (a_0 / a_n)^(1/n), in rad/s: sqrt(k / m) at order 2."""
-        a = self.physical_coefficients
-        return float((a[0] / a[-1]) ** (1 / self.order))
+        """Of the mode that is meant by the resonance, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
+
+        A bare integrator has none: there it is that of the motion it was identified on.
+        """
+        return dominant_frequency(self.physical_coefficients) or float(self.scales.rates[0])
 
     @property
     def dt(self) -> float:

@@ -25,8 +25,8 @@ from .._errors import BadInput
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.programs import on_device
-from .._record.table import cleaned
 from .._record.writing import write_bytes_atomic
+from .._table.guard import cleaned
 from .parts import build, decode, describe, encode, origin_of
 from .plausible import LARGEST_FILE, check_header, check_leaves
 from .version_1 import upgraded
@@ -118,6 +118,12 @@ def load(path: str | os.PathLike) -> Fitted:
     except Exception as error:  # an intact digest over contents no version of `save` writes
         reason = cleaned(" ".join(f"{type(error).__name__}: {error}".split())[:120])
         raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
+
+
+def is_model_file(path: str | os.PathLike) -> bool:
+    """Whether a file begins as `save` begins one; it may be damaged behind that."""
+    with open(path, "rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC
 
 
 def _checked_bytes(path) -> tuple[int, bytes]:

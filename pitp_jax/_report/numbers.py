@@ -8,6 +8,11 @@ import math
 _DIGITS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+def number(value: float | None, digits: int = 4) -> str:
+    """A number for the terminal, in ASCII; a dash where there is none."""
+    return "-" if value is None or value != value else f"{value:.{digits}g}"
+
+
 def figure(value: float | None, digits: int = 3) -> str:
     """A number with so many digits, powers of ten written out; a dash where there is none."""
     if value is None or not math.isfinite(value):

@@ -1,8 +1,8 @@
 """Creep that outlasts the training records, held to the long record that the nominal keeps.
 
     r(t) = ( sigma_off + sum_i sigma_i x^(i) - F ) / a_0                 what the equation leaves, as a displacement
-    minimise   lambda  mean over windows w of  ( 100 mean_{t in w} p(t) r(t) / range_w )^2
-    for p = 1  and  p = 3 (x - mean_w x) / std_w x;     range_w: at least the median
+    minimise   lambda  mean over windows w of  ( 100 mean_{t in w} p(t) r(t) / range )^2
+    for p = 1  and  p = 3 (x - mean_w x) / std_w x;     range: of the whole record, since a window may stand still
 
 Along measured motion the memories are known, and a window's mean sees the slow part alone, for which the equation is as
 good as a free run: no run is needed, and a resonance that training never saw costs nothing, since a window counts only
@@ -104,8 +104,7 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
     used = inside.any(1)
     if used.sum() < _FEWEST:
         return None
-    span = np.ptp(rows[..., 0], axis=1)
-    scale = used * 100 / np.maximum(span, np.median(span[used])) / float(model.coefficients[0])
+    scale = used * 100 / np.ptp(rows[..., 0]) / float(model.coefficients[0])
     mean = inside / np.maximum(inside.sum(1, keepdims=True), 1)
     apart = rows[..., 0] - (mean * rows[..., 0]).sum(1, keepdims=True)
     apart /= np.sqrt(np.maximum((mean * apart**2).sum(1, keepdims=True), 1e-12))

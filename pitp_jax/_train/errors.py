@@ -107,14 +107,16 @@ class Judge:
         return Candidate(model, names, self.nominal, found, self.noise)
 
 
-def judge(nominal: Model, records: Sequence[Record]) -> Judge:
+def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
     """The judge of models trained from this nominal on these records."""
     noise = [100 * noise_std(r.displacement) / max(float(np.ptp(r.displacement[r.observed])), 1e-30) for r in records]
     return Judge(records, errors(nominal, records), np.array(noise))
 
 
-def kept(best: Candidate, judged: Judge, between: Callable[[Model], Iterable[Model]]) -> tuple[Candidate, list[str]]:
-    """The candidate to hand back, worse on no record, and lines that say what failed.
+def kept(
+    best: Candidate, judged: Judge, between: Callable[[Model], Iterable[Model]]
+) -> tuple[Candidate, list[str], str | None]:
+    """The candidate to hand back, worse on no record; lines that say what failed; what stands in for `best`, or None.
 
     `between`: models from this one towards the nominal, which comes last.
     """
@@ -126,13 +128,13 @@ def kept(best: Candidate, judged: Judge, between: Callable[[Model], Iterable[Mod
         lost = ", ".join(
             f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
         )
-        what = "a model between it and the nominal is" if good else "the nominal itself is"
-        return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} handed back; "
-                        "look at these records with `pitp check`, or leave them out"]  # fmt: skip
+        what = "a model between it and the nominal" if good else "the nominal itself"
+        return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} is handed back; "
+                        "look at these records with `pitp check`, or leave them out"], what  # fmt: skip
     if not chosen.converged:
         left = f"{chosen.mean:.3g} % of range is left on average, {_mean(chosen.nominal):.3g} % by the nominal"
-        return chosen, [f"not converged: {left}; `pitp diagnose` looks for what this model lacks"]
-    return chosen, []
+        return chosen, [f"not converged: {left}; `pitp diagnose` looks for what this model lacks"], None
+    return chosen, [], None
 
 
 def _mean(errors) -> float:

@@ -40,7 +40,7 @@ from .forward_sensitivity import Runs
 from .free_run_problem import FreeRuns
 from .parameters import parameters, trainable, with_parameters
 
-_BUDGET = 400_000  # samples in all
+BUDGET = 400_000  # samples in all
 _FEWEST, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
 _SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length at first, and how it grows
 _NEAR, _WORSE = 10.0, 3.0  # % of range that whole records may be off, or times what windows are, to be met next
@@ -158,7 +158,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
         for first in range(int(np.argmax(valid)), len(valid) - size + 1, size)
         if valid[first]
     ]
-    share = max(-(-len(places) * size // _BUDGET), 1)
+    share = max(-(-len(places) * size // BUDGET), 1)
     places = places[::share] or [(0, 0)]
 
     def cut(arrays):
@@ -183,8 +183,8 @@ def _begun(model: Model, features: np.ndarray, voltage: float):
 def run_samples(records: Sequence[Record]) -> int:
     """How many samples the longest free run has: all of the longest record, if all or some such fit the budget."""
     longest = max(r.samples for r in records)
-    share = _BUDGET // len(records) if len(records) <= _FEWEST else _BUDGET // 2 // _FEWEST
-    return longest if sum(r.samples for r in records) <= _BUDGET else min(longest, max(share, _SHORTEST))
+    share = BUDGET // len(records) if len(records) <= _FEWEST else BUDGET // 2 // _FEWEST
+    return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(share, _SHORTEST))
 
 
 def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
@@ -205,17 +205,17 @@ def _free(
     """All records, or some that stand for all and the beginnings of the others; each of the two counts half."""
     size = run_samples(records)
     each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
-    if sum(min(r.samples, size) for r in records) <= max(_BUDGET, _SHORTEST * len(records)):
+    if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
         sets = alike(records)
         sizes, shares = (
             [min(size, max(records[k].samples for k in some)) for some in sets],
             [1 / len(records)] * len(sets),
         )
     else:
-        long = spread_over_kinds(records, max(_BUDGET // 2 // size, 1))
+        long = spread_over_kinds(records, max(BUDGET // 2 // size, 1))
         sets = [list(long), [k for k in range(len(records)) if k not in set(long)]]
         sizes, shares = (
-            [size, min(size, max(_BUDGET // 2 // len(sets[1]), _SHORTEST))],
+            [size, min(size, max(BUDGET // 2 // len(sets[1]), _SHORTEST))],
             [0.5 / len(some) for some in sets],
         )
     return tuple(

@@ -23,20 +23,21 @@ from jax.sharding import Mesh
 from .._errors import BadInput, ComputationFailed
 from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
-from .._model.model import Model
+from .._model.model import Hold, Model
 from .._model.programs import jit
 from .._model_file.lineage import descended
 from .._record.initial_state import aligned, in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
 from .._record.sets import check_set
-from .._simulate.prediction import at_rate, begin
+from .._simulate.prediction import begin
 from .creep_balance import OUTLASTS, SlowBalance, slow_balance, widened
 from .dataset import Dataset, build_dataset
 from .equation_error import loss
 from .errors import Judge, RecordError, judge, kept
+from .oversampling import thinned
 from .parameters import trainable
-from .refine import refine, run_samples
+from .refine import BUDGET, refine, run_samples
 from .settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
 
 _OPTIMISER = optax.scale_by_adam()
@@ -60,6 +61,7 @@ class Training:
     """The trained model, the history of its losses, whether it was cut short, and its summary (`left_out`: lines).
 
     `errors`: of every training record under the nominal and under this model. `problems`: lines that say what failed.
+    `fallback`: what is handed back in the trained model's place, or None.
     """
 
     model: Fitted
@@ -68,6 +70,7 @@ class Training:
     notes: dict = field(default_factory=dict)
     errors: tuple[RecordError, ...] = ()
     problems: tuple[str, ...] = ()
+    fallback: str | None = None
 
 
 def train(
@@ -83,7 +86,8 @@ def train(
     """Train an encoder on records, starting exactly at the nominal model.
 
     On no training record is the model worse than the nominal by more than a hundredth: where no start leads to such a
-    one, the nominal is handed back in the trained model's form, and `problems` says so.
+    one, the nominal is handed back in the trained model's form, and `fallback` says so. More samples than the free runs
+    can hold are averaged over blocks first (`oversampling`).
 
     Args:
         nominal: an identified model; order, input map, hold and output are kept. Its effects come in with the free
@@ -100,7 +104,6 @@ def train(
     Raises:
         BadInput: unknown preset, records of several rates, none that moves, a mesh over several processes, or no
             usable sample left after filtering.
-        ComputationFailed: the loss is not finite.
         KeyboardInterrupt: interrupted before the first stage was complete (later ones return the best so far).
 
     Examples:
@@ -110,12 +113,13 @@ def train(
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
-    records, left_out = in_motion(records)
-    seen, parent = records, fitted_of(nominal)
-    nominal = at_rate(parent.model, records[0].dt)
+    seen, left_out = in_motion(records)
+    parent = fitted_of(nominal)
+    nominal, records = parent.model, thinned(seen, parent.model, BUDGET)
+    nominal = _at(nominal, records[0].dt, hold=nominal.hold if records is seen else "foh")
+    judged = judge(nominal, records)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
     data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
-    judged = judge(nominal, seen)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
@@ -128,17 +132,26 @@ def train(
         interrupted = True
     if best is None:
         raise BadInput("settings allow no training stage: set stages to 1 or more")
-    chosen, problems = kept(judged(best), judged, lambda m: _between(m, nominal, data, settings))
+    chosen, problems, fallback = kept(judged(best), judged, lambda m: _between(m, nominal, data, settings))
+    if records[0].dt != seen[0].dt:
+        chosen = judge(parent, seen)(_at(chosen.model, seen[0].dt, hold=parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": left_out, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "errors": {e.name: [e.nominal, e.trained] for e in chosen.errors}, "problems": problems,
-             "interrupted": interrupted}  # fmt: skip
+             "interrupted": interrupted, "fallback": fallback, "trained_at_hz": 1 / records[0].dt}  # fmt: skip
+    region = _region(chosen.model, data, slow, records[0].dt)
+    domain = replace(chosen.model.domain.driven_by(seen), dt=seen[0].dt, region=region)
+    # an encoder stands beside the nominal now: what was known of its coefficients no longer describes the model
     origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
-    model = Fitted(_shown(chosen.model, data, slow, records), origin)  # an encoder stands beside the nominal now
-    return Training(
-        descended(model, "fit", seen, parent), tuple(history), interrupted, notes, chosen.errors, tuple(problems)
-    )
+    model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
+    return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
+
+
+def _at(model: Model, dt: float, hold: Hold) -> Model:
+    """The model for records of this sampling interval."""
+    substeps = max(1, round(model.substeps * dt / model.dt))
+    return replace(model, substeps=substeps, hold=hold, domain=replace(model.domain, dt=dt))
 
 
 def _prepared(
@@ -185,9 +198,10 @@ def _attempts(
         yield found, entry
     if found is None or not settings.refine_steps:
         return
-    first = with_parts(found, nominal, settings)
-    for found, entry in refined(first):
-        yield found, entry
+    found = with_parts(found, nominal, settings)
+    for step, entry in _until_lost(refined(found)):
+        found = step
+        yield step, entry
     best, start = judged(found), 1
     while not best.converged and start < settings.starts:
         start += 1
@@ -197,11 +211,19 @@ def _attempts(
             fresh = with_encoder(data, settings, jax.random.fold_in(init, start))
             again = refined(with_parts(fresh, nominal, settings), 10.0 ** (start - 2))
         ends = [best.model]
-        for ends[0], entry in again:
+        for ends[0], entry in _until_lost(again):
             yield best.model, {**entry, "start": start}
         best = min(best, judged(ends[0]), key=lambda c: c.rank)
     if start > 1:
         yield best.model, {"stage": "best", "error": best.mean**2}
+
+
+def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
+    """The steps of one start up to where its free runs diverge: that ends this start, not the training."""
+    try:
+        yield from steps
+    except ComputationFailed:
+        return
 
 
 def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Iterator[Model]:
@@ -237,8 +259,6 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             )
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
-                if not settings.refine_steps:
-                    raise ComputationFailed(_nan_advice(f"stage {j + 1}, epoch {epoch + 1}"))
                 yield best_model, {"stage": j + 1, "epochs": epoch + 1, "diverged": True}
                 return  # free runs begin at the best so far: at first the nominal
             if physics < best:
@@ -251,13 +271,6 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
         )
         if best > (1 - settings.tolerance) * at_stage:
             return
-
-
-def _nan_advice(place: str) -> str:
-    return (
-        f"the loss became nan in {place}: the records may hold a sensor spike or a wrong unit; "
-        "check them with `pitp predict` on the nominal model, or lower the learning rate"
-    )
 
 
 def _in_an_epoch(settings: Settings) -> dict:
@@ -306,13 +319,6 @@ def _second_mass_hz(model: Model) -> float | None:
     """Where what hangs on the moved mass resonates by itself, Hz."""
     memory = model.memory
     return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
-
-
-def _shown(model: Model, data: Dataset, slow: SlowBalance | None, records) -> Model:
-    """The model with the region it was trained in and the drives it has seen."""
-    dt = records[0].dt
-    domain = replace(model.domain.driven_by(records), dt=dt, region=_region(model, data, slow, dt))
-    return replace(model, domain=domain)
 
 
 def _level(history: Sequence[dict]) -> float:

@@ -44,14 +44,17 @@ def test_a_change_is_written_and_traced(days, call, tmp_path):
     assert all(f"{value}  {name}" in text for name, value in sums.items())
     assert f"adapt from {digest(load(days / 'm'))}" in text and "gain times" in text
     assert digest(load(days / "m")).encode() in (days / "m").read_bytes().splitlines()[1]
-    code, text, _ = call("info", days / "m", tmp_path / "a", "--json", tmp_path / "d")
+    code, text, _ = call("compare", days / "m", tmp_path / "a", "--json", tmp_path / "d")
     told = json.loads((tmp_path / "d").read_text())
-    assert code == 0 and told["descends"] == "b from a" and told["records"] == [[], ["stronger"]]
-    assert told["coefficients"][0]["ratio"] == pytest.approx(1 / 1.1, rel=0.01) and "was made from" in text
+    assert code == 0 and told["kind"] == "models" and "a was made from m." in text
+    assert "Only a saw stronger." in told["remarks"]
+    (stiffness,) = [r for r in told["rows"] if r["what"].startswith("stiffness")]
+    assert stiffness["b"] / stiffness["a"] == pytest.approx(1 / 1.1, rel=0.01)
 
 
 def test_two_of_the_same_are_the_same(days, call):
-    assert call("info", days / "m", days / "m")[1].strip().endswith("hold the same model")
+    code, text, _ = call("compare", days / "m", days / "m")
+    assert code == 0 and "no difference" in text and "Both hold the same model." in text
 
 
 def test_bad_input_is_one_line_and_writes_nothing(days, call, tmp_path):

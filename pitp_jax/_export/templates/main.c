@@ -17,6 +17,44 @@ static const real target[COUNT][@UP@_TOKENS] = {
 static const real planned[COUNT] = {
 @planned@};
 
+/* A cosine at half the resonance: its samples to inverse_target_step, its derivatives to inverse_step. */
+static double differentiated(void)
+{
+    @id@_state samples;
+    @id@_state derivatives;
+    const double dt = (double)@UP@_DT;
+    const double w = @slow@;
+    const double half = 0.5 * @stroke@;
+    double apart = 0.0;
+    double top = 0.0;
+    @id@_init(&samples, @rest@, @zero@);
+    @id@_init(&derivatives, @rest@, @zero@);
+    const unsigned count = (unsigned)(15.0 / (w * dt)) + (2u * @UP@_LOOK_AHEAD);
+    for (unsigned k = 0u; k < count; k++) {
+        const double t = w * dt * (double)(k + @UP@_LOOK_AHEAD);
+        const real y = (real)(@rest_number@ + half * (1.0 - cos(t)));
+        const double now = w * (((double)k * dt) + (double)@UP@_AHEAD);
+        real rows[@UP@_TOKENS];
+        double size = -half;
+        uint32_t cut = 0u;
+        uint32_t flags = 0u;
+        for (unsigned i = 0u; i < @UP@_TOKENS; i++) {
+            rows[i] = (real)(size * cos(now + (i * 1.5707963267948966)));
+            size *= w;
+        }
+        rows[0] = (real)(@rest_number@ + half * (1.0 - cos(now)));
+        const double got = (double)@id@_inverse_target_step(&samples, &y, &flags);
+        const double right = (double)@id@_inverse_step(&derivatives, rows, &cut);
+        if (k > (3u * @UP@_LOOK_AHEAD) && ((flags | cut) & (@UP@_VOLTAGE | @UP@_SLEW)) == 0u) {
+            const double off = fabs(@target_error@);
+            const double force = fabs(@target_force@);
+            apart = (off > apart) ? off : apart;
+            top = (force > top) ? force : top;
+        }
+    }
+    return (top > 0.0) ? (apart / top) : 0.0;
+}
+
 int main(void)
 {
     @id@_state state;
@@ -36,6 +74,8 @@ int main(void)
     }
     worst /= @range@;
     wrong /= @force_range@;
-    (void)printf("predict_step: %.2g of the range, inverse_step: %.2g of the force\n", worst, wrong);
-    return ((worst < @tolerance@) && (wrong < @force_tolerance@)) ? 0 : 1;
+    const double apart = differentiated();
+    (void)printf("predict_step: %.2g of the range, inverse_step: %.2g, inverse_target_step: %.2g of the force\n", worst,
+                 wrong, apart);
+    return ((worst < @tolerance@) && (wrong < @force_tolerance@) && (apart < @target_tolerance@)) ? 0 : 1;
 }

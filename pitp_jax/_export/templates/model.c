@@ -6,6 +6,10 @@
 #include <stddef.h>
 #include <string.h>
 
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0))
+#error "compile without -ffast-math: it takes away the checks for what is not a number"
+#endif
+
 typedef @id@_real real;
 
 #define ZERO ((real)0)
@@ -13,7 +17,11 @@ typedef @id@_real real;
 #define TOKENS @tokens@u
 #define MODEL @model_states@u
 #define PLAN @plan_states@u
-#define WINDOW @window@u
+#define BLOCKS @blocks@u
+#define BLOCK @block@u
+#define WINDOW (BLOCKS * BLOCK)
+#define POLARITY @polarity@
+#define REST @rest@
 #define MOST_STEP (@UP@_MAX_SLEW * @UP@_DT)
 
 @helpers@
@@ -66,31 +74,39 @@ static real limited(@id@_state *state, real wanted, uint32_t *flags)
     return u;
 }
 
+/* Whether a target is still waited for: WATCHDOG calls. */
+static bool waits(@id@_state *state, uint32_t *flags)
+{
+    *flags |= @UP@_NO_TARGET;
+    const bool still = state->silent < @UP@_WATCHDOG;
+    if (still) {
+        state->silent++;
+    }
+    return still;
+}
+
 /* The last voltage for WATCHDOG calls, then a ramp to 0 V. */
 static real silence(@id@_state *state, uint32_t *flags)
 {
-    *flags |= @UP@_NO_TARGET;
-    if (state->silent < @UP@_WATCHDOG) {
-        state->silent++;
+    if (waits(state, flags)) {
         return state->voltage;
     }
-    state->integral = ZERO;
+    state->closed = 0u;
     uint32_t cut = 0u;
     return limited(state, ZERO, &cut);
 }
 
-/* Eq. 13 before any limit; false where the target or the voltage is not finite. */
-static bool planned(@id@_state *state, const real target[], real *voltage, uint32_t *flags)
+/* Eq. 13 before any limit; false where the target or the voltage is not finite. A target out of range is moved to its
+ * end. */
+static bool planned(@id@_state *state, real wanted[], real *voltage, uint32_t *flags)
 {
-    real wanted[TOKENS];
     real next[PLAN];
     real out[2];
-    (void)memcpy(wanted, target, sizeof wanted);
     bool sound = all_finite(wanted, TOKENS);
     if (sound) {
         const bool above = wanted[0] > @UP@_MAX_DISPLACEMENT;
         if (above || (wanted[0] < @UP@_MIN_DISPLACEMENT)) {
-            (void)memset(wanted, 0, sizeof wanted);
+            (void)memset(wanted, 0, TOKENS * sizeof(real));
             wanted[0] = above ? @UP@_MAX_DISPLACEMENT : @UP@_MIN_DISPLACEMENT;
             *flags |= @UP@_DISPLACEMENT;
         }
@@ -98,7 +114,6 @@ static bool planned(@id@_state *state, const real target[], real *voltage, uint3
         sound = accepted(state->plan, next, PLAN, out);
     }
     if (sound) {
-        state->silent = 0u;
         *voltage = out[0];
         if (out[1] > ZERO) {
             *flags |= @UP@_INFEASIBLE;
@@ -109,19 +124,76 @@ static bool planned(@id@_state *state, const real target[], real *voltage, uint3
     return sound;
 }
 
+static real larger_of(real a, real b)
+{
+    return (a > b) ? a : b;
+}
+
+static real smaller_of(real a, real b)
+{
+    return (a < b) ? a : b;
+}
+
+/* The force of a voltage, and the voltage within the range that makes a force. */
+static real force_of(real u)
+{
+    return @force_of@;
+}
+
+static real voltage_of(real force)
+{
+    const real kept = smaller_of(larger_of(force, force_of(@UP@_MIN_VOLTAGE)), force_of(@UP@_MAX_VOLTAGE));
+    return @voltage_of@;
+}
+
+/* The window of an actuator that stands there. */
+static void fill(@id@_state *state, real y)
+{
+    for (unsigned k = 0u; k < WINDOW; k++) {
+        state->window[k] = y;
+    }
+    state->head = 0u;
+}
+
+/* One sample into the window: the mean of the last BLOCK samples, so that float can be differentiated at high rates. */
+static void push(@id@_state *state, real y)
+{
+    real sum = y;
+    state->recent[state->head % BLOCK] = y;
+    for (unsigned k = 1u; k < BLOCK; k++) {
+        sum += state->recent[(state->head + k) % BLOCK];
+    }
+    state->window[state->head] = sum / (real)BLOCK;
+    state->head = (state->head + 1u) % WINDOW;
+}
+
+/* Row i: derivative i of the target DT LOOK_AHEAD before the newest sample; the last row: one sample after it. */
+static real windowed(const @id@_state *state, unsigned i)
+{
+    static const real weights[TOKENS + 1u][BLOCKS] = {
+@weights@};
+    const real middle = state->window[(state->head + (((BLOCKS / 2u) + 1u) * BLOCK) - 1u) % WINDOW];
+    real sum = ((i == 0u) || (i == TOKENS)) ? middle : ZERO;
+    for (unsigned k = 0u; k < BLOCKS; k++) { /* weights of a derivative sum to 0, the others to 1 */
+        sum += weights[i][k] * (state->window[(state->head + ((k + 1u) * BLOCK) - 1u) % WINDOW] - middle);
+    }
+    return sum;
+}
+
 void @id@_init(@id@_state *state, real y0, real u0)
 {
     const real held[2] = {y0, u0};
     (void)memset(state, 0, sizeof *state);
     predict_start(held, held, state->model, NULL);
     inverse_start(held, held, state->plan, NULL);
-    for (unsigned k = 0u; k < WINDOW; k++) {
-        state->window[k] = y0;
-    }
+    fill(state, y0 - REST);
+    state->asked = y0;
+    state->reference[0] = y0 - REST;
     state->displacement = y0;
     state->voltage = u0;
-    state->p = @p@;
-    state->i = @i@;
+    state->p = @UP@_P;
+    state->i = @UP@_I;
+    state->track = @UP@_TRACK;
 }
 
 real @id@_predict_step(@id@_state *state, real u)
@@ -137,53 +209,156 @@ real @id@_predict_step(@id@_state *state, real u)
     return state->displacement;
 }
 
-real @id@_inverse_step(@id@_state *state, const real target[@tokens@], uint32_t *flags)
+/* The voltage for a target with its derivatives, or silence. */
+static real open_loop(@id@_state *state, real wanted[], bool came, uint32_t *flags)
 {
     real voltage = ZERO;
+    state->closed = 0u;
+    if (!planned(state, wanted, &voltage, flags)) {
+        return silence(state, flags);
+    }
+    if (came) {
+        state->silent = 0u;
+    }
+    return limited(state, voltage, flags);
+}
+
+real @id@_inverse_step(@id@_state *state, const real target[@tokens@], uint32_t *flags)
+{
+    real wanted[TOKENS];
     *flags = 0u;
-    const bool came = (target != NULL) && planned(state, target, &voltage, flags);
-    return came ? limited(state, voltage, flags) : silence(state, flags);
+    if (target == NULL) {
+        return silence(state, flags);
+    }
+    (void)memcpy(wanted, target, sizeof wanted);
+    return open_loop(state, wanted, true, flags);
 }
 
 real @id@_inverse_target_step(@id@_state *state, const real *target, uint32_t *flags)
 {
-    static const real weights[TOKENS][WINDOW] = {
-@weights@};
     real rows[TOKENS];
-    if ((target == NULL) || !all_finite(target, 1u)) {
-        *flags = 0u;
+    const bool came = (target != NULL) && all_finite(target, 1u);
+    *flags = 0u;
+    if (came) {
+        if (state->silent >= @UP@_WATCHDOG) {
+            fill(state, *target - REST);
+        }
+        push(state, *target - REST);
+    } else {
         if (target != NULL) {
             *flags = @UP@_NOT_A_NUMBER;
         }
-        return silence(state, flags);
+        if (!waits(state, flags)) {
+            return silence(state, flags);
+        }
+        push(state, windowed(state, TOKENS)); /* the polynomial through the window, one sample on */
     }
-    (void)memmove(&state->window[0], &state->window[1], (WINDOW - 1u) * sizeof(real));
-    state->window[WINDOW - 1u] = *target;
     for (unsigned i = 0u; i < TOKENS; i++) {
-        rows[i] = ZERO;
-        for (unsigned k = 0u; k < WINDOW; k++) {
-            rows[i] += weights[i][k] * state->window[k];
+        rows[i] = windowed(state, i);
+    }
+    rows[0] += REST;
+    return open_loop(state, rows, came, flags);
+}
+
+/* PI on the force: u = map^-1(F + P e + I (integral of e)), F that of the feedforward, e in the model's direction.
+ *
+ * Back-calculation: what range and slew cut off the force leaves the integral with the closed loop's time constant.
+ * Without a reading the correction stands for WATCHDOG calls, then fades; a reading that comes again, or a start, takes
+ * the voltage over as it is.
+ */
+static real trimmed(@id@_state *state, real feedforward, real error, bool seen, uint32_t *flags)
+{
+    const real top = larger_of(feedforward, @UP@_MIN_VOLTAGE);
+    const real base = force_of((top > @UP@_MAX_VOLTAGE) ? @UP@_MAX_VOLTAGE : top);
+    const real p = POLARITY * state->p * error;
+    if (state->closed == 0u) {
+        state->trim = seen ? (force_of(state->voltage) - base) : ZERO;
+        state->closed = 1u;
+        state->blind = 1u;
+    }
+    if (seen) {
+        if (state->blind > 0u) {
+            state->integral = state->trim - p;
+            state->blind = 0u;
+        }
+        state->integral += POLARITY * state->i * error * @UP@_DT;
+        state->trim = p + state->integral;
+    } else {
+        *flags |= @UP@_NO_SENSOR;
+        if (state->blind < @UP@_WATCHDOG) {
+            state->blind++;
+        } else {
+            state->trim -= smaller_of(state->track * @UP@_DT, ONE) * state->trim;
         }
     }
-    return @id@_inverse_step(state, rows, flags);
+    const real wanted = base + state->trim;
+    const real u = limited(state, voltage_of(wanted), flags);
+    if ((wanted < force_of(@UP@_MIN_VOLTAGE)) || (wanted > force_of(@UP@_MAX_VOLTAGE))) {
+        *flags |= @UP@_VOLTAGE;
+    }
+    if (seen) {
+        state->integral += smaller_of(state->track * @UP@_DT, ONE) * (force_of(u) - wanted);
+    }
+    return u;
 }
 
 real @id@_pi_step(@id@_state *state, const real target[@tokens@], real measured, uint32_t *flags)
 {
+    real wanted[TOKENS];
     real voltage = ZERO;
     *flags = 0u;
-    if ((target == NULL) || !planned(state, target, &voltage, flags)) {
+    if (target == NULL) {
         return silence(state, flags);
     }
-    if (!all_finite(&measured, 1u)) {
+    (void)memcpy(wanted, target, sizeof wanted);
+    if (!planned(state, wanted, &voltage, flags)) {
+        return silence(state, flags);
+    }
+    state->silent = 0u;
+    const bool seen = all_finite(&measured, 1u);
+    if (!seen) {
         *flags |= @UP@_NOT_A_NUMBER;
-        return limited(state, voltage, flags);
     }
-    const real error = target[0] - measured;
-    const real total = state->integral + (error * @UP@_DT);
-    const real wanted = voltage + (state->p * error) + (state->i * total);
-    if ((wanted <= @UP@_MAX_VOLTAGE) && (wanted >= @UP@_MIN_VOLTAGE)) {
-        state->integral = total;
+    return trimmed(state, voltage, seen ? (wanted[0] - measured) : ZERO, seen, flags);
+}
+
+real @id@_pi_target_step(@id@_state *state, const real *target, real measured, uint32_t *flags)
+{
+    /* the reference is target / (1 + s T)^@reference_order@: its motion and derivatives over T^-i, exact for a target that is held */
+    static const real onward[TOKENS][TOKENS] = {
+@onward@};
+    static const real units[TOKENS] = {@units@};
+    real from[TOKENS];
+    real rows[TOKENS];
+    uint32_t told = 0u;
+    if ((target != NULL) && all_finite(target, 1u)) {
+        state->asked = *target;
+        state->silent = 0u;
+    } else {
+        if (target != NULL) {
+            told = @UP@_NOT_A_NUMBER;
+        }
+        if (!waits(state, &told)) {
+            *flags = told;
+            return silence(state, flags);
+        }
     }
-    return limited(state, wanted, flags);
+    if (state->closed == 0u) { /* a start: the reference begins where the actuator stands */
+        (void)memset(state->reference, 0, sizeof state->reference);
+        state->reference[0] = (all_finite(&measured, 1u) ? measured : state->asked) - REST;
+    }
+    (void)memcpy(from, state->reference, sizeof from);
+    from[0] = (state->asked - REST) - state->reference[0];
+    for (unsigned i = 0u; i < TOKENS; i++) {
+        for (unsigned k = 0u; k < TOKENS; k++) {
+            state->reference[i] += onward[i][k] * from[k];
+        }
+        rows[i] = state->reference[i] * units[i];
+    }
+    rows[0] += REST;
+    const uint32_t before = state->silent;
+    const real u = @id@_pi_step(state, rows, measured, flags);
+    state->silent = before;
+    *flags |= told;
+    return u;
 }

@@ -26,6 +26,9 @@ typedef @real@ @id@_real;
 #define @UP@_LATE @late@u                  /* predict_step gives the displacement so many calls ago */
 #define @UP@_AHEAD @ahead@           /* s: the drive is so late; give inverse_step the target of then */
 #define @UP@_LOOK_AHEAD @look_ahead@u           /* calls: inverse_target_step takes the target of then */
+#define @UP@_P @p@             /* gains of the PI steps, on the force: @force_unit@/m, */
+#define @UP@_I @i@             /* @force_unit@/(m s) */
+#define @UP@_TRACK @track@         /* 1/s: over the closed loop's time constant */
 
 /* What a call may report; more than one bit may be set. */
 #define @UP@_NOT_A_NUMBER 1u   /* an input was not finite: the last valid voltage is kept */
@@ -33,18 +36,27 @@ typedef @real@ @id@_real;
 #define @UP@_VOLTAGE 4u        /* cut by the range of the voltage */
 #define @UP@_SLEW 8u           /* cut by the slew */
 #define @UP@_DISPLACEMENT 16u  /* the target is beyond the range of the displacement: held at its end */
-#define @UP@_NO_TARGET 32u     /* no target came: the voltage is kept, then ramps to 0 V */
+#define @UP@_NO_TARGET 32u     /* no target came: it is carried on or the voltage kept, then the voltage ramps to 0 V */
+#define @UP@_NO_SENSOR 64u     /* no reading came: the correction is kept, then fades */
 
 typedef struct {
     @id@_real model[@model_states@];
     @id@_real plan[@plan_states@];
     @id@_real window[@window@];
+    @id@_real recent[@block@];
+    @id@_real reference[@tokens@];
+    @id@_real asked;        /* m, the last target of pi_target_step */
     @id@_real displacement; /* m, last predicted */
     @id@_real voltage;      /* V, last given out */
-    @id@_real p;            /* V/m, gain of pi_step */
-    @id@_real i;            /* V/(m s) */
-    @id@_real integral;     /* m s */
+    @id@_real p;            /* @force_unit@/m, gains of the PI steps in the model's direction: set them after init */
+    @id@_real i;            /* @force_unit@/(m s) */
+    @id@_real track;        /* 1/s, of the back-calculation; 0 turns it off */
+    @id@_real integral;     /* @force_unit@ */
+    @id@_real trim;         /* @force_unit@, P and I together */
+    uint32_t head;          /* oldest place of the window */
     uint32_t silent;        /* calls without a target */
+    uint32_t blind;         /* calls without a reading */
+    uint32_t closed;        /* the last voltage came from a PI step */
 } @id@_state;
 
 /* Held at y0 under u0 for ever; at rest: y0 = @rest@, u0 = 0. */
@@ -59,8 +71,12 @@ void @id@_init(@id@_state *state, @id@_real y0, @id@_real u0);
 /* Voltage now for a target sampled every DT, given LOOK_AHEAD samples early; NULL: none came. */
 @id@_real @id@_inverse_target_step(@id@_state *state, const @id@_real *target, uint32_t *flags);
 
-/* inverse_step plus p e + i (integral of e), e = y - measured; the integral stops where the voltage is cut. */
+/* inverse_step and a PI on the force, u = map^-1(F + P e + I (integral of e)), e = y - measured; measured NAN: none came.
+ * It starts from the voltage that stands, and what range and slew cut does not wind it up. */
 @id@_real @id@_pi_step(@id@_state *state, const @id@_real target[@tokens@], @id@_real measured, uint32_t *flags);
+
+/* The same for a target of this moment, without derivatives: it is followed through @reference_order@ lags of @reference_ms@ ms. */
+@id@_real @id@_pi_target_step(@id@_state *state, const @id@_real *target, @id@_real measured, uint32_t *flags);
 
 #ifdef __cplusplus
 }

@@ -1,0 +1,103 @@
+"""`pitp compare`: two models, two diagnoses or two sets of records, and what differs between them."""
+
+import json
+import math
+from pathlib import Path
+
+from .._compare import Comparison, Difference
+from .._compare import compare as run_compare
+from .._compare.page import figures, page
+from .._errors import BadInput
+from .._model_file.model_file import is_model_file, load
+from .._record.reading import read
+from .._record.writing import write_csv, write_text_atomic
+from .console import number, print_table
+from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+
+PAGE, DIAGNOSIS = "compare.html", "diagnosis.json"
+
+
+def compare(a, b, out, json_file, reading) -> None:
+    """Compare, write what was asked for, and print what differs.
+
+    Args:
+        a, b: model files; diagnoses, as JSON or as folders that `pitp diagnose --out` wrote; or records.
+        out: folder for a page and its figures, or None.
+        json_file: where to write the comparison for machines, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+    """
+    check_files(json_file, inputs=[a, b])
+    if out is not None:
+        check_folder(out, [PAGE], inputs=[a, b])
+    found = run_compare(_opened(a, reading), _opened(b, reading), names=_names(a, b))
+    with staged_files(json_file) as (json_stage,):
+        if json_file:
+            write_json(json_stage, found.as_json())
+        if out is not None:
+            with staged_folder(out) as stage:
+                _write(found, stage)
+    _print(found)
+    if out is not None:
+        print(f"wrote {Path(out) / PAGE}")
+
+
+def _opened(path: str, reading: dict):
+    """A model, the JSON of a diagnosis, or records: whichever the path holds."""
+    place = Path(path)
+    diagnosis = place / DIAGNOSIS if place.is_dir() else place
+    if diagnosis.is_file() and diagnosis.suffix == ".json":
+        return _diagnosis(diagnosis)
+    if place.is_file() and is_model_file(place):
+        return load(place)
+    return read(path, **reading)
+
+
+def _diagnosis(path: Path) -> dict:
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise BadInput(f"{path}: is not JSON; give what `pitp diagnose --json` wrote") from None
+    if not isinstance(told, dict) or not {"verdict", "effects", "gap", "ranking"} <= told.keys():
+        raise BadInput(f"{path}: is not the JSON of a diagnosis; give what `pitp diagnose --json` wrote")
+    return told
+
+
+def _names(a: str, b: str) -> tuple[str, str]:
+    """File or folder names, whole paths where these are alike."""
+    short = (Path(a).name, Path(b).name)
+    return short if short[0] != short[1] and all(short) else (a, b)
+
+
+def _write(found: Comparison, folder: Path) -> None:
+    write_text_atomic(folder / PAGE, page(found))
+    for name, (drawn, columns) in figures(found).items():
+        (folder / "figures").mkdir(exist_ok=True)
+        drawn.savefig(folder / "figures" / f"{name}.png", dpi=150)
+        write_csv(folder / "figures" / f"{name}.csv", columns)
+
+
+def _print(found: Comparison) -> None:
+    print(found.headline())
+    for line in found.remarks:
+        print(line)
+    rows = [r for r in found.rows if r.differs is not False]
+    if rows:
+        cells = [(r.what, _cell(r.a), _cell(r.b), r.unit, _interval(r), _words(r)) for r in rows]
+        print_table(("quantity", *found.names, "unit", "difference, 95 %", "differs"), cells)
+
+
+def _cell(value: float | str | None) -> str:
+    return value if isinstance(value, str) else number(value)
+
+
+def _interval(r: Difference) -> str:
+    return (
+        "-" if r.ci95 is None or not all(map(math.isfinite, r.ci95)) else " to ".join(number(end, 3) for end in r.ci95)
+    )
+
+
+def _words(r: Difference) -> str:
+    return "not known" if r.differs is None else "yes"

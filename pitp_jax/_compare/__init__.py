@@ -1,0 +1,13 @@
+"""Comparison: two models, two diagnoses or two sets of records in; what differs beyond both intervals out.
+
+    differs:  |b - a| > 1.96 sqrt(s_a^2 + s_b^2)
+
+Verb: `compare`. Recordings are paired by their drives (`pairing`), never by their names.
+"""
+
+from .comparison import compare as compare
+from .pairing import Pair as Pair
+from .pairing import Pairing as Pairing
+from .pairing import pair_records as pair_records
+from .result import Comparison as Comparison
+from .result import Difference as Difference

@@ -1,0 +1,66 @@
+"""Compare two diagnoses: verdicts, the numbers of the effects that either names, the gaps and what fills them."""
+
+from .result import Comparison, Difference, measured, stated
+
+_GAP = {"before": "gap before", "after": "gap after", "noise_floor": "noise floor"}
+
+
+def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
+    """Every number of two diagnoses, given as their JSON."""
+    rows = [stated("verdict", a["verdict"], b["verdict"]), stated("effects", a["effects"], b["effects"])]
+    rows += _effects(a, b)
+    rows += [
+        measured(words, _number(a["gap"].get(key)), _number(b["gap"].get(key)), "% of range", (None, None))
+        for key, words in _GAP.items()
+    ]
+    closed = [{"share": d["gap"].get("closed_fraction"), "ci95": d["gap"].get("ci95")} for d in (a, b)]
+    rows.append(_portion("part of the gap that is closed", *closed))
+    rows += _budget(a.get("budget") or {}, b.get("budget") or {})
+    remarks = [
+        f"{name}: these recordings cannot tell {d['effects'][0] if d['effects'] else 'the best candidate'} from "
+        f"{', '.join(d['equivalent'])}."
+        for name, d in zip(names, (a, b), strict=True)
+        if d.get("equivalent")
+    ]
+    return Comparison("diagnoses", names, tuple(r for r in rows if (r.a, r.b) != (None, None)), tuple(remarks))
+
+
+def _number(value) -> float | None:
+    return None if value is None else float(value)
+
+
+def _effects(a: dict, b: dict) -> list[Difference]:
+    """Parameters of what either names, from the rankings, which hold candidates that were not named as well."""
+    rows = []
+    tables = [{r["effect"]: r for r in reversed(d.get("ranking", []))} for d in (a, b)]
+    for name in dict.fromkeys([*a["effects"], *b["effects"]]):
+        sides = [table.get(name, {}).get("parameters", {}) for table in tables]
+        forms = [table.get(name, {}).get("form") for table in tables]
+        if forms[0] != forms[1] and None not in forms:
+            rows.append(stated(f"form of {name}", *forms))
+            continue
+        for key in dict.fromkeys([*sides[0], *sides[1]]):
+            x, y = (side.get(key, {}) for side in sides)
+            errors = (_number(x.get("stderr")), _number(y.get("stderr")))
+            unit = x.get("unit") or y.get("unit") or ""
+            rows.append(
+                measured(
+                    f"{name}: {key}", _number(x.get("value")), _number(y.get("value")), unit.replace("1", ""), errors
+                )
+            )
+    return rows
+
+
+def _portion(what: str, one: dict, two: dict) -> Difference:
+    """A fraction with a 95 % interval, whose half width is taken as 1.96 standard errors."""
+    errors = [(e["ci95"][1] - e["ci95"][0]) / 3.92 if e.get("ci95") else None for e in (one, two)]
+    return measured(what, _number(one.get("share")), _number(two.get("share")), "", (errors[0], errors[1]))
+
+
+def _budget(a: dict, b: dict) -> list[Difference]:
+    words = {"nuisance": "zeros and directions", "parameters": "moved parameters", "simulator": "the simulator's model",
+             "unnamed": "unnamed but explainable", "unexplainable": "not explainable"}  # fmt: skip
+    rows = [_portion(f"of the gap: {w}", a.get(k, {}), b.get(k, {})) for k, w in words.items() if k in a or k in b]
+    effects = [d.get("effects", {}) for d in (a, b)]
+    names = dict.fromkeys([*effects[0], *effects[1]])
+    return rows + [_portion(f"of the gap: {n}", effects[0].get(n, {}), effects[1].get(n, {})) for n in names]

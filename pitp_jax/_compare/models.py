@@ -1,0 +1,107 @@
+"""Compare two models: what they are, their coefficients by meaning, their modes and effects, what they were made from.
+
+    a_0 x + a_1 x' + a_2 x'' + ... = F      stiffness a_0, damping a_1, inertia a_2 (of the nominal)
+
+Coefficients of different orders have different meanings beyond a_0; then the modes are compared instead.
+"""
+
+from typing import Any
+
+from .._model.fitted import Fitted
+from .._model_file.model_file import digest
+from .._report.description import describe
+from .._report.numbers import number
+from .result import Comparison, Difference, measured, stated
+
+_FACTS = {
+    "kind": "kind", "order": "order", "input_map": "input map", "encoder": "encoder", "memory_states": "memory states",
+    "hold": "hold of the input", "dt": "sampling interval (s)", "polarity": "direction of the sensor",
+    "voltage_range": "input seen",
+}  # fmt: skip
+_MEANINGS = ("stiffness", "damping", "inertia")
+
+
+def coefficient_meaning(i: int) -> str:
+    """`stiffness (a0)`, ...; `a3` from the third on."""
+    return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
+
+
+def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
+    """Every fact and number of two models."""
+    one, two = describe(a), describe(b)
+    rows = [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
+    rows.append(measured("zero of the sensor", one["offset"], two["offset"], one["output_unit"], (0.0, 0.0)))
+    rows += _coefficients(one, two) if one["order"] == two["order"] else _modes(one, two)
+    rows += _effects(one["effects"], two["effects"])
+    return Comparison("models", names, tuple(rows), tuple(_origin(a, b, names)))
+
+
+def _coefficients(one: dict, two: dict) -> list[Difference]:
+    columns = (one["coefficients"], two["coefficients"], one["coefficients_unit"])
+    errors = zip(one["coefficients_stderr"], two["coefficients_stderr"], strict=True)
+    return [
+        measured(coefficient_meaning(i), x, y, unit, error)
+        for i, ((x, y, unit), error) in enumerate(zip(zip(*columns, strict=True), errors, strict=True))
+    ]
+
+
+def _modes(one: dict, two: dict) -> list[Difference]:
+    """Static stiffness, and the least damped mode of each, where the orders differ."""
+    stiffness = measured(
+        coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
+        (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),
+    )  # fmt: skip
+    loud = [
+        min((m for m in t["modes"] if m["oscillates"]), key=lambda m: m["damping"], default=None) for t in (one, two)
+    ]
+    if None in loud:
+        return [stiffness]
+    pairs = [[m[key] for m in loud if m] for key in ("natural_hz", "damping")]
+    return [
+        stiffness,
+        measured("frequency of the least damped mode", pairs[0][0], pairs[0][1], "Hz", (None, None)),
+        measured("damping ratio of that mode", pairs[1][0], pairs[1][1], "", (None, None)),
+    ]
+
+
+def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
+    """Numbers of the effects either model carries; a model file holds no standard errors of them."""
+    sides = [{(e["effect"], e["form"]): e["parameters"] for e in told} for told in (one, two)]
+    rows = []
+    for key in dict.fromkeys([*sides[0], *sides[1]]):
+        for name in sides[0].get(key) or sides[1][key]:
+            x, y = (side.get(key, {}).get(name) for side in sides)
+            unit = (x or y or {}).get("unit", "")
+            values = [None if v is None else float(v["value"]) for v in (x, y)]
+            rows.append(measured(f"{key[0]} ({key[1]}): {name}", values[0], values[1], unit, (None, None)))
+    return rows
+
+
+def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
+    """Descent, recordings seen by one or both, and what one was adapted to."""
+    sums: list[dict[str, str]] = [
+        {r["sha256"]: r["name"] for e in m.origin.lineage for r in e.get("records", [])} for m in (a, b)
+    ]
+    parents = [{e.get("parent") for e in m.origin.lineage} for m in (a, b)]
+    digests = [digest(m) for m in (a, b)]
+    if digests[0] == digests[1]:
+        return ["Both hold the same model."]
+    lines = []
+    for k in (0, 1):
+        if digests[k] in parents[1 - k]:
+            lines.append(f"{names[1 - k]} was made from {names[k]}.")
+    for k, mine in enumerate(sums):
+        only = [name for s, name in mine.items() if s not in sums[1 - k]]
+        if only:
+            lines.append(f"Only {names[k]} saw {', '.join(only)}.")
+        lines += [f"{names[k]} was adapted: {_adapted(entry)}." for entry in (a, b)[k].origin.adapted
+                  if entry not in (a, b)[1 - k].origin.adapted]  # fmt: skip
+    both = [name for s, name in sums[0].items() if s in sums[1]]
+    return [*lines, *([f"Both saw {', '.join(both)}."] if both else [])]
+
+
+def _adapted(entry: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{name} times {number(c['factor'])} ({' to '.join(number(end) for end in c['ci95'])})"
+        for name, c in entry["changed"].items()
+    )

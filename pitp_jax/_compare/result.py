@@ -1,0 +1,132 @@
+"""What a comparison says: quantities of two things, and which of them differ by more than both are known to.
+
+difference = b - a,    95 % interval:  difference +- 1.96 sqrt(s_a^2 + s_b^2)
+a number differs where that interval leaves out 0; where a standard error is not known, neither is this (None)
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from .._report.numbers import number
+from .._report.table import data_frame
+from .pairing import Pairing
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LINES = 9  # of differences in a repr, below its headline
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One quantity of both.
+
+    Attributes:
+        what: in plain words.
+        a, b: its values; text where it is no number, None where one side has none.
+        unit: of both and of the interval.
+        ci95: of b - a; None where a standard error is not known.
+        differs: whether b is other than a; None where that cannot be said.
+    """
+
+    what: str
+    a: float | str | None
+    b: float | str | None
+    unit: str = ""
+    ci95: tuple[float, float] | None = None
+    differs: bool | None = None
+
+    def words(self) -> str:
+        """The difference in one line."""
+        ratio = ""
+        if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
+            ratio = f" (factor {number(self.b / self.a)})"
+        return f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip() + ratio
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs between A and B.
+
+    Attributes:
+        kind: "models", "diagnoses" or "records".
+        names: of A and of B.
+        rows: every quantity that both or one of them has.
+        remarks: what no row holds: descent, clocks, recordings without a partner.
+        pairs: of two sets of records, which recordings share their drive.
+    """
+
+    kind: str
+    names: tuple[str, str]
+    rows: tuple[Difference, ...]
+    remarks: tuple[str, ...] = ()
+    pairs: Pairing | None = None
+
+    @property
+    def different(self) -> tuple[Difference, ...]:
+        """The rows that differ."""
+        return tuple(r for r in self.rows if r.differs)
+
+    def headline(self) -> str:
+        """One sentence."""
+        count, open_ = len(self.different), sum(r.differs is None for r in self.rows)
+        a, b = self.names
+        unknown = f"; of {open_} more the standard errors are not known" if open_ else ""
+        if not count:
+            return f"{a} and {b}: no difference beyond their intervals{unknown}"
+        return f"{a} and {b} differ in {count} of {len(self.rows)} quantities{unknown}"
+
+    def __repr__(self) -> str:
+        """The headline, and the first rows that differ."""
+        lines = [r.words() for r in self.different]
+        more = [f"  and {len(lines) - _LINES + 1} more"] if len(lines) > _LINES else []
+        shown = lines[: _LINES - 1] if more else lines
+        return "\n".join([f"Comparison of {self.kind}: {self.headline()}", *(f"  {x}" for x in shown), *more])
+
+    def _repr_html_(self) -> str:
+        """The first screen of its page."""
+        from .page import first_screen
+
+        return first_screen(self)
+
+    def frame(self) -> "pd.DataFrame":
+        """One row a quantity: what, a, b, unit, difference's interval, whether it differs."""
+        return data_frame(self.as_json()["rows"])
+
+    def as_json(self) -> dict[str, Any]:
+        """As `pitp compare --json` has it."""
+        rows = [vars(r) | {"ci95": None if r.ci95 is None else list(r.ci95)} for r in self.rows]
+        pairs = [] if self.pairs is None else [
+            {"a": p.first.name, "b": p.second.name, "clock_offset_s": p.offset, "correlation": p.correlation}
+            for p in self.pairs.pairs
+        ]  # fmt: skip
+        return {"kind": self.kind, "names": list(self.names), "differs": bool(self.different), "rows": rows,
+                "remarks": list(self.remarks), "pairs": pairs}  # fmt: skip
+
+
+def measured(what: str, a: float | None, b: float | None, unit: str, errors: tuple[float | None, float | None]):
+    """A row of two numbers with standard errors, None where one is not known."""
+    if a is None or b is None:
+        return Difference(what, a, b, unit, None, True)
+    if a == b:
+        return Difference(what, a, b, unit, None, False)
+    if errors[0] is None or errors[1] is None:
+        return Difference(what, a, b, unit)
+    half = 1.96 * math.hypot(errors[0], errors[1])
+    return Difference(what, a, b, unit, (b - a - half, b - a + half), abs(b - a) > half)
+
+
+def stated(what: str, a, b) -> Difference:
+    """A row of two facts, which differ where they are not equal."""
+    return Difference(what, _cell(a), _cell(b), differs=a != b)
+
+
+def _cell(value) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_cell, value)) or "none"
+    return number(float(value), 4) if not isinstance(value, bool) else str(value)

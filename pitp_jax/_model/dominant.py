@@ -1,0 +1,29 @@
+"""The frequency that is meant by "the resonance" of a linear model a_0 x + ... + a_n x^(n) = F.
+
+    1. |p| of the least damped pole pair,           -Re p / |p| < 0.7
+    2. else where the model lags 90 degrees,        Re a(jw) = a_0 - a_2 w^2 + a_4 w^4 - ... = 0
+    3. else the corner of its slowest pole,         min |p|, p != 0
+
+Not the geometric mean of all poles: a lag at 347 Hz or creep at 0.01 Hz would move that of an 8 Hz mode to 28 or 0.9.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+_RINGS = 0.7  # damping below which a pair has a resonance, sqrt(1/2)
+
+
+def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
+    """Of the coefficients a_0 ... a_n, in rad/s; 0 where the model is nothing but integrators."""
+    a = np.nan_to_num(a)  # a model that went astray is found out by its runs
+    roots = np.roots(a[::-1])
+    roots = roots[np.abs(roots) > 0]
+    damping = -roots.real / np.abs(roots)
+    if ((roots.imag > 0) & (damping < _RINGS)).any():
+        ringing = np.where(roots.imag > 0, damping, np.inf)
+        return float(np.abs(roots[np.argmin(ringing)]))
+    even = a[::2] * (-1.0) ** np.arange(len(a[::2]))
+    squares = np.roots(even[::-1]) if a[0] else np.zeros(0)
+    lags = np.sqrt(squares.real[(np.abs(squares.imag) <= 1e-9 * np.abs(squares)) & (squares.real > 0)])
+    corners = lags if len(lags) else np.abs(roots)
+    return float(corners.min()) if len(corners) else 0.0

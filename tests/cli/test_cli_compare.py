@@ -1,0 +1,46 @@
+"""`pitp compare`: what it opens, what it writes, what it refuses."""
+
+import json
+
+import numpy as np
+from cli_cases import refused, tree, truth
+
+from pitp_jax._model_file import model_file
+
+DIAGNOSIS = {"verdict": "no_gap", "effects": [], "equivalent": [], "gap": {"before": 1.0, "after": 1.0}, "ranking": []}
+
+
+def test_records_of_one_drive_make_a_page_and_figures(call, bench, tmp_path):
+    """Two copies of the same recordings do not differ; one with 10 % more motion does."""
+    (tmp_path / "again").mkdir()
+    for path in sorted((bench / "records").glob("*.csv")):
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        table[:, 2] *= 1.1
+        header = path.read_text().splitlines()[0]
+        np.savetxt(tmp_path / "again" / path.name, table, delimiter=",", header=header, comments="")
+    code, text, err = call(
+        "compare", bench / "records", tmp_path / "again", "--out", tmp_path / "c", "--json", tmp_path / "j"
+    )
+    assert code == 0, err
+    told = json.loads((tmp_path / "j").read_text())
+    assert told["names"] == ["records", "again"] and told["differs"]
+    sizes = [r["b"] / r["a"] for r in told["rows"] if "size of the motion" in r["what"]]
+    assert len(sizes) == 3 and np.allclose(sizes, 1.1, rtol=1e-3)
+    assert {"compare.html", "figures/pair_sweep.csv", "figures/pair_sweep.png"} <= set(tree(tmp_path / "c"))
+    assert "size of the motion" in text
+
+
+def test_diagnoses_are_opened_by_folder_and_by_file(call, tmp_path):
+    (tmp_path / "monday").mkdir()
+    (tmp_path / "monday" / "diagnosis.json").write_text(json.dumps(DIAGNOSIS))
+    (tmp_path / "tuesday.json").write_text(json.dumps(DIAGNOSIS | {"verdict": "unknown"}))
+    code, text, _ = call("compare", tmp_path / "monday", tmp_path / "tuesday.json")
+    assert code == 0 and "verdict" in text and "unknown" in text
+
+
+def test_what_is_not_of_one_kind_is_refused(call, bench, tmp_path):
+    model_file.save(tmp_path / "m", truth())
+    (tmp_path / "x.json").write_text("{}")
+    assert "give two of one kind" in refused(call("compare", tmp_path / "m", bench / "records"))
+    assert "not the JSON of a diagnosis" in refused(call("compare", tmp_path / "x.json", tmp_path / "x.json"))
+    assert f"pitp compare {tmp_path / 'm'} {tmp_path / 'n'}" in refused(call("info", tmp_path / "m", tmp_path / "n"))

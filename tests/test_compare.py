@@ -1,0 +1,144 @@
+"""Comparisons: two of a kind, and known differences between them."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+import pitp_jax as pitp
+from pitp_jax._compare import pair_records
+from pitp_jax._demo import joint
+
+A = np.array([1.0, 0.05, 1 / 400.0])  # rad s^i / rad: a joint of 3.2 Hz and damping ratio 0.5
+
+
+def drives(time):
+    """Three drives that begin after `time` 0."""
+    t = np.clip(time, 0, 8)
+    return {
+        "chirp": 0.3 * np.sin(2 * np.pi * (0.2 * t + 0.3 * t**2)),
+        "slow": 0.5 * np.sin(2 * np.pi * 0.4 * t),
+        "fast": 0.2 * np.sin(2 * np.pi * 2.0 * t),
+    }
+
+
+def machine(coefficients=A, rate=200.0, lead=0.0, clock=0.0, late=0.0, gain=1.0, rename=lambda name: name, noise=1e-5):
+    """Recordings of a linear machine, its log begun `lead` seconds before the drive by a clock that shows `clock`."""
+    time = np.arange(round(rate * (9 + lead))) / rate - lead
+    made = []
+    for k, (name, u) in enumerate(drives(time).items()):
+        y = gain * lsim(([1.0], coefficients[::-1]), drives(time - late)[name], time + lead)[1]
+        y = y + noise * np.random.default_rng(k).standard_normal(len(time))
+        made.append(pitp.Record(rename(name), time + lead + clock, u, y, displacement_unit="m"))
+    return made
+
+
+def test_recordings_are_paired_by_their_drives_and_clocks_told_apart():
+    real = machine(rate=500.0, lead=0.7, clock=3.0, rename=lambda n: f"log_{len(n)}{n[-1]}")
+    simulated = machine()[::-1]
+    found = pair_records(real, simulated)
+    assert [p.second.name for p in found.pairs] == ["chirp", "slow", "fast"]
+    assert [p.offset for p in found.pairs] == pytest.approx([3.7] * 3, abs=1e-4)
+    assert min(p.correlation for p in found.pairs) > 0.999
+    assert found.remarks("robot", "simulator") == [
+        "The clock of the robot is 3.7 s ahead of that of the simulator; this is no delay."
+    ]
+    assert np.nanmax(np.abs(found.pairs[0].output() - real[0].displacement)) < 1e-3
+
+
+def test_a_drive_of_another_size_or_shape_has_no_partner():
+    real, simulated = machine(), machine()
+    larger = pitp.Record("larger", real[1].time, 3 * real[1].voltage, real[1].displacement)
+    found = pair_records([real[0], larger], simulated[:2])
+    assert [p.first.name for p in found.pairs] == ["chirp"]
+    assert "another size (factor 3)" in found.first_alone[0][1]
+    assert [name for name, _ in found.second_alone] == ["slow"]
+    found = pair_records(real[2:], simulated[:1])
+    assert not found.pairs and "no drive correlates" in found.first_alone[0][1]
+
+
+def test_two_sets_of_records_differ_by_size_and_lag_that_were_made():
+    found = pitp.compare(machine(), machine(late=0.02, gain=0.9, clock=5.0), names=("sim", "robot"))
+    rows: dict[str, Any] = {r.what: r for r in found.rows}
+    for name in ("chirp", "slow", "fast"):
+        size, late = rows[f"{name}: size of the motion"], rows[f"{name}: time behind sim"]
+        assert size.b / size.a == pytest.approx(0.9, abs=2e-3) and size.differs
+        assert late.b == pytest.approx(20.0, abs=0.3) and late.differs
+    assert found.remarks == ("The clock of the sim is 5 s behind that of the robot; this is no delay.",)
+    assert len(repr(found).splitlines()) <= 10
+    assert found.frame().shape[0] == len(found.rows)
+    json.dumps(found.as_json())
+
+
+def test_two_recordings_of_one_machine_do_not_differ():
+    again = [
+        pitp.Record(
+            r.name, r.time, r.voltage, r.displacement + 1e-5 * np.random.default_rng(9).standard_normal(r.samples)
+        )
+        for r in machine()
+    ]
+    found = pitp.compare(machine(), again)
+    assert not found.different
+
+
+@pytest.mark.slow
+def test_models_of_two_machines_differ_by_what_was_changed():
+    stiffer = A * [1.0, 1.0, 1.25]
+    models = [pitp.identify(machine(a), order=2, input_map="linear") for a in (A, stiffer)]
+    found = pitp.compare(*models)
+    rows: dict[str, Any] = {r.what: r for r in found.rows}
+    assert rows["inertia (a2)"].differs and rows["inertia (a2)"].b / rows["inertia (a2)"].a == pytest.approx(
+        1.25, rel=5e-3
+    )
+    low, high = rows["inertia (a2)"].ci95
+    assert low <= stiffer[2] - A[2] <= high
+    assert not rows["order"].differs and not rows["stiffness (a0)"].differs
+    assert "inertia (a2)" in repr(found)
+    alike = [pitp.identify(machine(noise=n), order=2, input_map="linear") for n in (1e-5, 2e-5)]
+    assert not any(r.differs for r in pitp.compare(*alike).rows if "(a" in r.what)
+
+
+def _diagnosis(value, stderr, verdict="explained"):
+    force = {"value": value, "unit": "N", "stderr": stderr}
+    row = {"effect": "coulomb_friction", "form": "plain", "parameters": {"f": force}}
+    gap = {"before": 5.0, "after": 1.0, "noise_floor": 0.1, "closed_fraction": 0.8, "ci95": [0.7, 0.9]}
+    budget = {"effects": {"coulomb_friction": {"share": 0.9, "ci95": [0.8, 1.0]}}}
+    told = {"verdict": verdict, "effects": ["coulomb_friction"], "equivalent": [], "gap": gap}
+    return told | {"ranking": [row], "budget": budget}
+
+
+def test_diagnoses_differ_beyond_both_standard_errors():
+    near = pitp.compare(_diagnosis(15.0, 0.2), _diagnosis(15.4, 0.2))
+    far = pitp.compare(_diagnosis(15.0, 0.2), _diagnosis(15.8, 0.2))
+    (one,), (two,) = ([r for r in c.rows if r.what == "coulomb_friction: f"] for c in (near, far))
+    assert not one.differs and two.differs
+    assert two.ci95 == pytest.approx((0.8 - 1.96 * 0.2 * 2**0.5, 0.8 + 1.96 * 0.2 * 2**0.5))
+    assert [r.what for r in pitp.compare(_diagnosis(1, 1), _diagnosis(1, 1, "unknown")).different] == ["verdict"]
+
+
+def test_two_kinds_are_refused(linear):
+    with pytest.raises(pitp.BadInput, match="A is a model, B a set of records: give two of one kind"):
+        pitp.compare(linear(2), machine())
+    with pytest.raises(pitp.BadInput, match="cannot be compared; give pitp.load"):
+        pitp.compare("a.pitp", linear(2))
+
+
+def test_the_joints_recordings_differ_as_friction_and_delay_make_them(tmp_path):
+    """The demo's simulator and robot: other rates, a clock 0.7 s off, which is no delay."""
+    joint.write(tmp_path, quick=True)
+    sets = [
+        [_record(path, factor) for path in sorted((tmp_path / home).glob("*.csv"))]
+        for home, factor in (("sim", 1.0), ("robot", np.pi / 180))
+    ]
+    found = pitp.compare(*sets, names=("sim", "robot"))
+    assert found.pairs is not None
+    assert [p.offset for p in found.pairs.pairs] == pytest.approx([-0.7] * 6, abs=3e-3)
+    late: dict[str, Any] = {r.what: r.b for r in found.different if "time behind" in r.what}
+    assert late["sine_2.5Hz: time behind sim"] > 20.0  # ms; 20 of delay, and what friction and play add
+
+
+def _record(path, factor):
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    return pitp.Record(path.stem, table[:, 0], factor * table[:, 1], factor * table[:, 2])

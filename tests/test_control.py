@@ -1,0 +1,310 @@
+"""The exported controller in a closed loop: against withheld plants, with lost samples, in single precision."""
+
+import importlib
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from exported import COMPILERS, Exported
+
+import pitp_jax as pitp
+from pitp_jax import BadInput
+from pitp_jax._effects import effect
+from pitp_jax._model.domain import Domain
+from pitp_jax._model.input_map import SquareInput
+from pitp_jax._model.model import Output, linear_model
+
+pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+TOP, HZ, ZETA, STROKE, DT = 3000.0, 7.0, 0.08, 1e-3, 1e-3
+VOLTAGE, SLEW, NO_TARGET, NO_SENSOR = 4, 8, 32, 64
+ROOT = Path(__file__).parents[1]
+
+
+def actuator(order=2, *, dt=DT, hz=HZ, zeta=ZETA, slew=1e6, region=(), **output):
+    """1 mm at 3000 V; at order 3 a real pole at six times the resonance."""
+    w, stiffness = 2 * np.pi * hz, TOP**2 / STROKE
+    a = np.array([1, 2 * zeta / w, 1 / w**2])
+    a = stiffness * (np.convolve(a, [1, 1 / (6 * w)]) if order == 3 else a)
+    known = Domain(dt=dt, voltage_range=(0.0, TOP), slew=slew, region=region)
+    return linear_model(
+        a, input_map=SquareInput(), state_scale=STROKE * w ** np.arange(order + 1), force_scale=TOP**2,
+        output=Output(**output), hold="foh", substeps=4 if order == 3 else 1, domain=known,
+    )  # fmt: skip
+
+
+def export(model, folder, precision="double"):
+    pitp.export_c(model, folder / "c", precision=precision)
+    return Exported(folder / "c", model.order, single=precision == "single", options=("-O2",))
+
+
+# ------------------------------------------------------------------------------------------------ the gains
+
+
+def test_the_margins_of_a_lightly_damped_pair_are_the_closed_form():
+    """L = (1 + 2 zeta s/w) / (lambda s (1 + 2 zeta s/w + (s/w)^2)): at lambda = 2/(zeta w) it passes -1/4."""
+    gains = pitp.pi_gains(actuator(dt=1e-4, zeta=0.02))
+    assert gains.time_constant == pytest.approx(2 / (0.02 * 2 * np.pi * HZ), rel=1e-5)
+    assert gains.i == pytest.approx(TOP**2 / STROKE / gains.time_constant, rel=1e-5)
+    assert gains.p / gains.i == pytest.approx(2 * 0.02 / (2 * np.pi * HZ), rel=1e-5)
+    assert gains.gain_margin == pytest.approx(4, rel=0.02)
+    assert gains.max_sensitivity == pytest.approx(4 / 3, rel=0.02)
+
+
+def test_a_loop_too_fast_is_refused_with_one_that_is_not(tmp_path):
+    w = 2 * np.pi * HZ
+    with pytest.raises(BadInput, match=r"maximum sensitivity .* above 2 .* keeps it"):
+        pitp.export_c(actuator(), tmp_path / "c", time_constant=0.8 / (ZETA * w))
+    assert not (tmp_path / "c").exists()
+    assert pitp.pi_gains(actuator(), time_constant=1.2 / (ZETA * w)).max_sensitivity < 2
+
+
+@pytest.mark.slow
+def test_a_late_drive_makes_the_loop_slower():
+    """A delay of half the time constant turns the loop by half a radian where it crosses one: more sensitive."""
+    late = replace(actuator(zeta=0.6), effects=(effect("delay", time=0.2),))
+    plain, slow = pitp.pi_gains(actuator(zeta=0.6)), pitp.pi_gains(late)
+    assert slow.time_constant > plain.time_constant and slow.max_sensitivity < 1.7
+
+
+# ------------------------------------------------------------------------------------------------ withheld plants
+
+
+@pytest.fixture(scope="module")
+def withheld():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "experiments"))
+        yield importlib.import_module("_withheld.plant"), importlib.import_module("_withheld.mechanical")
+
+
+def plant_of(withheld, forms, gain, polarity, offset):
+    """fn(k, u): the reading (m) one sample on, of a withheld plant whose force is gain(k) u^2."""
+    integrator, _ = withheld
+    w = 2 * np.pi * HZ
+    ps, cs = jnp.full(len(forms), 0.1), tuple({} for _ in forms)
+
+    @jax.jit
+    def sample(y, u):
+        def slope(y, u, push, t):
+            return integrator.rate(forms, ps, cs, ZETA, y, u, push, t)
+
+        for _ in range(2):
+            y = integrator._advance(slope, y, w * DT / 2, (u, 0.0, 0.0), (u, 0.0, 0.0))
+        return y
+
+    state = jnp.zeros(2)
+
+    def plant(k, u):
+        nonlocal state
+        state = sample(state, np.sqrt(gain(k)) * u / TOP)
+        return offset + polarity * STROKE * float(state[0])
+
+    return plant
+
+
+def smooth(t):
+    """From 0 to 1, all derivatives up to the 4th continuous."""
+    t = np.clip(t, 0, 1)
+    return t**5 * (126 - 420 * t + 540 * t**2 - 315 * t**3 + 70 * t**4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "polarity"), [("healthy", 1.0), ("stiffening", -1.0)])
+def test_a_limit_hit_is_left_in_four_time_constants(withheld, tmp_path, polarity, kind):
+    """A plant 20 % too weak at the limit for 6 s, then 15 % too strong; without anti-windup it takes longer."""
+    forms = () if kind == "healthy" else (withheld[1].STIFFENING[0],)
+    model = actuator(polarity=polarity, offset=5e-3 if polarity < 0 else 0.0)
+    made, offset = export(model, tmp_path), float(model.output.offset)
+    lag = pitp.pi_gains(model).time_constant
+    assert lag <= 2 / (ZETA * 2 * np.pi * HZ) * (1 + 1e-6)
+    reaches, turns, count = 1.0, 8.0, int((8 + 9 * lag) / DT)
+    t = np.arange(count) * DT
+    rise = 0.9 * STROKE * smooth(t / reaches) - 0.3 * STROKE * smooth((t - turns - 5 * lag) / 0.5)
+    rows = [rise]
+    for _ in range(2):
+        rows.append(np.gradient(rows[-1], DT))
+    target = polarity * np.stack(rows, 1) + np.array([offset, 0, 0])
+
+    def run(bounded):
+        plant = plant_of(withheld, forms, lambda k: 0.8 if k * DT < turns else 1.15, polarity, offset)
+        y, u, flags = made.loop(plant, target, offset, 0.0, bounded=bounded)
+        assert u.min() >= 0 and u.max() <= TOP
+        assert (flags[int(3 / DT) : int(turns / DT)] & VOLTAGE).all()  # at the limit
+        return np.abs(y - target[:, 0]) / STROKE
+
+    error = run(True)
+    after = slice(int((turns + 4 * lag) / DT), int((turns + 5 * lag) / DT))
+    assert error[after].max() < 0.02
+    assert error[-int(0.1 / DT) :].max() < 0.02  # and after the target has moved on
+    assert run(False)[after].max() > 0.02
+
+
+# ------------------------------------------------------------------------------------------------ what is lost
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    return export(actuator(), tmp_path_factory.mktemp("rig"))
+
+
+def cosine(hz, stroke, dt, seconds, ahead=0.0):
+    t = np.arange(int(seconds / dt)) * dt + ahead
+    return 0.5 * stroke * (1 - np.cos(2 * np.pi * hz * t))
+
+
+@pytest.mark.parametrize(("lost", "volts"), [(1, 0.5), (8, 15.0)])
+def test_a_target_that_is_lost_is_carried_on(rig, lost, volts):
+    """4 Hz: the voltage stays nearly what it would have been."""
+    target = 1e-4 + cosine(4.0, STROKE / 2, DT, 1.2)
+    whole, _ = rig.command(4, target)
+    target[530 : 530 + lost] = np.nan
+    kept, flags = rig.command(4, target)
+    assert (flags[530 : 530 + lost] & NO_TARGET).all() and not (flags[:530] & NO_TARGET).any()
+    assert np.abs(kept - whole)[100:].max() < volts
+    assert whole[100:].max() - whole[100:].min() > 500
+
+
+def test_a_target_lost_for_long_ramps_down_and_comes_back(rig):
+    target = np.full(3000, 4e-4)
+    target[500:1500] = np.nan
+    u, flags = rig.command(4, target)
+    assert u[499] > 1500 and u[515] == pytest.approx(u[499], rel=1e-6)
+    assert u[1400] == 0 and u[-1] == pytest.approx(u[499], rel=1e-6)
+
+
+def test_a_reading_that_is_lost_keeps_the_correction_then_fades(rig):
+    """A plant 10 % weak: 20 ms without a reading change nothing; long ones end at the feedforward, without a jump."""
+    target = np.tile([4e-4, 0.0, 0.0], (14000, 1))
+    ahead = rig.command(0, target)[0][-1]
+
+    def weak(state=[0.0, 0.0]):  # noqa: B006
+        w = 2 * np.pi * HZ
+
+        def plant(k, u):
+            for _ in range(4):
+                a = w**2 * (0.9 * STROKE * (u / TOP) ** 2 - state[0]) - 2 * ZETA * w * state[1]
+                state[1] += a * DT / 4
+                state[0] += state[1] * DT / 4
+            return state[0]
+
+        return plant
+
+    def seen(k, y):
+        return np.nan if 6000 <= k < 6015 or 8000 <= k < 13000 else y
+
+    _, u, flags = rig.loop(weak([0.0, 0.0]), target, seen=seen)
+    assert (flags[8000:13000] & NO_SENSOR).all() and not flags[6100:7900].any()
+    np.testing.assert_array_equal(u[6000:6015], u[6000])
+    assert u[7999] == pytest.approx(ahead / np.sqrt(0.9), rel=1e-3)
+    assert abs(u[12999] - ahead) < 0.02 * abs(u[7999] - ahead)
+    assert np.abs(np.diff(u[5000:])).max() < 2.0  # no jump, when it goes or comes
+
+
+def test_a_start_takes_over_the_voltage_that_stands(rig):
+    """Begun under 1200 V with the target of 2000 V: the first voltage is 1200 V."""
+    y0 = STROKE * (1200 / TOP) ** 2
+    target = np.tile([STROKE * (2000 / TOP) ** 2, 0.0, 0.0], (3, 1))
+    u, flags = rig.command(2, target, measured=np.full(3, y0), y0=y0, u0=1200.0)
+    assert abs(u[0] - 1200) < 2 and not flags.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("polarity", [1.0, -1.0])
+def test_a_live_target_is_reached(tmp_path, polarity):
+    """A step without derivatives: no voltage beyond its static one by a half, no overshoot above a tenth, no error."""
+    model = actuator(zeta=0.3, polarity=polarity, offset=2e-3)
+    made, w = export(model, tmp_path), 2 * np.pi * HZ
+    state = [0.0, 0.0]
+
+    def plant(k, u):
+        for _ in range(4):
+            a = w**2 * (0.9 * STROKE * (u / TOP) ** 2 - state[0]) - 0.6 * w * state[1]
+            state[1] += a * DT / 4
+            state[0] += state[1] * DT / 4
+        return 2e-3 + polarity * state[0]
+
+    y, u, _ = made.loop(plant, np.full(3000, 2e-3 + polarity * 5e-4), 2e-3, 0.0, alive=True)
+    x = polarity * (y - 2e-3)
+    assert abs(x[-1] - 5e-4) < 1e-6 and x.max() < 5.5e-4 and u.max() < 1.5 * u[-1]
+
+
+def test_fast_math_is_refused(tmp_path):
+    pitp.export_c(actuator(), tmp_path / "c")
+    for option in ("-ffast-math", "-Ofast"):
+        command = ["gcc", "-std=c99", option, "-c", "-o", "/dev/null", "pitp_model.c"]
+        told = subprocess.run(command, cwd=tmp_path / "c", capture_output=True, text=True)
+        assert told.returncode != 0 and "compile without -ffast-math" in told.stderr
+
+
+def test_the_check_of_a_reversed_sensor_is_not_empty(tmp_path):
+    """A wrong inverse fails it."""
+    pitp.export_c(actuator(polarity=-1.0, offset=5e-3), tmp_path / "c")
+    source = tmp_path / "c" / "pitp_model.c"
+    assert subprocess.run(["make"], cwd=tmp_path / "c", capture_output=True).returncode == 0
+    text = source.read_text()
+    head, core = text.split("static void inverse_core")
+    end = core.index("\n}\n")
+    wrong = core[:end] + "\n    out[0] *= (real)0.9;" + core[end:]
+    source.write_text(head + "static void inverse_core" + wrong)
+    assert subprocess.run(["make"], cwd=tmp_path / "c", capture_output=True).returncode != 0
+
+
+# ------------------------------------------------------------------------------------------------ single precision
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("rate", [1000, 5000, 20000])
+@pytest.mark.parametrize(("offset", "stroke"), [(5e-2, 20e-6), (0.0, 1e-3)])
+def test_single_precision_differentiates_to_half_a_percent(tmp_path, order, rate, offset, stroke):
+    """A 4 Hz cosine through inverse_target_step, as float, against its own derivatives through double."""
+    dt = 1 / rate
+    region = ((0.0, 1.0), *[(-9.0, 9.0)] * (order - 1))
+    model = actuator(order, dt=dt, hz=7.4, offset=offset, region=region)
+    single = export(model, tmp_path, "single")
+    header = (tmp_path / "c" / "pitp_model.h").read_text()
+    ahead = int(header.split("LOOK_AHEAD")[1].split("u")[0])
+    u, flags = single.command(1, offset + cosine(4.0, stroke, dt, 0.6, ahead * dt))
+    t, w = np.arange(len(u)) * dt, 2 * np.pi * 4.0
+    a = model.physical_coefficients
+    force = a[0] * stroke / 2 - sum(a[i] * stroke / 2 * w**i * np.cos(w * t + i * np.pi / 2) for i in range(order + 1))
+    settled = t > 3 * ahead * dt
+    error = np.abs(u.astype(float) ** 2 - force)[settled] / force.max()
+    assert not (flags[settled] & (VOLTAGE | SLEW)).any()
+    assert error.max() < 0.005
+
+
+def test_single_precision_beyond_that_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="double"):
+        pitp.export_c(
+            actuator(dt=1e-3, offset=3.0, region=((0.0, 1.0), (-9.0, 9.0))), tmp_path / "c", precision="single"
+        )
+
+
+@pytest.mark.skipif(not shutil.which("arm-none-eabi-gcc"), reason="no cross compiler")
+def test_a_cortex_m4_takes_it_and_what_it_takes_is_told(tmp_path):
+    """Without a number in double precision; the README's flash is right to a factor of two, its RAM to the byte."""
+    pitp.export_c(
+        actuator(3, dt=1 / 20000, offset=5e-2, region=((0.0, 1.0), *[(-9.0, 9.0)] * 2)),
+        tmp_path / "c",
+        precision="single",
+    )
+    said = subprocess.run(["make", "size"], cwd=tmp_path / "c", capture_output=True, text=True, check=True).stdout
+    called = subprocess.run(
+        ["arm-none-eabi-nm", "-u", "pitp_model_chip.o"], cwd=tmp_path / "c", capture_output=True, text=True
+    )
+    assert "__aeabi_d" not in called.stdout and "__aeabi_f2d" not in called.stdout
+    flash = int(said.splitlines()[-1].split()[0])
+    page = (tmp_path / "c" / "README.md").read_text()
+    told = float(page.split("flash about ")[1].split(" kB")[0]) * 1024
+    assert told / 2 < flash < 2 * told
+    size = tmp_path / "c" / "size.c"
+    size.write_text('#include "pitp_model.h"\nconst unsigned size = sizeof(pitp_model_state);\n')
+    assembly = subprocess.run(
+        ["arm-none-eabi-gcc", "-S", "-o", "-", "size.c"], cwd=tmp_path / "c", capture_output=True, text=True, check=True
+    )
+    assert f".word\t{page.split('RAM ')[1].split(' bytes')[0]}\n" in assembly.stdout

@@ -1,0 +1,44 @@
+"""Which frequency stands for a model: the mode that rings, not the mean of all poles."""
+
+import numpy as np
+import pytest
+
+from pitp_jax._model.dominant import dominant_frequency
+
+HZ = 2 * np.pi
+
+
+def pair(hz, damping):
+    return np.array([(HZ * hz) ** 2, 2 * damping * HZ * hz, 1.0])
+
+
+def real(hz):
+    return np.array([HZ * hz, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("factors", "hz"),
+    [
+        ([pair(8.0, 0.1), real(347.0)], 8.0),
+        ([pair(8.0, 0.1), pair(398.0, 0.5)], 8.0),
+        ([pair(8.0, 0.1), real(0.01)], 8.0),
+        ([pair(8.0, 0.3), pair(20.0, 0.05)], 20.0),
+        ([real(2.4), real(4.7)], np.sqrt(2.4 * 4.7)),  # sqrt(a_0 / a_2), where the lags add up to 90 degrees
+        ([real(3.0)], 3.0),
+        ([np.array([0.0, 1.0]), real(3.0)], 3.0),
+        ([np.array([0.0, 1.0]), real(3.0), real(30.0)], 3.0),
+        ([np.array([0.0, 1.0])], 0.0),
+    ],
+)
+def test_the_mode_that_is_meant(factors, hz):
+    a = np.ones(1)
+    for factor in factors:
+        a = np.convolve(a, factor)
+    assert dominant_frequency(5.0 * a) == pytest.approx(HZ * hz, rel=1e-9)
+
+
+def test_without_a_resonance_the_model_lags_90_degrees_there():
+    """Three real poles, by the phase itself."""
+    a = np.convolve(np.convolve(real(1.0), real(4.0)), real(9.0))
+    w = dominant_frequency(a)
+    assert np.angle(np.polyval(a[::-1], 1j * w)) == pytest.approx(np.pi / 2, abs=1e-9)
