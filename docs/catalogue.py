@@ -188,15 +188,22 @@ def _row(form: EffectSpec) -> str:
 
 
 def index(names: Sequence[str]) -> str:
-    """The list, with what each tells itself by."""
+    """The list, with what each is recognised by."""
     rows = rows_of_effects()
-    lines = [f"| [`{n}`]({n}.md) | {rows[n][-1]} |" for n in names]
+    plain = {form.name: form.title for form in reversed(CATALOGUE)}
     head = [
         "# The catalogue",
-        "What a diagnosis can name, a page each. Every page is made from the effect's rows when this site is built; "
-        "all forms in one table stand in [effects](../effects.md).",
-        "| effect | tells itself by |\n|---|---|\n" + "\n".join(lines),
+        "What a diagnosis can name, a page each, by the place where it acts. Every page is made from the effect's rows "
+        "when this site is built; all forms in one table stand in [effects](../effects.md).",
     ]
+    for port, place in PORTS.items():
+        here = [n for n in names if next(f.port for f in CATALOGUE if f.name == n) == port]
+        lines = [f"| [`{n}`]({n}.md) | {plain[n]} | {rows[n][-1]} |" for n in here]
+        if lines:
+            head += [
+                f"## {place[:1].upper()}{place[1:]}",
+                "| effect | what happens | recognised by |\n|---|---|---|\n" + "\n".join(lines),
+            ]
     return "\n\n".join(head) + "\n"
 
 

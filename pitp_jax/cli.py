@@ -328,7 +328,9 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
     )
-    parser.add_argument("--seconds", type=_positive, metavar="S", help="of computing; then the best so far is told")
+    parser.add_argument(
+        "--seconds", type=_positive, metavar="S", help="limit of the run time; the best result so far is reported"
+    )
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
     _columns(parser)
 

@@ -9,9 +9,11 @@ import pitp_jax as pitp
 from pitp_jax._effects import effect
 
 from ..clock import summary
+from ..sizes import size
 from ..subjects import DT, nominal, voltages
 
-RECORDS, STEPS, NOISE = 8, 10_000, 2e-6  # m
+RECORDS, STEPS = size((8, 10_000), (4, 1000))
+NOISE = 2e-6  # m
 
 
 def records(model) -> tuple[pitp.Record, ...]:

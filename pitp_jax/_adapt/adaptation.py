@@ -21,6 +21,7 @@ from .._model_file.lineage import descended
 from .._record.initial_state import in_motion, noise_std
 from .._record.record import Record
 from .._record.sets import check_set
+from .._report.shown import Shown
 from .._simulate.prediction import at_rate, begin
 from .evidence import combined, covariance, directions, prior_of, select
 from .factors import TILTS, TIMES, Factors, adapted, factors_of
@@ -39,7 +40,7 @@ class Changed:
     """One number that moved.
 
     Attributes:
-        factor, ci95: new over old, and the ends of its 95 % interval; nan where the model had as good as none of it.
+        factor, ci95: new over old, and the ends of its 95 % interval; nan where the model's own was practically zero.
         seconds, seconds_ci95: of a time: what it is now.
     """
 
@@ -49,8 +50,8 @@ class Changed:
     seconds_ci95: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True)
-class Adaptation:
+@dataclass(frozen=True, repr=False)
+class Adaptation(Shown):
     """What a recording says of a model.
 
     Attributes:
@@ -58,7 +59,7 @@ class Adaptation:
         verdict: "unchanged", "adapted" or "retrain".
         changed: the numbers that moved, by name.
         before, after: e_rms in % of range of the model given and of the one returned.
-        heldout: whether those are of the second half, from numbers that the first half alone has told.
+        heldout: whether those are of the part of the recording that was not used for the fit.
         level: what the model left of its own records, with this sensor's noise, in % of range.
         advice: what to record where it has to be trained anew; else empty.
     """
@@ -71,6 +72,9 @@ class Adaptation:
     heldout: bool
     level: float
     advice: str = ""
+
+    def _rows(self) -> list[dict]:
+        return [{"name": name, **vars(c)} for name, c in self.changed.items()]
 
     def as_json(self) -> dict:
         """As `pitp adapt --json` has it."""

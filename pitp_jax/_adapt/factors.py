@@ -69,7 +69,7 @@ class Factors(NamedTuple):
         return float(self.tau if name == "electrode_tau" else self.delay)
 
     def factor(self, name: str, q: float) -> float:
-        """The factor of a named number moved by q; nan where the model had as good as none of it."""
+        """The factor of a named number moved by q; nan where the model's own was practically zero."""
         if name not in TIMES:
             return float(np.exp(q))
         own = self.own(name)

@@ -78,7 +78,7 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
         far = far or abs(zero - middle) > _STDERRS * row.zero_stderr + _SMALL * np.ptp(y) + blur
     return [
         f"the sensor's zero differs between records, from {zeros.min():.3g} to {zeros.max():.3g} "
-        f"{known[0].displacement_unit} (most: {middle:.3g}): each gets its own, and nothing is to be done"
+        f"{known[0].displacement_unit} (most: {middle:.3g}): each record gets its own zero; no action needed"
     ] if far else []  # fmt: skip
 
 
@@ -103,8 +103,8 @@ def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
         ]
     if cycles:
         return [
-            f"cycles of one record agree to {np.median(list(cycles.values())):.2g} % of range; play one drive a second "
-            "time to know what the rig repeats from record to record"
+            f"cycles within a record repeat to {np.median(list(cycles.values())):.2g} % of range; record one drive "
+            "twice to measure repeatability"
         ]
     return ["no drive was played twice: repeat one record to know what the rig itself repeats"]
 

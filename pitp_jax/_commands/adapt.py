@@ -42,7 +42,7 @@ def adapt(model, records, out, json_file, reading) -> None:
 
 def print_adaptation(found: Adaptation) -> None:
     """Verdict, numbers and errors on standard output."""
-    where = ", on the half of it that told nothing" if found.heldout else ""
+    where = ", on the half of the recording not used for the fit" if found.heldout else ""
     print(f"{found.verdict}: {number(found.before, 3)} % of range before, {number(found.after, 3)} % after{where}")
     rows = []
     for name, c in found.changed.items():

@@ -13,6 +13,7 @@ from .._errors import BadInput
 from .._model_file.lineage import descended
 from .._model_file.model_file import load, save
 from .._record.writing import write_csv, write_text_atomic
+from .._report.drawn import write_figure
 from .against import against as diagnose_against
 from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
@@ -20,7 +21,7 @@ from .outputs import check_files, check_folder, staged_files, staged_folder, wri
 from .recordings import is_square, read_records, warn
 
 MODEL, REPORT, JSON = "model_augmented", "report.html", "diagnosis.json"
-FILES = (MODEL, REPORT, JSON, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
+FILES = (MODEL, REPORT, JSON, NEXT_CSV, *(f"figures/{name}.{kind}" for name in FIGURES for kind in ("png", "csv")))
 _ROWS = 8  # of the ranking on standard output
 
 
@@ -90,11 +91,11 @@ def _write(found: Diagnosis, folder: Path) -> set[str]:
     """Everything into an existing folder; the names of what was written."""
     write_text_atomic(folder / REPORT, report(found))
     for name, drawn in figures(found).items():
-        drawn.savefig(folder / f"{name}.png", dpi=150)
+        write_figure(folder / "figures", name, drawn)
     experiment = found.next_experiment
     if experiment is not None:
         write_csv(folder / NEXT_CSV, {"time_s": experiment.time, "voltage_V": experiment.voltage})
-    return {MODEL, *(path.name for path in folder.iterdir())}
+    return {MODEL, *(path.relative_to(folder).as_posix() for path in folder.rglob("*"))}
 
 
 def _print_ranking(found: Diagnosis) -> None:

@@ -64,7 +64,8 @@ class Pairing:
         offsets = [p.offset for p in self.pairs]
         if offsets and max(map(abs, offsets)) >= 1e-4:
             sizes = sorted(abs(o) for o in offsets)
-            by = number(sizes[-1]) if sizes[-1] - sizes[0] < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
+            middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]
+            by = number(round(middle, 3)) if apart < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
             word = "ahead of" if np.median(offsets) > 0 else "behind"
             lines.append(f"The clock of the {first} is {by} s {word} that of the {second}; this is no delay.")
         for side, alone in ((first, self.first_alone), (second, self.second_alone)):

@@ -21,6 +21,7 @@ def dry(now: Instant, level):
         # rest: the force that would bring x' to zero by the end of the step
         rest = now.tokens[2] * (now.state[1] / (now.h * now.rates[1]) + now.highest)
         return jnp.clip(rest, -level, level)
+    # at other orders x' is not the force's to stop within a step
     return level * jnp.tanh(100.0 * now.v)
 
 
@@ -40,6 +41,7 @@ def _smooth(p, now: Instant):
 
 
 def _stribeck(p, now: Instant):
+    # at the speed the step begins with: half a step on, the friction itself would decide on its level
     speed = now.state[1] / p.speed if now.order > 1 else 0.0
     return dry(now, p.level * (1 + p.rise * jnp.exp(-(speed**2))))
 
@@ -71,6 +73,19 @@ FRICTION = (
         "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction holds the motion back by the same force at any speed.",
         "f = level sgn(x')", "dissipation", "C", start=lambda s: starts(s.pull, [0.02, 0.1], 1e-4, 1),
         law=lambda p, now: dry(now, p.level),
+    ),
+    EffectSpec(
+        "coulomb_friction", "loaded by the spring", (_LEVEL, Parameter("mu", off=0.0)),
+        "Dry friction that grows with the force of the spring, as of a loaded gear.", "f = (level + mu |k x|) sgn(x')",
+        "dissipation", "C", start=lambda s: starts((s.pull, 1), [(0.02, 0.05), (0.05, 0.3)], 1e-4, 1),
+        law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x)),
+    ),
+    EffectSpec(
+        "coulomb_friction", "loaded by spring and mass", (_LEVEL, Parameter("mu", off=0.0)),
+        "Dry friction that grows with the force of spring and mass together.",
+        "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", "dissipation", "C",
+        start=lambda s: starts((s.pull, 1), [(0.02, 0.05), (0.05, 0.3)], 1e-4, 1),
+        law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x + now.inertial)),
     ),
     EffectSpec(
         "coulomb_friction", "smooth", (_LEVEL, Parameter("speed", "x/s", speed=1)),

@@ -2,6 +2,7 @@
 
 electrode_rc      tau V' = u - V, once or three times in a row
 slew_limit        |V'| <= s, as fast as it may or behind a lag           voltage_clip    V = min(max(u, -u_max), u_max)
+dead_zone         V = u - u_0 sgn(u) beyond |u| = u_0, else 0
 charge_leak       V = u - kappa q,  tau q' = u - q                       voltage_offset  V = u + V_0
 charge_retention  V = u + q,  tau q' = k |u| - q                         delay           V(t) = u(t - T)
 
@@ -38,8 +39,9 @@ def _rounded(p, v, dt):
 
 def _slews(s: Surroundings) -> list:
     """(start, low, high): below the fastest slew of the drive (steps aside), down to a slow amplifier."""
+    # a step's slew is that of the sampling and says nothing: two radians of the resonance at full voltage are fast
     fast = min(s.slew, 2 * s.omega * s.voltage)
-    return [(1 / (share * fast), 0.5 / s.slew, 200 / fast) for share in (0.6, 0.25, 0.1)]
+    return [(1 / (part * fast), 0.5 / s.slew, 200 / fast) for part in (0.6, 0.25, 0.1)]
 
 
 def _slew_starts(s: Surroundings, *lag):
@@ -101,6 +103,14 @@ DRIVE = (
         "The amplifier's voltage bends off towards a limit.", "V = u / (1 + |u / u_max|^8)^(1/8), inverse = 1 / u_max",
         "drive", "IN", start=lambda s: starts(1 / s.voltage, [1.1], 0.8, 4),
         law=lambda p, u, z: u * (1 + (p.inverse * u) ** 8) ** (-1 / 8), inverse=_rounded,
+    ),
+    EffectSpec(
+        "dead_zone", "symmetric", (Parameter("threshold", "V", off=0.0, linear=False),),
+        "Nothing moves below a voltage, and above it acts what exceeds it.",
+        "V = 0 for |u| < u_0, else u - u_0 sgn(u), u_0 = threshold", "drive", "IN",
+        start=lambda s: starts(s.voltage, [0.05, 0.2], 1e-3, 0.6),
+        law=lambda p, u, z: u - jnp.clip(u, -p.threshold, p.threshold),
+        inverse=lambda p, v, dt: v + p.threshold * jnp.sign(v),
     ),
     EffectSpec(
         "voltage_offset", "constant", (Parameter("offset", "V", positive=False, off=0.0),),

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float
 
-from .kernels import DELAY, Kernel
+from .kernels import DELAY
 
 if TYPE_CHECKING:
     from .spec import EffectSpec, Parameter
@@ -102,7 +102,7 @@ class Instant:
 
 @jax.tree_util.register_pytree_with_keys_class
 class Effect:
-    """A row of the catalogue (`spec`, static) with its numbers (`theta`, arrays), which are attributes by name."""
+    """A row of the catalogue (`spec`, static) with its numbers (`theta`, arrays); both are attributes by name."""
 
     spec: "EffectSpec"
     theta: tuple
@@ -111,49 +111,24 @@ class Effect:
         self.spec, self.theta = spec, tuple(theta)
 
     def __getattr__(self, name: str) -> Any:
-        """A number by its name."""
+        """A number by its name, else what its row says."""
         if name in ("spec", "theta") or name.startswith("__"):
             raise AttributeError(name)
-        try:
-            return self.theta[self._names().index(name)]
-        except ValueError:
-            raise AttributeError(f"{self.spec.key} has no number {name}; it has {', '.join(self._names())}") from None
+        names = self.spec.names
+        return self.theta[names.index(name)] if name in names else getattr(self.spec, name)
 
     def __repr__(self) -> str:
-        numbers = ", ".join(f"{k}={v}" for k, v in zip(self._names(), self.theta, strict=True))
+        numbers = ", ".join(f"{k}={v}" for k, v in vars(self.p).items())
         return f"effect({self.name!r}, form={self.form!r}, {numbers})"
-
-    def _names(self) -> list[str]:
-        return [name for name, _ in self.spec.arrays] or [p.name for p in self.spec.parameters]
 
     def tree_flatten_with_keys(self):
         """Leaves by name, so that files and messages name them."""
-        return [(GetAttrKey(k), v) for k, v in zip(self._names(), self.theta, strict=True)], self.spec
+        return [(GetAttrKey(k), v) for k, v in zip(self.spec.names, self.theta, strict=True)], self.spec
 
     @classmethod
     def tree_unflatten(cls, spec, theta):
         """An effect of other leaves."""
         return cls(spec, theta)
-
-    @property
-    def name(self) -> str:
-        """Its name in a diagnosis."""
-        return self.spec.name
-
-    @property
-    def form(self) -> str:
-        """The way it is written down."""
-        return self.spec.form
-
-    @property
-    def port(self) -> str:
-        """Where it enters."""
-        return self.spec.port
-
-    @property
-    def kernel(self) -> Kernel:
-        """Its memory."""
-        return self.spec.kernel
 
     @property
     def states(self) -> int:
@@ -173,7 +148,7 @@ class Effect:
     @property
     def p(self) -> SimpleNamespace:
         """Its numbers by name, as laws and kernels read them."""
-        return SimpleNamespace(**dict(zip(self._names(), self.theta, strict=True)))
+        return SimpleNamespace(**dict(zip(self.spec.names, self.theta, strict=True)))
 
     def numbers(self) -> list[tuple["Parameter", Array]]:
         """Its numbers one by one, and what each of them is."""
@@ -221,6 +196,7 @@ class Effect:
             return self.spec.inverse(self.p, values, dt)
         if not self.states:
             return solve(lambda w: self.apply(w, jnp.zeros((0,))), values)
+        # a film that rests is uncharged; a sensor has been reading its first value
         begun = self.start(jnp.zeros_like(values[0]) if self.port == "IN" else values[0])
         first = solve(lambda w: self.apply(w, begun), values[0])
 
@@ -238,6 +214,8 @@ class Effect:
 
         # from the sample before: with memory a law is nearly linear over one
         w = solve(lambda w: self.apply(w, advanced(w)), wanted, before, _STEPS // 2)
+        if self.spec.solvable:
+            w = jnp.where(self.spec.solvable(self.p), w, wanted)
         return advanced(w), w
 
     def passes(self, values: Float[Array, " time"], dt: float) -> Array:
@@ -246,6 +224,7 @@ class Effect:
             return self.spec.passes(self.p, values, dt)
         if self.states:
             return jnp.ones(values.shape, bool)
+        # beyond a limit no input gives the value back, whatever the inverse says there
         w = self.undo(values, dt)
         return jnp.abs(self.apply(w, jnp.zeros((0,))) - values) <= _ROUNDING * (jnp.abs(values) + jnp.abs(w))
 
@@ -257,6 +236,7 @@ def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: 
     """
     w = wanted if begin is None else begin
     for _ in range(steps):
+        # one pass gives the value and its slope, exactly, for any law that JAX can trace
         value, rise = jax.jvp(function, (w,), (jnp.ones_like(w),))
         tried = w + (wanted - value) / jnp.where(jnp.abs(rise) < _FLATTEST, _FLATTEST, rise)
         w = jnp.where(jnp.abs(function(tried) - wanted) < jnp.abs(value - wanted), tried, w)

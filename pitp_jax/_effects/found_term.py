@@ -7,9 +7,11 @@ functions there are is static, their coefficients are data: with all of them, ab
 a row of numbers under one compiled program.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import prod
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -57,7 +59,7 @@ class Function:
     """
 
     text: str
-    powers: tuple[float, float, float, float]
+    powers: tuple[float, ...]
     of: Callable[[Values], Any]
     knee: int | None = None
 
@@ -87,51 +89,52 @@ class Function:
         )  # fmt: skip
 
 
-def _over(values: Values):
+def _over(q: Values):
     """[x > a], rounded."""
-    return 0.5 * (1 + jnp.tanh((values.x - values.knees[0]) / _EDGE))
+    return 0.5 * (1 + jnp.tanh((q.x - q.knees[0]) / _EDGE))
 
 
-_LISTED = (
-    Function("x", (1, 0, 0, 0), lambda q: q.x),
-    Function("x^2", (2, 0, 0, 0), lambda q: q.x**2),
-    Function("x^3", (3, 0, 0, 0), lambda q: q.x**3),
-    Function("x^5", (5, 0, 0, 0), lambda q: q.x**5),
-    Function("x'", (0, 1, 0, 0), lambda q: q.v),
-    Function("|x'|", (0, 1, 0, 0), lambda q: jnp.abs(q.v)),
-    Function("x'^2", (0, 2, 0, 0), lambda q: q.v**2),
-    Function("x' |x'|", (0, 2, 0, 0), lambda q: q.v * jnp.abs(q.v)),
-    Function("x'^3", (0, 3, 0, 0), lambda q: q.v**3),
-    Function("x x'", (1, 1, 0, 0), lambda q: q.x * q.v),
-    Function("x^2 x'", (2, 1, 0, 0), lambda q: q.x**2 * q.v),
-    Function("x |x'|", (1, 1, 0, 0), lambda q: q.x * jnp.abs(q.v)),
-    Function("x x'^2", (1, 2, 0, 0), lambda q: q.x * q.v**2),
-    Function("sgn x'", (0, 0, 0, 0), lambda q: jnp.ones_like(q.x)),
-    Function("|x| sgn x'", (1, 0, 0, 0), lambda q: jnp.abs(q.x)),
-    Function("|F| sgn x'", (0, 0, 0, 1), lambda q: jnp.abs(q.f)),
-    Function("F", (0, 0, 0, 1), lambda q: q.f),
-    Function("x F", (1, 0, 0, 1), lambda q: q.x * q.f),
-    Function("x^2 F", (2, 0, 0, 1), lambda q: q.x**2 * q.f),
-    Function("x' F", (0, 1, 0, 1), lambda q: q.v * q.f),
-    Function("|x'| F", (0, 1, 0, 1), lambda q: jnp.abs(q.v) * q.f),
-    Function("F^2", (0, 0, 0, 2), lambda q: q.f**2),
-    Function("x F^2", (1, 0, 0, 2), lambda q: q.x * q.f**2),
-    Function("U", (0, 0, 0, 0.5), lambda q: q.u - 1e-3),
-    Function("x U", (1, 0, 0, 0.5), lambda q: q.x * q.u),
-    Function("x' U", (0, 1, 0, 0.5), lambda q: q.v * q.u),
-    Function("max(x - a, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0), 0),
-    Function("max(x - d, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[4], 0.0), 4),
-    Function("max(a - x, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.knees[0] - q.x, 0.0), 0),
-    Function("max(x - a, 0) x'", (1, 1, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0) * q.v, 0),
-    Function("max(x - a, 0) F", (1, 0, 0, 1), lambda q: jnp.maximum(q.x - q.knees[0], 0.0) * q.f, 0),
-    Function("x' [x > a]", (0, 1, 0, 0), lambda q: _over(q) * q.v, 0),
-    Function("max(|x'| - b, 0) sgn x'", (0, 1, 0, 0), lambda q: q.v - jnp.clip(q.v, -q.knees[1], q.knees[1]), 1),
-    Function("max(F - e, 0)", (0, 0, 0, 1), lambda q: jnp.maximum(q.f - q.knees[2], 0.0), 2),
-    Function("x - z", (1, 0, 0, 0), lambda q: q.x - q.z, 3),
-    Function("x (x - z)", (2, 0, 0, 0), lambda q: q.x * (q.x - q.z), 3),
-    Function("z x'", (1, 1, 0, 0), lambda q: q.z * q.v, 3),
-    Function("x x''", (1, 0, 1, 0), lambda q: q.x),
-)
+# what functions are products of: (powers of x, x', x'' and F; value; knee)
+_FACTORS: dict[str, tuple] = {
+    "max(|x'| - b, 0) sgn x'": ((0, 1, 0, 0), lambda q: q.v - jnp.clip(q.v, -q.knees[1], q.knees[1]), 1),
+    "max(x - a, 0)": ((1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0), 0),
+    "max(x - d, 0)": ((1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[4], 0.0), 4),
+    "max(a - x, 0)": ((1, 0, 0, 0), lambda q: jnp.maximum(q.knees[0] - q.x, 0.0), 0),
+    "max(F - e, 0)": ((0, 0, 0, 1), lambda q: jnp.maximum(q.f - q.knees[2], 0.0), 2),
+    "[x > a]": ((0, 0, 0, 0), _over, 0),
+    "x - z": ((1, 0, 0, 0), lambda q: q.x - q.z, 3),
+    "z": ((1, 0, 0, 0), lambda q: q.z, 3),
+    "sgn x'": ((0, 0, 0, 0), lambda q: jnp.ones_like(q.x), None),
+    "x''": ((0, 0, 1, 0), lambda q: 1.0, None),
+    "|x'|": ((0, 1, 0, 0), lambda q: jnp.abs(q.v), None),
+    "|x|": ((1, 0, 0, 0), lambda q: jnp.abs(q.x), None),
+    "|F|": ((0, 0, 0, 1), lambda q: jnp.abs(q.f), None),
+    "x'": ((0, 1, 0, 0), lambda q: q.v, None),
+    "x": ((1, 0, 0, 0), lambda q: q.x, None),
+    "F": ((0, 0, 0, 1), lambda q: q.f, None),
+    "U": ((0, 0, 0, 0.5), lambda q: q.u, None),
+}
+_FACTOR = re.compile(rf"({'|'.join(map(re.escape, _FACTORS))})(?:\^(\d))?")
+
+
+def _function(text: str) -> Function:
+    """A function from how it is written: a product of factors and their powers."""
+    factors = [(*_FACTORS[name], int(power or 1)) for name, power in _FACTOR.findall(text)]
+    powers = tuple(sum(p[i] * n for p, _, _, n in factors) for i in range(4))
+    alone = 1e-3 if text == "U" else 0.0  # zero where there is no voltage, whose root is rounded
+
+    def of(q: Values):
+        return prod(value(q) ** n for _, value, _, n in factors) - alone
+
+    return Function(text, powers, of, next((k for *_, k, _ in factors if k is not None), None))
+
+
+_LISTED = tuple(map(_function, (
+    "x", "x^2", "x^3", "x^5", "x'", "|x'|", "x'^2", "x' |x'|", "x'^3", "x x'", "x^2 x'", "x |x'|", "x x'^2",
+    "sgn x'", "|x| sgn x'", "|F| sgn x'", "F", "x F", "x^2 F", "x' F", "|x'| F", "F^2", "x F^2", "U", "x U", "x' U",
+    "max(x - a, 0)", "max(x - d, 0)", "max(a - x, 0)", "max(x - a, 0) x'", "max(x - a, 0) F", "x' [x > a]",
+    "max(|x'| - b, 0) sgn x'", "max(F - e, 0)", "x - z", "x (x - z)", "z x'", "x x''",
+)))  # fmt: skip
 LIBRARY: dict[str, Function] = {f.text: f for f in _LISTED}
 NAMES = tuple(LIBRARY)
 

@@ -25,6 +25,7 @@ from .._record.initial_state import Beginning, aligned, noise_std
 from .._record.long_record import thinned
 from .._record.record import Record
 from .._record.sets import check_set
+from .._report.shown import Shown
 from .beginnings import find_beginnings
 from .final_fit import refine
 from .initial_guess import equation_error_roots, linear_start, peak_roots
@@ -49,7 +50,7 @@ _NO_WORSE = 1.001  # an order holds every lower one, so its cost is no higher un
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Shown):
     """The model of the chosen order, every order compared, and how every record begins.
 
     Attributes:
@@ -62,6 +63,9 @@ class Identification:
     chosen: OrderFit
     orders: tuple[OrderFit, ...]
     beginnings: dict[str, Beginning]
+
+    def _rows(self) -> list[dict]:
+        return [vars(fit) for fit in self.orders]
 
     def __repr__(self) -> str:
         """Two lines: the order taken and what it leaves; how the records begin."""

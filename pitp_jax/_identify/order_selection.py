@@ -11,6 +11,7 @@ import numpy as np
 
 from .._errors import ComputationFailed
 from .._model.model import Hold
+from .._report.shown import Shown
 from .linear_ode import polynomial, polynomial_slopes
 from .output_error import OutputError, covariance, residual
 
@@ -19,8 +20,8 @@ from .output_error import OutputError, covariance, residual
 AUTO_TOLERANCE = 1.1
 
 
-@dataclass(frozen=True)
-class OrderFit:
+@dataclass(frozen=True, repr=False)
+class OrderFit(Shown):
     """One identified order.
 
     Attributes:

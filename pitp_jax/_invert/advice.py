@@ -69,8 +69,8 @@ def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, 
     lines = ()
     if infeasible > _TOLD:
         lines += (
-            f"{100 * infeasible:.0f} % of the target needs negative force, or more than the drive passes: "
-            "raise its mean, lower its frequency or ask for less",
+            f"{100 * infeasible:.0f} % of the target needs the actuator to push, or a faster drive: "
+            "raise the mean, lower the frequency or the amplitude",
         )
     if saturated > _TOLD:
         lines += (

@@ -94,8 +94,10 @@ def test_json_has_the_keys_of_the_contract(run):
 
 def test_the_augmented_model_predicts_what_the_nominal_could_not(run, call, tmp_path):
     out = run.folder / "new" / "out"
-    assert {"model_augmented", "report.html", "gap.png", "where.png", "ranking.png"} <= set(tree(out))
-    assert (out / "gap.png").read_bytes().startswith(b"\x89PNG")
+    assert {"model_augmented", "report.html", "figures/gap.png", "figures/where.csv", "figures/ranking.png"} <= set(
+        tree(out)
+    )
+    assert (out / "figures" / "gap.png").read_bytes().startswith(b"\x89PNG")
     assert "explained by electrode_rc" in (out / "report.html").read_text()
     score = {}
     for name, model in (("before", run.folder / "nominal"), ("after", out / "model_augmented")):
