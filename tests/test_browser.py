@@ -12,9 +12,7 @@ from pitp_jax._commands.predict import score
 from pitp_jax._compare.page import page as compare_page
 from pitp_jax._plan.page import page as plan_page
 
-pytestmark = [
-    pytest.mark.browser, pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-]  # fmt: skip
+pytestmark = pytest.mark.browser
 TIME = np.arange(1000) / 500
 
 
@@ -48,6 +46,8 @@ def drawn():
     return pages()
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 @pytest.mark.parametrize("name", ["compare", "check", "plan", "fit"])
 @pytest.mark.parametrize("width", [1280, 390])
 def test_every_cell_is_seen_and_text_can_be_read(drawn, name, width, tmp_path):
@@ -57,11 +57,13 @@ def test_every_cell_is_seen_and_text_can_be_read(drawn, name, width, tmp_path):
     assert seen["smallest"] >= 11.0, seen["least"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["compare", "check", "plan", "fit"])
 def test_pages_load_nothing_and_are_small(drawn, name):
     assert "http" not in drawn[name] and "<script" not in drawn[name]
     assert len(drawn[name]) < 2e6 and "@media print" in drawn[name]
 
 
+@pytest.mark.exhaustive
 def test_a_page_of_a_hundred_records_is_below_two_megabytes():
     assert len(check_page(pitp.check(many(100)))) < 2e6

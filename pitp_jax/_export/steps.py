@@ -170,13 +170,18 @@ def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Fl
 
     def at(s):
         y = sum(window[:, i] * s**i / factorial[i] for i in range(model.order + 1))
-        return ports.moves(model, y / scales[0], dt)[_BESIDE] * scales[0]
+        moves = y / scales[0]
+        for effect in reversed(ports.sensors(model)):
+            # a memory without a closed inverse would have to be solved from the target's beginning: no window has it
+            if effect.spec.inverse or not effect.states:
+                moves = effect.undo(moves, dt)
+        return moves[_BESIDE] * scales[0]
 
-    moves, derivative = [], at
+    motion, derivative = [], at
     for _ in range(model.order + 1):
-        moves.append(derivative(jnp.zeros(())))
+        motion.append(derivative(jnp.zeros(())))
         derivative = _slope(derivative)
-    return jnp.stack(moves) / scales
+    return jnp.stack(motion) / scales
 
 
 def _slope(function):
