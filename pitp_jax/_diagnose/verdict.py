@@ -52,7 +52,7 @@ class Decision:
 
 
 def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
-    """Judge a search; `own`: the nominal's own error, 0 where unknown; `noise`: the sensor's; `distinct`: excitations."""
+    """Judge a search; `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: excitations."""
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
     bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
