@@ -1,6 +1,6 @@
 """What every operation takes, beside a peer in the same run, as a table and as JSON.
 
-    python -m benchmarks [--only NAME,...] [--seconds 10] [--json FILE] [--into benchmarks/README.md,...]
+    python -m benchmarks [--only NAME,...] [--seconds 10] [--smoke] [--json FILE] [--into benchmarks/README.md,...]
 
 Rows run one after another, each in a process of its own. With `--json FILE` rows already there are kept. `--into`
 writes the table between the lines `<!-- benchmarks -->` and `<!-- end -->` of a file.
@@ -8,20 +8,22 @@ writes the table between the lines `<!-- benchmarks -->` and `<!-- end -->` of a
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 from .rows import ROWS
+from .sizes import SMOKE
 
 _HEADER = ("row", "median", "p10", "p90", "compile", "peer", "its median", "ratio", "floor", "memory")
 
 
-def run(name: str, seconds: float) -> dict:
+def run(name: str, seconds: float, smoke: bool = False) -> dict:
     """The row, or why there is none."""
     command = [sys.executable, "-m", "benchmarks.rows", name, str(seconds)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, env=os.environ | ({SMOKE: "1"} if smoke else {}))
     lines = done.stdout.splitlines()
     if done.returncode or not lines:
         return {"skipped": f"its process ended with code {done.returncode}"}
@@ -77,6 +79,7 @@ def arguments(argv):
     parser.add_argument("--only", default="", help="rows by name, comma-separated: " + ", ".join(ROWS))
     parser.add_argument("--seconds", type=float, default=10.0, help="about how long the turns of one row take in all")
     parser.add_argument("--json", type=Path, help="where the rows are written, and kept from earlier runs")
+    parser.add_argument("--smoke", action="store_true", help="small sizes: quick, and the figures mean nothing")
     parser.add_argument("--into", default="", help="files to write the table into, comma-separated")
     return parser.parse_args(argv)
 
@@ -91,7 +94,7 @@ def main(argv=None):
     rows = json.loads(options.json.read_text()) if options.json and options.json.exists() else {}
     for name in names:
         print(f"{name} ...", file=sys.stderr, flush=True)
-        rows[name] = run(name, options.seconds)
+        rows[name] = run(name, options.seconds, options.smoke)
         if options.json:
             options.json.write_text(json.dumps(rows, indent=1))
     text = table({name: rows[name] for name in ROWS if name in rows})

@@ -21,6 +21,7 @@ from pitp_jax._train.parameters import trainable
 from pitp_jax._train.settings import PRESETS, memory_of, with_encoder
 
 from .clock import take_turns
+from .sizes import size
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "bench"
 
@@ -28,12 +29,14 @@ _DATA = Path(__file__).resolve().parents[2] / "shared" / "bench"
 def records(name: str):
     """Sweep, training and held-out records, the settings they go with, and what they are."""
     folder = _DATA / name
-    if folder.is_dir():
+    if size(folder.is_dir(), False):
         parts = [pitp.read(folder / part) for part in ("sweep", "train", "test")]
         return *parts, PRESETS["default"], "recordings"
     actuator = pitp.plant(name)
     parts = [protocol.measure(actuator, protocol.excitations(name, part, True)) for part in ("sweep", "train", "test")]
-    return *parts, replace(PRESETS["default"], **protocol.QUICK_TRAINING), "virtual, quick"
+    quick = protocol.QUICK_TRAINING | size({}, {"epochs": 1, "stages": 1, "refine_steps": 2, "width": 4, "memories": 2})
+    parts = [part[: size(None, 3)] for part in parts]
+    return *parts, replace(PRESETS["default"], **quick), "virtual, quick"
 
 
 def step_ways(nominal, train, settings) -> tuple[dict, str]:

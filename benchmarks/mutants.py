@@ -250,7 +250,11 @@ def _tests() -> tuple[tuple[str, str, int], ...]:
 def reach(file: str) -> list[str]:
     """Test files for a package file: those that name it, those of few names first, then its room's."""
     _, room, name = Path(file).with_suffix("").parts
-    named = re.compile(rf"pitp_jax\.{room}\.{name}\b|from pitp_jax\.{room} import [^\n]*\b{name}\b")
+    text = (ROOT / file).read_text(encoding="utf-8")
+    names = "|".join([name, *re.findall(r"^(?:def|class) ([A-Za-z]\w*)", text, re.M)])  # or what a door exports of it
+    named = re.compile(
+        rf"pitp_jax\.{room}\.{name}\b|^from pitp_jax(\.{room})? import (\([^)]*|[^\n]*)\b({names})\b", re.M
+    )
     own = [path for path, text, _ in sorted(_tests(), key=lambda t: t[2]) if named.search(text)]
     first, last = ([f"tests/test_{t}.py" for t in rooms.get(room, ())] for rooms in (FIRST, ROOMS))
     return list(dict.fromkeys([*first, *own, *last]))

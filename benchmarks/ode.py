@@ -20,6 +20,7 @@ from pitp_jax._simulate.decoder import rest_state, scaled_force
 from pitp_jax._simulate.decoder import step as decoder_step
 
 from .machine import floor, operations
+from .sizes import size
 
 _STEPS = 1 << 17
 EQUAL, LOOSE = 1e-6, 1e-5  # of the range
@@ -85,11 +86,11 @@ def candidates(dt: float) -> dict:
     """Diffrax as one would set it: constant steps and adaptive ones."""
     constant = {
         f"diffrax Tsit5, step {k} samples": (diffrax.Tsit5(), diffrax.ConstantStepSize(), k * dt)
-        for k in (1, 2, 3, 4, 5, 7, 10, 20)
+        for k in size((1, 2, 3, 4, 5, 7, 10, 20), (1,))
     }
     adaptive = {
         f"diffrax Tsit5, rtol {r:g}": (diffrax.Tsit5(), diffrax.PIDController(rtol=r, atol=r), None)
-        for r in (1e-4, 1e-5, 1e-6)
+        for r in size((1e-4, 1e-5, 1e-6), (1e-6,))
     }
     return constant | adaptive
 

@@ -16,8 +16,10 @@ from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
 from pitp_jax._model.model import Output, Provenance, linear_model
 
+from .sizes import size
+
 DT = 1e-3
-SAMPLES = 120_000
+SAMPLES = size(120_000, 4000)
 _HZ, _STIFFNESS, _TRAVEL = 5.0, 1e9, 1e-3
 
 

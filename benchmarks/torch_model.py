@@ -111,7 +111,8 @@ class Inverse(nn.Module):
 
     def __init__(self, model: Model):
         super().__init__()
-        self.tokens, self.force_scale = Tokens(model), model.scales.force
+        self.tokens = Tokens(model)
+        self.force_scale = float(model.scales.force)  # torch guards a NumPy scalar in a way that fails
 
     def forward(self, features, equation):
         tokens, offset = self.tokens(features)

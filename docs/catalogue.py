@@ -1,4 +1,4 @@
-"""The catalogue's pages, one per effect, made from its classes: equation, parameters, signature, what it resembles.
+"""The catalogue's pages, one per effect, made from its rows: equation, parameters, signature, what it resembles.
 
     signature   d = y_effect - y_nominal        on every drive of `drives`, at a strong start of its first form
     refit       share of |d|^2 that the nominal's coefficients take up when they are fitted along
@@ -11,7 +11,6 @@ The nominal is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
-from inspect import cleandoc, getdoc
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,7 +22,7 @@ import pitp_jax as pitp
 from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.base import AbstractEffect
+from pitp_jax._effects.spec import EffectSpec
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.model import Output, Provenance, linear_model
 from pitp_jax._report.lines import ERROR, MEASURED
@@ -78,11 +77,11 @@ def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str
         x = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0], float) * 1e-3
         records.append(pitp.Record(f"r{k}", TIME + 60.0 * k, u, x))
     case = build_case(model, records)
-    first: dict[str, type[AbstractEffect]] = {}
+    first: dict[str, EffectSpec] = {}
     for form in CATALOGUE:
-        if form.starts(case.surroundings):
+        if form.start(case.surroundings):
             first.setdefault(form.name, form)
-    tried = [(n, f, start.values) for n, f in first.items() for start in f.starts(case.surroundings)]
+    tried = [(n, f, start.values) for n, f in first.items() for start in f.start(case.surroundings)]
     lanes = [Lane((), (), np.ones(3), k) for k in range(len(played))]
     lanes += [Lane((form,), (values,), np.ones(3), k) for _, form, values in tried for k in range(len(played))]
     rows = np.stack(Lanes(case, [tuple(first.values())]).run(lanes)).astype(float).reshape(-1, len(played), SAMPLES)
@@ -142,15 +141,16 @@ def rows_of_effects() -> dict[str, list[str]]:
     return {line.split("`")[1]: [c.strip() for c in line.strip("|").split(" | ")] for line in lines}
 
 
-def page(name: str, form: type[AbstractEffect], values, share: float, near, left) -> str:
+def page(name: str, form: EffectSpec, values, share: float, near, left) -> str:
     """The page of one effect."""
     forms = [f for f in CATALOGUE if f.name == name]
-    used = ", ".join(f"{p.name} = {v:.3g}" for p, v in zip(form.PARAMETERS, values, strict=True))
+    used = ", ".join(f"{p.name} = {v:.3g}" for p, v in zip(form.parameters, values, strict=True))
     ports = ", ".join(dict.fromkeys(f"{PORTS[f.port]} ({f.port})" for f in forms))
     tells = rows_of_effects()[name][-1]
     text = [
         "---\nhide: [toc]\n---",
         f"# {name}",
+        forms[0].title,
         f"`{name}` · family {form.family} · enters at {ports}",
         f"Tells itself by: **{tells}**.",
         "## Signature",
@@ -161,8 +161,7 @@ def page(name: str, form: type[AbstractEffect], values, share: float, near, left
         f"units of (1 kV)²). The nominal is an actuator of {HZ:g} Hz, damping ratio {ZETA:g}, 1 mm at 1 kV; no noise. "
         "Drawn by `docs/catalogue.py`.",
         "## Equation",
-        f"```text\n{cleandoc(sys.modules[form.__module__].__doc__ or '')}\n```",
-        "| form | | parameters |\n|---|---|---|\n" + "\n".join(_row(f) for f in forms),
+        "| form | | equation | parameters |\n|---|---|---|---|\n" + "\n".join(_row(f) for f in forms),
         "`x` in a unit stands for the unit of the displacement; k is the nominal's stiffness.",
         "## Confused with",
         "Effects that move this actuator's output most alike (1: in proportion on all five drives), strong as drawn:",
@@ -181,10 +180,10 @@ def page(name: str, form: type[AbstractEffect], values, share: float, near, left
     return "\n\n".join(text) + "\n"
 
 
-def _row(form: type[AbstractEffect]) -> str:
-    told = cleandoc(getdoc(form) or "").splitlines()[0].replace("|", "\\|")
-    units = ", ".join(f"{p.name} [{p.unit.replace('|', '')}]" for p in form.PARAMETERS)
-    return f"| {form.form} | {told} | {units} |"
+def _row(form: EffectSpec) -> str:
+    equation = form.equation.replace("|", "\\|")
+    units = ", ".join(f"{p.name} [{p.unit.replace('|', '')}]" for p in form.parameters)
+    return f"| {form.form} | {form.title} | `{equation}` | {units} |"
 
 
 def index(names: Sequence[str]) -> str:
@@ -193,7 +192,7 @@ def index(names: Sequence[str]) -> str:
     lines = [f"| [`{n}`]({n}.md) | {rows[n][-1]} |" for n in names]
     head = [
         "# The catalogue",
-        "What a diagnosis can name, a page each. Every page is made from the effect's classes when this site is built; "
+        "What a diagnosis can name, a page each. Every page is made from the effect's rows when this site is built; "
         "all forms in one table stand in [effects](../effects.md).",
         "| effect | tells itself by |\n|---|---|\n" + "\n".join(lines),
     ]

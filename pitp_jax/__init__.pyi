@@ -1,12 +1,13 @@
 from ._adapt import Adaptation as Adaptation
 from ._adapt import adapt as adapt
+from ._against import SimToReal as SimToReal
+from ._against import diagnose as diagnose
 from ._check import Check as Check
 from ._check import CheckedRecord as CheckedRecord
 from ._check import check as check
 from ._compare import Comparison as Comparison
 from ._compare import compare as compare
 from ._diagnose import Diagnosis as Diagnosis
-from ._diagnose import diagnose as diagnose
 from ._errors import BadInput as BadInput
 from ._errors import ComputationFailed as ComputationFailed
 from ._export import PIGains as PIGains

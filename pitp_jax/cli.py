@@ -325,7 +325,17 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--nominal", required=True, metavar="MODEL", help="identified or trained model")
+    beside = parser.add_mutually_exclusive_group(required=True)
+    beside.add_argument("--nominal", metavar="MODEL", help="identified or trained model")
+    beside.add_argument(
+        "--against", nargs="+", metavar="SIMULATED", help="recordings of a simulator instead of a model"
+    )
+    parser.add_argument(
+        "--position-gain",
+        type=_positive,
+        metavar="KP",
+        help="of the simulator's controller: numbers in N m, not ratios",
+    )
     parser.add_argument(
         "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
     )

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax._diagnose.diagnosis import Diagnosis
 from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._diagnose.result import Gap, Ranked, Trace
-from pitp_jax._effects import electrode
+from pitp_jax._effects import effect
 
 T = np.arange(2000) / 500.0
 NAMES = ("sweep<1>", "sine2", "sine&4")
@@ -59,7 +58,7 @@ def candidate(effect, form, parameters, closed, **options):
 def explained(actuator):
     """An `explained` diagnosis by an electrode's lag, in mm."""
     known = actuator.provenance.with_(displacement_unit="mm")
-    model = replace(actuator, provenance=known, effects=(electrode.ElectrodeRC(jnp.asarray(0.012345)),))
+    model = replace(actuator, provenance=known, effects=(effect("electrode_rc", tau=0.012345),))
     return Diagnosis(
         verdict="explained", effects=("electrode_rc",), equivalent=(), added=(),
         gap=Gap(8.0, 0.41, 8.0, 0.4, "a <band>", 0.995, (0.98, 1.0)),

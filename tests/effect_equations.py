@@ -28,7 +28,7 @@ class Equation:
         inertia (a, p): the coefficients with what the form adds to them.
         limit (x'', p): of an order-2 acceleration.
         begin (x, u, p): states of an actuator that was held at x under u.
-        friction (v, p): level of dry friction, for sliding and sticking (order 2).
+        friction (x, v, last, p, a): level of dry friction, for sliding and sticking (order 2); last: x'' without it.
         earlier (p): how long ago the voltage was played that acts now, s.
         stiff: integrated by an implicit method.
     """
@@ -164,6 +164,9 @@ EQUATIONS = {
     "softening: exponential": Equation(
         ((0.5,),), {2: 3e-4}, force=lambda x, v, s, p, a, t: a[0] * ((1 - np.exp(-p.b * x)) / p.b - x)
     ),
+    "softening: gravity": Equation(
+        ((0.8,),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * (np.sin(p.curvature * x) / p.curvature - x)
+    ),
     "mullins: exponential": Equation(
         ((0.3, 0.4),), {2: 3e-4}, begin=lambda x, u, p: (abs(x),), rates=_farthest,
         force=lambda x, v, s, p, a, t: -a[0] * p.d * (1 - np.exp(-max(s[0], abs(x)) / p.length)) * x,
@@ -230,12 +233,19 @@ EQUATIONS = {
         ((0.3, 0.7, 0.8), (0.3, 1.5, 0.8)), {2: 2e-2, 3: 6e-4},
         force=lambda x, v, s, p, a, t: p.c * v * abs(v / p.usual) ** p.p,
     ),
-    "coulomb_friction: Coulomb": Equation(((0.08,),), {2: 5e-2}, friction=lambda v, p: p.level),
+    "coulomb_friction: Coulomb": Equation(((0.08,),), {2: 5e-2}, friction=lambda x, v, last, p, a: p.level),
+    "coulomb_friction: loaded by the spring": Equation(
+        ((0.04, 0.15),), {2: 5e-2}, friction=lambda x, v, last, p, a: p.level + p.mu * abs(a[0] * x)
+    ),
+    "coulomb_friction: loaded by spring and mass": Equation(
+        ((0.04, 0.15),), {2: 5e-2}, friction=lambda x, v, last, p, a: p.level + p.mu * abs(a[0] * x + a[2] * last)
+    ),
     "coulomb_friction: smooth": Equation(
         ((0.08, 0.1),), {2: 4e-2, 3: 2e-4}, force=lambda x, v, s, p, a, t: p.level * np.tanh(v / p.speed)
     ),
     "coulomb_friction: Stribeck": Equation(
-        ((0.06, 0.5, 0.2),), {2: 1e-1}, friction=lambda v, p: p.level * (1 + p.rise * np.exp(-((v / p.speed) ** 2)))
+        ((0.06, 0.5, 0.2),), {2: 1e-1},
+        friction=lambda x, v, last, p, a: p.level * (1 + p.rise * np.exp(-((v / p.speed) ** 2))),
     ),
     "coulomb_friction: bristles": Equation(
         ((0.08, 0.02),), {1: 3e-2, 2: 4e-3, 3: 2e-3}, **_STILL, rates=_dahl("give"),
@@ -253,6 +263,9 @@ EQUATIONS = {
     ),
     "voltage_clip: rounded": Equation(
         ((1 / 800,),), {2: 1e-6}, film=lambda u, s, p: u / (1 + abs(u * p.inverse) ** 8) ** 0.125
+    ),
+    "dead_zone: symmetric": Equation(
+        ((80.0,),), {2: 6e-5}, film=lambda u, s, p: np.sign(u) * max(abs(u) - p.threshold, 0)
     ),
     "voltage_offset: constant": Equation(((60.0,), (-60.0,)), {2: 2e-6}, film=lambda u, s, p: u + p.offset),
     "delay: pure": Equation(((7.5e-3,),), {2: 2e-3}, earlier=lambda p: p.time),

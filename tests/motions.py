@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import expm
 
-from pitp_jax._record.reading import Target
+from pitp_jax import Target
 
 DT, SAMPLES = 1e-3, 1000
 TIME = np.arange(SAMPLES) * DT

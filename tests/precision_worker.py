@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._effects.electrode import ElectrodeRC
+from pitp_jax._effects import effect
 
 DT, SAMPLES, NOISE = 2e-3, 1500, 2e-6
 TIME = np.arange(SAMPLES) * DT
@@ -42,7 +42,7 @@ def main(place):
     later = replace(record, time=TIME[400:], voltage=record.voltage[400:], displacement=record.displacement[400:])
     step, mesh = record.time[1] - record.time[0], pitp.records_mesh()  # a float64 of numpy's, as people have it
     start = np.asarray(pitp.rest_state(model))[None]
-    late = replace(nominal, effects=(ElectrodeRC(jnp.asarray(0.03)),))
+    late = replace(nominal, effects=(effect("electrode_rc", tau=0.03),))
     moved = pitp.predict(late, measured)
     real = [
         replace(r, displacement=p.displacement + NOISE * rng.standard_normal(SAMPLES))

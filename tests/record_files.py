@@ -4,11 +4,11 @@ import gzip
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.io
 
-from pitp_jax._errors import BadInput
-from pitp_jax._record.reading import read
+from pitp_jax import BadInput, read
 
 T = 100
 TIME = np.arange(T) / 1000
@@ -61,6 +61,10 @@ def save_h5(path, table):
     with h5py.File(path, "w") as file:
         for name, values in table.items():
             file[name] = values
+
+
+def save_xlsx(path, table):
+    pd.DataFrame(table).to_excel(path, index=False)
 
 
 SAVERS = {

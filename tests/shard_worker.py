@@ -10,8 +10,7 @@ import numpy as np
 
 from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._effects.electrode import ElectrodeRC
-from pitp_jax._effects.stiffness import CubicStiffening
+from pitp_jax._effects import lookup
 from pitp_jax._invert.equation import invert_path
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.input_map import SquareInput
@@ -85,7 +84,7 @@ def errors(me: int, processes: int) -> dict:
 def candidates(model, volts, mesh):
     """Rollouts of a diagnosis' candidates, fewer than there is room for."""
     t = np.arange(SAMPLES) * DT
-    forms = (CubicStiffening, ElectrodeRC)
+    forms = (lookup("stiffening"), lookup("electrode_rc"))
     records = [Record(f"r{k}", t, u.astype(float), 1e-4 * np.sin(9 * t) ** 2) for k, u in enumerate(volts[:3])]
     runs = []
     for shared in (None, mesh):

@@ -1,5 +1,6 @@
 """The benchmark's clock, its table and its torch copies; the figures themselves are no test."""
 
+import importlib.util
 import json
 import time
 
@@ -9,7 +10,7 @@ import pytest
 from motions import DT, respond
 
 import pitp_jax as pitp
-from benchmarks.__main__ import duration, main, table, written
+from benchmarks.__main__ import duration, main, run, table, written
 from benchmarks.clock import row, take_turns
 from benchmarks.machine import floor, operations
 from benchmarks.rows import ROWS
@@ -59,7 +60,7 @@ def test_rows_and_unknown_ones(tmp_path):
 
 
 def test_table_and_file_keep_earlier_rows(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("benchmarks.__main__.run", lambda name, seconds: {"skipped": f"{name} {seconds:g}"})
+    monkeypatch.setattr("benchmarks.__main__.run", lambda name, seconds, _: {"skipped": f"{name} {seconds:g}"})
     file = tmp_path / "rows.json"
     main(["--only", "identify", "--json", str(file), "--seconds", "3"])
     main(["--only", "import,diagnose", "--json", str(file)])
@@ -74,9 +75,19 @@ def test_table_and_file_keep_earlier_rows(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ROWS)
+def test_every_row_runs(name):
+    line = run(name, 0.1, smoke=True)
+    assert "skipped" not in line, line["skipped"]
+    assert KEYS | {"peak_mb", "machine"} <= line.keys() and line["median_ms"] > 0
+    if importlib.util.find_spec("torch") and name in ("inverse_default", "inverse_paper", "realtime"):
+        assert line["peer"].startswith("PyTorch") and line["ratio"] > 0
+
+
+@pytest.mark.slow
 def test_the_step_of_training_runs_as_the_table_times_it(linear):
     from benchmarks.fit import step_ways
-    from pitp_jax._train.settings import Settings
+    from pitp_jax import Settings
 
     time = np.arange(1500) * DT
     drive = 500 * (1 - np.cos(2 * np.pi * 2 * time))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax._invert.discrete import discrete_inverse
-from pitp_jax._model.input_map import LinearInput
+from pitp_jax import discrete_inverse, rest_state
+from pitp_jax._model import LinearInput
 from pitp_jax._numerics.intersample import between, weights
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax._simulate.decoder import rollout
 
 HOLDS = ("zoh", "foh", "bandlimited")
 FRACTIONS = np.array([0.0, 0.2, 0.5, 0.9])

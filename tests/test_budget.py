@@ -3,14 +3,13 @@
 import time
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from played import nominal_of, play
 
 import pitp_jax as pitp
 from pitp_jax._diagnose.budget import Budget
-from pitp_jax._effects import CATALOGUE, electrode
+from pitp_jax._effects import CATALOGUE, effect
 
 OTHERS = sorted({c.name for c in CATALOGUE} - {"electrode_rc", "delay"})
 
@@ -27,7 +26,7 @@ def test_what_a_budget_does_not_reach_is_noted_once():
 def slow(linear):
     """Two effects in the records, and what is left of a diagnosis in no time."""
     nominal = nominal_of(linear)
-    records = play(replace(nominal, effects=(electrode.ElectrodeRC(jnp.asarray(0.02)),)))
+    records = play(replace(nominal, effects=(effect("electrode_rc", tau=0.02),)))
     return nominal, records
 
 

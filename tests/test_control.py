@@ -14,7 +14,7 @@ from exported import COMPILERS, Exported
 
 import pitp_jax as pitp
 from pitp_jax import BadInput
-from pitp_jax._effects.amplifier import Delay
+from pitp_jax._effects import effect
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.model import Output, Provenance, linear_model
 
@@ -65,7 +65,7 @@ def test_a_loop_too_fast_is_refused_with_one_that_is_not(tmp_path):
 @pytest.mark.slow
 def test_a_late_drive_makes_the_loop_slower():
     """A delay of half the time constant turns the loop by half a radian where it crosses one: more sensitive."""
-    late = replace(actuator(zeta=0.6), effects=(Delay(jnp.asarray(0.2, jnp.float32)),))
+    late = replace(actuator(zeta=0.6), effects=(effect("delay", time=0.2),))
     plain, slow = pitp.pi_gains(actuator(zeta=0.6)), pitp.pi_gains(late)
     assert slow.time_constant > plain.time_constant and slow.max_sensitivity < 1.7
 

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax._errors import BadInput
-from pitp_jax._model.memory import FadingMemory, NoMemory
+from pitp_jax import BadInput, Record
+from pitp_jax._model import FadingMemory, NoMemory
 from pitp_jax._record.preprocess import force_band
-from pitp_jax._record.record import Record
 from pitp_jax._train.dataset import SCALINGS, build_dataset, spread_weights
 
 DT, SAMPLES = 2e-3, 1500

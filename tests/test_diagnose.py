@@ -9,7 +9,7 @@ from played import FEW, nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax._effects import CATALOGUE, amplifier, electrode, sensor, stiffness
+from pitp_jax._effects import CATALOGUE, effect
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def nominal(linear):
 @pytest.fixture(scope="module")
 def hardened(nominal):
     """The nominal with a Gent-like spring of 1 / L = 0.25 per scaled unit, and its diagnosis."""
-    planted = replace(nominal, effects=(stiffness.GentStiffening(jnp.asarray(0.25)),))
+    planted = replace(nominal, effects=(effect("stiffening", form="limited chain", curvature=0.25),))
     return pitp.diagnose(nominal, play(planted))
 
 
@@ -38,7 +38,7 @@ def test_a_planted_spring_is_named_with_its_number(nominal, hardened):
 
 @pytest.mark.slow
 def test_the_augmented_model_predicts_what_was_not_fitted(nominal, hardened):
-    planted = replace(nominal, effects=(stiffness.GentStiffening(jnp.asarray(0.25)),))
+    planted = replace(nominal, effects=(effect("stiffening", form="limited chain", curvature=0.25),))
     records = play(planted, noise=0.0, seed=4)
     assert hardened.model.provenance.voltage_range[1] >= max(r.voltage.max() for r in records)
     for old, new, r in zip(pitp.predict(nominal, records), pitp.predict(hardened.model, records), records, strict=True):
@@ -48,7 +48,7 @@ def test_the_augmented_model_predicts_what_was_not_fitted(nominal, hardened):
 
 @pytest.mark.slow
 def test_the_interval_of_what_is_closed_holds_what_is_closed_without_noise(nominal, hardened):
-    planted = replace(nominal, effects=(stiffness.GentStiffening(jnp.asarray(0.25)),))
+    planted = replace(nominal, effects=(effect("stiffening", form="limited chain", curvature=0.25),))
     records = [r for r in play(planted, noise=0.0) if r.name in hardened.heldout]
     left = []
     for model in (nominal, hardened.model):
@@ -80,7 +80,7 @@ def test_no_gap_where_there_is_none(nominal):
 @pytest.mark.slow
 def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nominal):
     """Fitted on the quiet sines nothing clips: the fit is done again on those that were held out."""
-    planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1100)),))
+    planted = replace(nominal, effects=(effect("voltage_clip", inverse=1 / 1100),))
     found = pitp.diagnose(nominal, play(planted, louder=("sine1", "sine3", "multisine")), exclude=FEW)
     assert found.effects == ("voltage_clip",) and "sine1" in found.fitted
     assert some(found.gap.closed_fraction) > 0.95
@@ -89,7 +89,7 @@ def test_a_clip_that_only_held_out_drives_reach_is_found_on_the_other_split(nomi
 @pytest.mark.slow
 def test_a_clip_that_only_one_drive_reaches_is_judged_where_it_is(nominal):
     """Nothing else than the sweep comes near the limit: no gap on what is held out, and none either way round."""
-    planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1340)),))
+    planted = replace(nominal, effects=(effect("voltage_clip", inverse=1 / 1340),))
     found = pitp.diagnose(nominal, play(planted, louder=("sweep",)), exclude=FEW)
     assert found.effects == ("voltage_clip",) and found.heldout == () and len(found.fitted) == 7
     assert found.added[0].parameters["inverse"]["value"] == pytest.approx(1 / 1340, rel=0.01)
@@ -98,7 +98,7 @@ def test_a_clip_that_only_one_drive_reaches_is_judged_where_it_is(nominal):
 @pytest.mark.slow
 def test_a_clip_that_only_one_sine_reaches_is_found_with_nothing_held_out(nominal):
     """Either way round one side shows nothing: the fit never sees the clip, or no drive is left to judge it on."""
-    planted = replace(nominal, effects=(amplifier.VoltageClip(jnp.asarray(1 / 1340)),))
+    planted = replace(nominal, effects=(effect("voltage_clip", inverse=1 / 1340),))
     others = {c.name for c in CATALOGUE} - {"voltage_clip", "drag"} | {"parameter_change"}
     found = pitp.diagnose(nominal, play(planted, louder=("sine1",)), exclude=sorted(others))
     assert found.effects == ("voltage_clip",) and found.heldout == ()
@@ -108,7 +108,7 @@ def test_a_clip_that_only_one_sine_reaches_is_found_with_nothing_held_out(nomina
 @pytest.mark.slow
 def test_two_effects_are_both_named(nominal):
     """A hard spring behind a slow electrode: no single effect comes near, and the strongest is named first."""
-    parts = stiffness.GentStiffening(jnp.asarray(0.25)), electrode.ElectrodeRC(jnp.asarray(0.02))
+    parts = effect("stiffening", form="limited chain", curvature=0.25), effect("electrode_rc", tau=0.02)
     found = pitp.diagnose(nominal, play(replace(nominal, effects=parts)))
     assert found.verdict == "explained" and set(found.effects) == {"stiffening", "electrode_rc"}
     assert some(found.gap.closed_fraction) > 0.95 and found.gap.after < 0.5 * found.ranking[0].heldout
@@ -117,7 +117,7 @@ def test_two_effects_are_both_named(nominal):
 @pytest.mark.slow
 def test_two_effects_are_both_named_beside_a_refit(nominal):
     """Where a gain's column, less the coefficients', is the whole error, every pair once had the gain for a half."""
-    parts = amplifier.VoltageClip(jnp.asarray(1 / 850.0)), sensor.SensorLag(jnp.asarray(0.02))
+    parts = effect("voltage_clip", inverse=1 / 850.0), effect("sensor_lag", tau=0.02)
     records = play(replace(nominal, effects=parts))
     bent = pitp.identify(records, order=2).model
     found = pitp.diagnose(bent, records, refit_nominal=True, exclude=FEW)
@@ -130,13 +130,13 @@ def test_two_effects_are_both_named_beside_a_refit(nominal):
 def test_effects_the_nominal_has_are_kept(nominal):
     """A model with three lags of its own: no gap on its own records, and a new effect stands beside them."""
     own = (
-        electrode.ElectrodeRC(jnp.asarray(0.01)),
-        amplifier.Delay(jnp.asarray(7e-3)),
-        sensor.SensorLag(jnp.asarray(8e-3)),
+        effect("electrode_rc", tau=0.01),
+        effect("delay", time=7e-3),
+        effect("sensor_lag", tau=8e-3),
     )
     model = replace(nominal, effects=own)
     assert pitp.diagnose(model, play(model), exclude=FEW).verdict == "no_gap"
-    stiffer = replace(model, effects=(*own, stiffness.GentStiffening(jnp.asarray(0.25))))
+    stiffer = replace(model, effects=(*own, effect("stiffening", form="limited chain", curvature=0.25)))
     found = pitp.diagnose(model, play(stiffer), exclude=FEW)
     assert found.effects == ("stiffening",) and some(found.gap.closed_fraction) > 0.95
     assert [e.name for e in found.model.effects] == ["electrode_rc", "delay", "sensor_lag", "stiffening"]
@@ -172,7 +172,7 @@ def test_a_moved_coefficient_is_a_parameter_change_and_a_heavier_load_added_mass
 @pytest.mark.slow
 def test_an_excluded_effect_does_not_come_back_inside_another_form(nominal):
     """A slew limit with a lag, its limit out of reach, is the lag: left out with it."""
-    records = play(replace(nominal, effects=(electrode.ElectrodeRC(jnp.asarray(0.02)),)))
+    records = play(replace(nominal, effects=(effect("electrode_rc", tau=0.02),)))
     others = sorted({c.name for c in CATALOGUE} - {"slew_limit", "electrode_rc"} | {"parameter_change"})
     assert pitp.diagnose(nominal, records, exclude=others).effects == ("electrode_rc",)
     found = pitp.diagnose(nominal, records, exclude=[*others, "electrode_rc"])

@@ -20,7 +20,7 @@ from pitp_jax._diagnose.regress import singles
 from pitp_jax._diagnose.result import Gap
 from pitp_jax._diagnose.screen import screen
 from pitp_jax._diagnose.verdict import verdict
-from pitp_jax._effects import CATALOGUE, amplifier, sensor, stiffness
+from pitp_jax._effects import CATALOGUE, effect, lookup
 from pitp_jax._record.excitation_kind import kind
 
 
@@ -76,8 +76,8 @@ def test_what_the_nominal_left_before_is_no_change_of_it(own, name):
     """Beside a floor of 0.291 %, all coefficients leave 0.292 and one gain 0.306: the nominal was a twentieth off."""
     ones = np.ones(3)
     changed = Judged(Candidate((), (), (), ones, True), (), 0.29, 0.292)
-    gain = Judged(Candidate((sensor.SensorGain,), ((0.1,),), (), ones, False), (), 0.3, 0.306)
-    spring = Judged(Candidate((stiffness.CubicStiffening,), ((0.1,),), (), ones, False), (), 0.3, 0.3)
+    gain = Judged(Candidate((lookup("sensor_gain"),), ((0.1,),), (), ones, False), (), 0.3, 0.306)
+    spring = Judged(Candidate((lookup("stiffening"),), ((0.1,),), (), ones, False), (), 0.3, 0.3)
     assert _part_of_a_change(changed, [changed, gain, spring], 0.291, own).names == (name,)
     assert _part_of_a_change(spring, [changed, gain, spring], 0.291, own) is spring
 
@@ -103,9 +103,9 @@ def test_the_screening_filter_is_the_nominal(nominal):
 
 def test_a_number_far_from_its_start_is_reached(nominal):
     """120 V away: steps are limited in shares of the bounds, not in volts."""
-    offset = amplifier.VoltageOffset
+    offset = lookup("voltage_offset")
     case = build_case(nominal, play(replace(nominal, effects=(offset(jnp.asarray(150.0)),))))
-    begin = Candidate((offset,), ((30.0,),), (offset.starts(case.surroundings)[0],), np.ones(3), False)
+    begin = Candidate((offset,), ((30.0,),), (offset.start(case.surroundings)[0],), np.ones(3), False)
     (found,) = fit(Lanes(case, [(offset,)]), [begin])
     assert found.values[0][0] == pytest.approx(150.0, abs=0.5)
 
@@ -114,7 +114,7 @@ def test_a_start_that_diverges_is_left_where_it_is(nominal, monkeypatch):
     """In silence (warnings are errors here) though float32 left inf where it overflowed, beside one that is fitted."""
     coupling = next(c for c in CATALOGUE if c.form == "quadratic" and c.name == "stretch_coupling")
     case = build_case(nominal, play(nominal))
-    (start, _) = coupling.starts(case.surroundings)
+    (start, _) = coupling.start(case.surroundings)
     begin = [Candidate((coupling,), ((b,),), (start,), np.ones(3), False) for b in (12 / case.surroundings.reach, 0.02)]
     finite = fitting.residuals
     overflowed = lambda *a: [[np.where(np.isnan(r), np.inf, r) for r in rows] for rows in finite(*a)]  # noqa: E731
@@ -128,7 +128,7 @@ def test_a_start_that_diverges_is_left_where_it_is(nominal, monkeypatch):
 def test_a_refit_starts_where_the_screening_saw_the_coefficients(nominal):
     """Beside the effect, in both: a nominal 25 % too soft and 20 % too light starts within 3 %, not at what it is."""
     truth = np.array([1.25, 0.9, 1.2])
-    form = stiffness.CubicStiffening
+    form = lookup("stiffening")
     stiff = replace(nominal.changed(truth), effects=(form(jnp.asarray(0.3)),))
     case = build_case(nominal, play(stiff))
     found = next(s for s in singles(screen(case, (form,), np.ones(3), refit=True)) if s.forms == (form,))
@@ -141,9 +141,9 @@ def test_a_refit_starts_where_the_screening_saw_the_coefficients(nominal):
 
 def test_what_cannot_come_near_is_given_up(nominal):
     """A gain beside a drag of 14 %: fitted to its end where nothing is better, dropped early where something was."""
-    form = sensor.SensorGain
-    case = build_case(nominal, play(replace(nominal, effects=(amplifier.VoltageOffset(jnp.asarray(150.0)),))))
-    begin = Candidate((form,), ((0.3,),), (form.starts(case.surroundings)[0],), np.ones(3), True)
+    form = lookup("sensor_gain")
+    case = build_case(nominal, play(replace(nominal, effects=(effect("voltage_offset", offset=150.0),))))
+    begin = Candidate((form,), ((0.3,),), (form.start(case.surroundings)[0],), np.ones(3), True)
     steps, left = {}, {}
     for beat in (np.inf, 1e-6):
         told = []
@@ -158,12 +158,12 @@ def test_a_lane_is_the_same_in_any_group(nominal):
     """Alone, or in a composite with all forms of other names; a drive that is late among them."""
     case = build_case(nominal, play(nominal))
     drag = next(c for c in CATALOGUE if c.name == "drag")
-    forms = (amplifier.Delay, amplifier.VoltageOffset, stiffness.CubicStiffening, drag)
-    jobs = [Lane((f,), (f.starts(case.surroundings)[0].values,), np.ones(3), k) for f in forms for k in (0, 3, 6)]
-    jobs += [Lane((drag, amplifier.Delay), (jobs[-1].values[0], jobs[0].values[0]), np.ones(3), 1)]
+    forms = (lookup("delay"), lookup("voltage_offset"), lookup("stiffening"), drag)
+    jobs = [Lane((f,), (f.start(case.surroundings)[0].values,), np.ones(3), k) for f in forms for k in (0, 3, 6)]
+    jobs += [Lane((drag, lookup("delay")), (jobs[-1].values[0], jobs[0].values[0]), np.ones(3), 1)]
     jobs += [Lane((), (), np.array([1.1, 1.0, 0.9]), 2)]
     together = Lanes(case, [forms]).run(jobs)
-    apart = Lanes(case, [*[(f,) for f in forms], (drag, amplifier.Delay)]).run(jobs)
+    apart = Lanes(case, [*[(f,) for f in forms], (drag, lookup("delay"))]).run(jobs)
     for a, b, job in zip(together, apart, jobs, strict=True):
         s = case.series[job.series]
         np.testing.assert_allclose(b, a, atol=3e-6 * s.span)
@@ -172,11 +172,11 @@ def test_a_lane_is_the_same_in_any_group(nominal):
 
 def test_a_long_delay_is_read(nominal):
     """Two thirds of a period of the resonance."""
-    case = build_case(nominal, play(replace(nominal, effects=(amplifier.Delay(jnp.asarray(0.13)),))))
-    starts = amplifier.Delay.starts(case.surroundings)
+    case = build_case(nominal, play(replace(nominal, effects=(effect("delay", time=0.13),))))
+    starts = lookup("delay").start(case.surroundings)
     fitted = fit(
-        Lanes(case, [(amplifier.Delay,)]),
-        [Candidate((amplifier.Delay,), (s.values,), (s,), np.ones(3), False) for s in starts],
+        Lanes(case, [(lookup("delay"),)]),
+        [Candidate((lookup("delay"),), (s.values,), (s,), np.ones(3), False) for s in starts],
     )
     assert min(fitted, key=lambda c: c.train).values[0][0] == pytest.approx(0.13, rel=1e-3)
 

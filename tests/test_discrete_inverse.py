@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from typed import untyped
 
-from pitp_jax._effects.stiffness import CubicStiffening
+from pitp_jax._effects import effect
 from pitp_jax._invert.discrete import discrete_inverse
 from pitp_jax._model.encoder import AbstractEncoder
 from pitp_jax._model.input_map import LinearInput, SquareInput
@@ -143,6 +143,6 @@ def test_refuses_substeps(nonlinear):
 
 
 def test_effects_are_refused(nonlinear):
-    model = replace(nonlinear(2), effects=(CubicStiffening(jnp.asarray(0.5, jnp.float32)),))
+    model = replace(nonlinear(2), effects=(effect("stiffening", c=0.5),))
     with pytest.raises(ValueError, match="knows no effects"):
         discrete_inverse(model, jnp.zeros((20, 2 + model.memory.size)), 1e-3)

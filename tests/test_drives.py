@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from pitp_jax import Record
 from pitp_jax._record.excitation_kind import kind, loudest, spread_over_kinds
-from pitp_jax._record.record import Record
 
 DT = 1e-3
 

@@ -12,7 +12,7 @@ from effect_equations import EQUATIONS, Equation
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
-from pitp_jax._effects import CATALOGUE, key
+from pitp_jax._effects import CATALOGUE
 from pitp_jax._effects.physical import physical_factor
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rollout, settled_state
@@ -26,7 +26,7 @@ RAMPS = {
 }
 BEGINS = {"rest": (0.0, 0.0, 0.0), "moving": (0.9, -0.6, 0.0)}  # scaled x, x', x''
 AGES = {"rest": 0.0, "moving": 100.0}  # s into the session
-FORMS = {key(f): f for f in CATALOGUE}
+FORMS = {f.key: f for f in CATALOGUE}
 CASES = [(name, values, n) for name, e in EQUATIONS.items() for values in e.values for n in e.within]
 
 
@@ -35,7 +35,7 @@ def test_every_form_has_its_equation_and_signed_numbers_both_signs():
         "a form of the catalogue without an equation of its own, or the other way round"
     )
     for name, form in FORMS.items():
-        for k, p in enumerate(form.PARAMETERS):
+        for k, p in enumerate(form.parameters):
             if not p.positive:
                 assert {np.sign(values[k]) for values in EQUATIONS[name].values} == {-1, 1}, (name, p.name)
 
@@ -48,7 +48,7 @@ def voltage(drive):
 def physical(model, name, values):
     """A form's numbers in physical units, and the unit of displacement."""
     unit, force = model.scales.state, model.scales.force
-    known = zip(FORMS[name].PARAMETERS, values, strict=True)
+    known = zip(FORMS[name].parameters, values, strict=True)
     return SimpleNamespace(**{p.name: v * physical_factor(p, unit, force) for p, v in known}, unit=unit[0])
 
 
@@ -66,13 +66,13 @@ def solution(model, name, values, drive):
         x, s, now = state[:n], state[n:], np.interp(t - late, TIME, u)
         v = x[1] if n > 1 else 0.0  # at order 1 a force of x' is not tested
         force = e.couple(e.film(now, s, p) ** 2, x[0], p) - e.force(x[0], v, s, p, nominal, t + AGES[drive])
-        force -= sliding * e.friction(v, p) if sliding else 0.0
         last = e.limit((force - np.dot(a[:n], x)) / a[n], p)
+        last -= sliding * e.friction(x[0], v, last, p, a) / a[n] if sliding else 0.0
         return [*x[1:], last, *e.rates(x[0], v if n > 1 else last, now, s, p)]
 
     kinks = sorted({min(TIME[k] + later, TIME[-1]) for k, _ in RAMPS[drive] for later in (0.0, late)})
     if e.friction:
-        states = _slide_and_stick(slope, state, kinks, lambda v: e.friction(v, p) / a[n])
+        states = _slide_and_stick(slope, state, kinks, lambda x, last: e.friction(x, 0.0, last, p, a) / a[n])
     else:
         states = _through(slope, state, kinks, "LSODA" if e.stiff else "DOP853")
     return np.array([e.sensor(x[0], x[n:], p) for x in states]) / scale[0]
@@ -92,15 +92,22 @@ def _through(slope, state, kinks, method):
 
 
 def _slide_and_stick(slope, state, kinks, most):
-    """Slide until x' is zero; stick until the rest of the force is more than the friction; `most`: over a_2."""
+    """Slide until x' is zero; stick until the rest of the force is more than the friction.
+
+    `most`: of the friction over a_2, at x and the x'' that there were without it.
+    """
     found, ends = np.zeros((SAMPLES, 2)), kinks[1:]
     first = kinks[0]
 
     def pull(t, state):
         return slope(t, [state[0], 0.0])[1]
 
+    def surplus(t, state, more=0.0):
+        last = pull(t, state)
+        return abs(last) - most(state[0], last) * (1 + more)
+
     def too_much(t, state):
-        return abs(pull(t, state)) - most(0.0) * (1 + 1e-8)  # a little more than makes it stick, or it would do both
+        return surplus(t, state, 1e-8)  # a little more than makes it stick, or it would do both
 
     lets_go: Any = too_much
     stops: Any = lambda t, state: state[1]  # noqa: E731
@@ -109,7 +116,7 @@ def _slide_and_stick(slope, state, kinks, most):
     while first < kinks[-1] - 1e-12:
         last = next(k for k in ends if k > first + 1e-12)
         still = abs(state[1]) < 1e-9
-        if still and abs(pull(first, state)) < most(0.0):
+        if still and surplus(first, state) < 0:
             state = np.array([state[0], 0.0])
             run = _run(lambda t, s: [0.0, 0.0], state, first, last, events=lets_go, max_step=DT)
         else:
@@ -126,14 +133,13 @@ def numbers(name, values, catalogue):
     """The numbers of all forms: neutral, but for one form."""
     found = []
     for form in catalogue:
-        neutral = [1.0 if p.neutral is None else p.neutral for p in form.PARAMETERS]
-        found.extend(values if key(form) == name else neutral)
+        found.extend(values if form.key == name else form.off)
     return np.array(found)
 
 
 def play(model, jobs):
     """Scaled readings of (name, values, drive), all forms the jobs name in one model; float64."""
-    catalogue = [f for f in CATALOGUE if key(f) in {name for name, *_ in jobs}]
+    catalogue = [f for f in CATALOGUE if f.key in {name for name, *_ in jobs}]
     whole = replace(model, effects=tuple(f.neutral() for f in catalogue))
 
     def one(theta, volts, state, age):
@@ -152,7 +158,7 @@ def play(model, jobs):
 
 def idle(name, values):
     """The values with the neutral ones for those that have one."""
-    return tuple(v if p.neutral is None else p.neutral for p, v in zip(FORMS[name].PARAMETERS, values, strict=True))
+    return tuple(v if p.off is None else p.off for p, v in zip(FORMS[name].parameters, values, strict=True))
 
 
 @pytest.fixture(scope="module")

@@ -11,24 +11,13 @@ import pitp_jax as pitp
 from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._diagnose.fit import Candidate, fit
-from pitp_jax._effects import (
-    CATALOGUE,
-    amplifier,
-    dissipation,
-    hysteresis,
-    key,
-    sensor,
-    sensor_curve,
-    stiffness,
-    viscoelastic,
-)
-from pitp_jax._effects.electrode import ElectrodeRC
+from pitp_jax._effects import CATALOGUE, effect
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
 
 HZ, DT, SAMPLES = 5.0, 2e-3, 2500
 TIME = np.arange(SAMPLES) * DT
-FORMS = pytest.mark.parametrize("form", CATALOGUE, ids=key)
+FORMS = pytest.mark.parametrize("form", CATALOGUE, ids=lambda f: f.key)
 rng = np.random.default_rng(5)
 
 
@@ -54,7 +43,7 @@ def case(linear):
 
 def active(form, case):
     """The form's first start, and the bounds that go with it."""
-    start = form.starts(case.surroundings)[0]
+    start = form.start(case.surroundings)[0]
     return start.values, start
 
 
@@ -63,32 +52,33 @@ def active(form, case):
 HARD = ("second_mode: between film and sensor", "coulomb_friction: Stribeck", "backlash: play")
 
 
-UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and key(f) not in HARD and f is not amplifier.Delay]
+LIMITS = ("voltage_clip: hard", "slew_limit: rate limit")  # below them nothing happens
+UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and f.key not in (*HARD, "delay: pure")]
 
 
-@pytest.mark.parametrize("form", UNDONE, ids=key)
+@pytest.mark.parametrize("form", UNDONE, ids=lambda f: f.key)
 def test_what_a_form_makes_of_a_slow_signal_is_undone_without_shooting(case, form):
-    """Small and slow enough for every limit; each moves it by more than it is undone to, but for pure limits."""
-    effect = form(*(jnp.asarray(v, jnp.float32) for v in active(form, case)[0]))
+    """Small and slow enough for every limit; all but pure limits move it by more than it is undone to."""
+    part = form(*active(form, case)[0])
     signal = jnp.asarray(1 - np.cos(np.pi * TIME[:501]), jnp.float32) * {"IN": 380.0, "SQ": 0.4, "OUT": 1.0}[form.port]
     if form.port == "SQ":
-        made = effect.couple(signal, 0.7)
-        back, mirrored = effect.uncouple(made, 0.7), effect.uncouple(-made, 0.7)
+        made = part.apply(signal, 0.7)
+        back, mirrored = part.uncoupled(made, 0.7), part.uncoupled(-made, 0.7)
         np.testing.assert_allclose(mirrored, -back)
     else:
-        see = effect.film if form.port == "IN" else effect.reading
 
         def advance(states, ends):
-            after = effect.advance(states, ends[0], ends[1], DT)
-            return after, see(after, ends[1])
+            after = part.advance(states, ends[0], ends[1], DT)
+            return after, part.apply(ends[1], after)
 
-        made = jax.lax.scan(advance, effect.initial(jnp.zeros(())), (signal[:-1], signal[1:]))[1]
-        back, signal, inside = effect.undo(made, DT), signal[1:], slice(10, -10)
+        made = jax.lax.scan(advance, part.start(jnp.zeros(())), (signal[:-1], signal[1:]))[1]
+        back, signal, inside = part.undo(made, DT), signal[1:], slice(10, -10)
         if form.port == "IN":
-            assert effect.passes(made, DT)[inside].all()
+            assert part.passes(made, DT)[inside].all()
         back, signal, made = back[inside], signal[inside], made[inside]
-    assert np.abs(back - signal).max() < 2e-5 * np.ptp(signal)
-    assert np.abs(made - signal).max() > 1e-3 * np.ptp(signal) or form in (amplifier.VoltageClip, amplifier.SlewLimit)
+    passed = np.asarray(made) != 0  # what does not get through a dead zone cannot be known
+    assert passed.mean() > 0.5 and np.abs(back - signal)[passed].max() < 2e-5 * np.ptp(signal)
+    assert (np.abs(made - signal).max() > 1e-3 * np.ptp(signal)) == (form.key not in LIMITS)
 
 
 # numbers that are taken from 1 (or added to it): at their bounds, nothing may vanish or turn round
@@ -101,14 +91,20 @@ SHARES = {
 
 @FORMS
 def test_starts_are_within_bounds_that_leave_the_actuator_what_it_is(case, form):
-    for start in form.starts(case.surroundings):
-        for p, value, low, high in zip(form.PARAMETERS, start.values, start.low, start.high, strict=True):
+    for start in form.start(case.surroundings):
+        for p, value, low, high in zip(form.parameters, start.values, start.low, start.high, strict=True):
             assert low <= value <= high and (low > 0 or not p.positive), p.name
-        ends = start.low[0], start.high[0]
-        assert key(form) not in SHARES or min(1 + SHARES[key(form)] * end for end in ends) > 0.05
         if form.name == "stretch_coupling":
-            effect = form(jnp.asarray(start.low[0], jnp.float32))
-            assert 0.0 < effect.factor(case.surroundings.reach) < 1.0
+            assert 0.0 < form(start.low[0]).apply(1.0, case.surroundings.reach) < 1.0
+
+
+@pytest.mark.parametrize("name", SHARES)
+def test_nothing_vanishes_or_turns_round_at_the_bounds_of_a_share(case, name):
+    (form,) = [form for form in CATALOGUE if form.key == name]
+    starts = form.start(case.surroundings)
+    assert starts
+    for start in starts:
+        assert min(1 + SHARES[name] * end for end in (start.low[0], start.high[0])) > 0.05
 
 
 @pytest.fixture(scope="module")
@@ -142,8 +138,7 @@ def test_an_active_form_acts_and_stays_bounded(case, runs, form):
 def test_half_the_step_changes_little(case, runs, form):
     """The frozen step is fine enough: half of it moves the reading by less than 3 % of what the effect does."""
     values, _ = active(form, case)
-    effect = form(*(jnp.asarray(v, jnp.float32) for v in values))
-    finer = replace(case.model, effects=(effect,), substeps=2 * case.model.substeps)
+    finer = replace(case.model, effects=(form(*values),), substeps=2 * case.model.substeps)
     k = int(np.argmax([np.abs(y - s.run).max() for y, s in zip(runs[form], case.series, strict=True)]))
     s = case.series[k]
     states = rollout(finer, jnp.asarray(s.voltage, jnp.float32), DT, rest_state(finer, s.age))
@@ -163,7 +158,7 @@ def test_a_form_is_found_again_in_its_own_data(case, runs, group):
     lanes = Lanes(case, [group])
     for form in group:
         values, start = active(form, case)
-        off = [v * (0.75 if p.name == "place" else 1.4) for v, p in zip(values, form.PARAMETERS, strict=True)]
+        off = [v * (0.75 if p.name == "place" else 1.4) for v, p in zip(values, form.parameters, strict=True)]
         off = tuple(float(np.clip(v, a, b)) for v, a, b in zip(off, start.low, start.high, strict=True))
         error = [s.run - y for s, y in zip(case.series, runs[form], strict=True)]
         pairs = zip(case.series, error, strict=True)
@@ -171,32 +166,40 @@ def test_a_form_is_found_again_in_its_own_data(case, runs, group):
         (found,) = fit(lanes, [Candidate((form,), (off,), (start,), np.ones(3), False)], most=20)
         moved = np.sqrt(np.mean([np.mean((100 * e / s.span) ** 2) for e, s in zip(error, case.series, strict=True)]))
         # the exact instant a rough contact lets go is no smooth function of its numbers
-        assert np.sqrt(found.train) < (0.05 if form.name == "coulomb_friction" else 0.02) * moved, key(form)
+        assert np.sqrt(found.train) < (0.05 if form.name == "coulomb_friction" else 0.02) * moved, form.key
+
+
+def planned(case, form):
+    """The model with an active form, a smooth target, and the feedforward for it."""
+    model = replace(case.model, effects=(form(*active(form, case)[0]),))
+    x = 4e-4 * (1 - np.exp(-((5 * TIME) ** 3))) * (1 + 0.5 * np.sin(2 * np.pi * 2 * TIME))
+    return model, x, pitp.feedforward(model, pitp.Target(TIME, x))
 
 
 @pytest.mark.slow
-@FORMS
+@pytest.mark.parametrize("form", [f for f in CATALOGUE if f.key not in HARD], ids=lambda f: f.key)
 def test_feedforward_undoes_it(case, form):
-    """The model with the effect follows a smooth target to 0.5 %; the hard ones at least better than without it."""
-    values, _ = active(form, case)
-    model = replace(case.model, effects=(form(*(jnp.asarray(v, jnp.float32) for v in values)),))
-    x = 4e-4 * (1 - np.exp(-((5 * TIME) ** 3))) * (1 + 0.5 * np.sin(2 * np.pi * 2 * TIME))
-    plan = pitp.feedforward(model, pitp.Target(TIME, x))
-    assert plan.self_check_e_rms_percent < 0.5 or key(form) in HARD
-    if key(form) in HARD:
-        blind = pitp.feedforward(case.model, pitp.Target(TIME, x))
-        states = rollout(model, jnp.asarray(blind.voltage, jnp.float32), DT, rest_state(model))
-        y = np.asarray(ports.readings(model, states), float)[blind.target] * 1e-3
-        assert plan.self_check_e_rms_percent < pitp.e_rms_percent(y, x)
+    """The model with the effect follows a smooth target to 0.5 %."""
+    assert planned(case, form)[2].self_check_e_rms_percent < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", [f for f in CATALOGUE if f.key in HARD], ids=lambda f: f.key)
+def test_feedforward_of_a_hard_form_is_better_than_without_it(case, form):
+    model, x, plan = planned(case, form)
+    blind = pitp.feedforward(case.model, pitp.Target(TIME, x))
+    states = rollout(model, jnp.asarray(blind.voltage, jnp.float32), DT, rest_state(model))
+    y = np.asarray(ports.readings(model, states), float)[blind.target] * 1e-3
+    assert plan.self_check_e_rms_percent < pitp.e_rms_percent(y, x)
 
 
 @FORMS
 def test_a_file_keeps_it(case, form, tmp_path):
     values, _ = active(form, case)
-    model = replace(case.model, effects=(form(*(jnp.asarray(v, jnp.float32) for v in values)),))
+    model = replace(case.model, effects=(form(*values),))
     pitp.save(tmp_path / "m.pitp", model)
     back = pitp.load(tmp_path / "m.pitp").effects[0]
-    assert type(back) is form
+    assert back.spec is form
     np.testing.assert_array_equal(jax.tree.leaves(back), jax.tree.leaves(model.effects[0]))
 
 
@@ -207,7 +210,7 @@ def test_friction_takes_a_fixed_length_off_every_swing(linear):
     """Free swings with Coulomb friction lose 4 F_c / k a period (closed form), and end where |k x| < F_c."""
     model = linear(hz=HZ, dt=DT, damping=1e-5)
     level = 0.02 * float(model.coefficients[0])
-    here = replace(model, effects=(dissipation.CoulombFriction(jnp.asarray(level)),))
+    here = replace(model, effects=(effect("coulomb_friction", level=level),))
     start = rest_state(here).at[0].set(1.0)
     x = np.asarray(rollout(here, jnp.zeros(SAMPLES), DT, start)[:, 0])
     period = round(1 / HZ / DT)
@@ -219,8 +222,8 @@ def test_friction_takes_a_fixed_length_off_every_swing(linear):
 
 def test_a_play_remembers_where_it_was_pushed():
     """A stop element's force after a triangle: hand-computed."""
-    play = hysteresis.PlayHysteresis(jnp.asarray(1.0), jnp.asarray(1.0))
-    states = play.initial(jnp.asarray(0.0), 0.0)
+    play = effect("hysteresis", kappa=1.0, width=1.0)
+    states = play.start(jnp.asarray(0.0))
     for x in (2.0, 1.0):
         states = play.advance(states, 0.0, jnp.asarray(x), 0.0)
     np.testing.assert_allclose(states, [1.15, 1.4, 1.0, 0.0], atol=1e-6)
@@ -228,10 +231,10 @@ def test_a_play_remembers_where_it_was_pushed():
 
 def test_backlash_is_crossed_at_every_reversal_and_undone_between_them():
     """A triangle by hand; a sine's x behind its reading wherever it moves on."""
-    play, states, seen = sensor_curve.Backlash(jnp.asarray(0.1)), jnp.zeros(1), []
+    play, states, seen = effect("backlash", width=0.1), jnp.zeros(1), []
     for before, x in ((0.0, 1.0), (1.0, 0.6), (0.6, 0.0), (0.0, -0.1)):
         states = play.advance(states, before, jnp.asarray(x), DT)
-        seen.append(float(play.reading(states, jnp.asarray(x))))
+        seen.append(float(play.apply(jnp.asarray(x), states)))
     np.testing.assert_allclose(seen, [0.95, 0.65, 0.05, -0.05], atol=1e-6)
     x, y = np.sin(2 * np.pi * TIME[:500]), [0.0]
     for now in x[1:]:
@@ -243,7 +246,7 @@ def test_backlash_is_crossed_at_every_reversal_and_undone_between_them():
 
 def test_a_stretched_film_stays_softer_for_the_session(linear):
     """The first cycle differs from the second; the next record begins where the session has been."""
-    model = replace(linear(hz=HZ, dt=DT), effects=(stiffness.MullinsSoftening(jnp.asarray(0.4), jnp.asarray(0.5)),))
+    model = replace(linear(hz=HZ, dt=DT), effects=(effect("mullins", d=0.4, length=0.5),))
     u = jnp.asarray(900 * np.abs(np.sin(2 * np.pi * 0.4 * TIME)), jnp.float32)
     x = np.asarray(rollout(model, u, DT, rest_state(model))[:, 0])
     far = np.abs(x).max()
@@ -260,12 +263,8 @@ def test_lags_are_exact_for_a_ramp():
     """tau y' = x - y under x = t: y = t - tau (1 - exp(-t / tau)), for every first-order state."""
     tau, t = 0.03, TIME[:200]
     truth = t - tau * (1 - np.exp(-t / tau))
-    for lag, states in (
-        (ElectrodeRC(jnp.asarray(tau)), lambda e: e.initial(jnp.asarray(0.0))),
-        (sensor.SensorLag(jnp.asarray(tau)), lambda e: e.initial(jnp.asarray(0.0))),
-        (viscoelastic.Creep(jnp.asarray(1.0), jnp.asarray(tau)), lambda e: e.initial(jnp.asarray(0.0), 0.0)),
-    ):
-        z, seen = states(lag), [0.0]
+    for lag in (effect("electrode_rc", tau=tau), effect("sensor_lag", tau=tau), effect("creep", kappa=1.0, tau=tau)):
+        z, seen = lag.start(jnp.asarray(0.0)), [0.0]
         for a, b in zip(t[:-1], t[1:], strict=True):
             z = lag.advance(z, a, b, DT)
             seen.append(float(z[0]))

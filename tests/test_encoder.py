@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder, fast_memories
+from pitp_jax._model import CompactEncoder, ConstantEncoder, PaperEncoder
+from pitp_jax._model.encoder import fast_memories
 
 KEY = jax.random.key(5)
 ORDERS = (1, 2, 3)

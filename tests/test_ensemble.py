@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from pitp_jax._effects.amplifier import Delay
+from pitp_jax._effects import effect
 from pitp_jax._record.record import Record
 from pitp_jax._simulate.decoder import rest_state, rollout, rollout_batch
 from pitp_jax._simulate.prediction import predict
@@ -164,7 +164,7 @@ def test_a_member_that_runs_away_is_told(plant):
 
 
 def test_members_of_two_makes_are_refused(plant, linear):
-    other = replace(plant[0], effects=(Delay(jnp.asarray(0.01, jnp.float32)),))
+    other = replace(plant[0], effects=(effect("delay", time=0.01),))
     for member in (other, linear(3, dt=DT)):
         with pytest.raises(ValueError, match="members differ"):
             Ensemble((plant[0], member), 0.0)

@@ -12,8 +12,7 @@ import pytest
 from exported import COMPILERS, FLAGS, Exported, truth
 
 import pitp_jax as pitp
-from pitp_jax._effects import dissipation, electrode, hysteresis, inertia, sensor, stiffness, viscoelastic
-from pitp_jax._effects.amplifier import Delay, VoltageClip
+from pitp_jax._effects import effect, lookup
 from pitp_jax._export import steps
 from pitp_jax._export.c99 import write_sources
 from pitp_jax._export.plan import plan, played
@@ -38,10 +37,11 @@ def number(value):
 
 
 EFFECTS = (
-    VoltageClip(number(1 / 600)), Delay(number(2.3e-3)), electrode.ElectrodeRC(number(3e-3)),
-    stiffness.DampedStop(number(3.0), number(0.35), number(1.0)), viscoelastic.SpreadCreep(number(0.2), number(0.5)),
-    hysteresis.WenHysteresis(number(0.3), number(0.1), number(1.5)), dissipation.CoulombFriction(number(0.01)),
-    inertia.AddedMass(number(0.1)), sensor.SensorLag(number(2e-3)),
+    effect("voltage_clip", inverse=1 / 600), effect("delay", time=2.3e-3), effect("electrode_rc", tau=3e-3),
+    effect("end_stop", form="above, damped", kappa=3.0, place=0.35, loss=1.0),
+    effect("creep", form="three branches", kappa=0.2, tau=0.5),
+    effect("hysteresis", form="Wen", kappa=0.3, width=0.1, sharpness=1.5), effect("coulomb_friction", level=0.01),
+    effect("added_mass", d=0.1), effect("sensor_lag", tau=2e-3),
 )  # fmt: skip
 
 
@@ -175,19 +175,19 @@ def test_inverse_steps_are_eq_13(models, kind):
 @pytest.mark.parametrize("place", range(4))
 def test_a_sensor_is_undone_with_its_derivatives(actuator, place):
     """The reading of a known motion and its derivatives give that motion's own."""
-    effect = (
-        sensor.SensorGain(number(0.2)), sensor.SensorLag(number(5e-3)), sensor.SensorFilter(number(5e-3)),
-        sensor.SecondOrderSensor(number(4e-3), number(0.7)),
+    sensor = (
+        effect("sensor_gain", d=0.2), effect("sensor_lag", tau=5e-3), effect("sensor_lag", form="two lags", tau=5e-3),
+        effect("sensor_lag", form="second order", tau=4e-3, zeta=0.7),
     )[place]  # fmt: skip
-    model = double(replace(actuator, effects=(effect,)))
+    model = double(replace(actuator, effects=(sensor,)))
     w, t = 2 * np.pi * 3, 0.4
-    tau = float(getattr(effect, "tau", 0.0))
+    tau = float(getattr(sensor, "tau", 0.0))
     if place == 0:
         gain = 1.2 + 0j
     elif place == 3:
         gain = 1 / (1 + 2 * 0.7j * w * tau - (w * tau) ** 2)
     else:
-        gain = np.prod([1 / (1 + 1j * w * tau * share) for share in effect.sections])
+        gain = np.prod([1 / (1 + 1j * w * tau * share) for share in ((1.0,), (0.5, 0.5))[place - 1]])
     rows = [[((1j * w) ** i * gain * np.exp(1j * w * (t + k * DT))).real for i in range(3)] for k in (-2, -1, 0)]
     truth_ = np.array([((1j * w) ** i * np.exp(1j * w * t)).real for i in range(3)])
     with jax.enable_x64(True):
@@ -268,7 +268,7 @@ def test_a_target_ahead_is_differentiated(rig):
 
 
 def test_a_delay_is_asked_for_ahead(linear, bounded, tmp_path):
-    model = replace(bounded(linear(2)), effects=(Delay(number(3.4e-3)),))
+    model = replace(bounded(linear(2)), effects=(effect("delay", time=3.4e-3),))
     u, _ = export(model, tmp_path).command(1, TARGET)
     (tmp_path / "plain").mkdir()
     direct, _ = export(bounded(linear(2)), tmp_path / "plain").command(1, TARGET)
@@ -373,16 +373,14 @@ def test_nothing_is_overwritten(models, tmp_path):
     assert list((tmp_path / "out").iterdir()) == []
 
 
-class Waiting(stiffness.CubicStiffening):
-    """An effect whose force is found by a loop that ends by what it finds."""
-
-    def act(self, states, now, tokens, offset):
-        x = jax.lax.while_loop(lambda x: jnp.abs(x) > 1e-3, lambda x: x / 2, now.state[0])
-        return tokens, offset + x
-
-
 def test_what_cannot_be_stepped_is_refused(models, tmp_path):
-    waiting = replace(models("linear"), effects=(Waiting(number(1.0)),))
+    """A force by a loop that ends by what it finds."""
+
+    def law(p, now):
+        return jax.lax.while_loop(lambda x: jnp.abs(x) > 1e-3, lambda x: x / 2, now.x)
+
+    endless = replace(lookup("stiffening"), law=law)
+    waiting = replace(models("linear"), effects=(endless(1.0),))
     with pytest.raises(pitp.BadInput, match="no bounded time"):
         pitp.export_c(waiting, tmp_path / "out")
     members = pitp.Ensemble((models("linear"),) * 2, 0.0)

@@ -11,8 +11,8 @@ from exported import FLAGS, truth
 from test_export import DT, double, export, models, number  # noqa: F401  (a fixture)
 
 import pitp_jax as pitp
-from pitp_jax._effects import CATALOGUE, key
-from pitp_jax._effects.base import Surroundings
+from pitp_jax._effects import CATALOGUE
+from pitp_jax._effects.spec import Surroundings
 from pitp_jax._export import steps
 from pitp_jax._numerics.spline_derivative import derivatives
 
@@ -35,9 +35,9 @@ def target():
     return 4e-4 * (1 - np.exp(-((5 * TIME) ** 3))) * (1 + 0.5 * np.sin(2 * np.pi * 2 * TIME))
 
 
-@pytest.mark.parametrize("form", CATALOGUE, ids=key)
+@pytest.mark.parametrize("form", CATALOGUE, ids=lambda f: f.key)
 def test_every_effect_is_pythons(bounded, linear, tmp_path, form):
-    effect = form(*(number(v) for v in form.starts(AROUND)[0].values))
+    effect = form(*form.start(AROUND)[0].values)
     model = replace(bounded(linear(2)), effects=(effect,))
     free = 1000 if form.name in SHARP else COUNT
     motion = derivatives(target(), DT, 2)

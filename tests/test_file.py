@@ -3,6 +3,7 @@
 import hashlib
 import json
 import pickle
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -12,6 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pitp_jax._effects import lookup
+from pitp_jax._effects.effect import Effect
 from pitp_jax._errors import BadInput
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
@@ -262,6 +265,9 @@ def test_missing_folder_and_unwritable(tmp_path):
         model_file.save(tmp_path / "absent" / "m", model())
 
 
+TOMORROW = replace(lookup("drag"), form="of tomorrow")
+
+
 class Foreign(AbstractEncoder):
     def __call__(self, features, *, key=None):
         return jnp.zeros(4)
@@ -270,15 +276,11 @@ class Foreign(AbstractEncoder):
         return self
 
 
-class Effect(eqx.Module):
-    size: int = eqx.field(static=True)
-
-
 def test_unknown_parts_are_not_saved(tmp_path):
     with pytest.raises(BadInput, match="Foreign has no place"):
         model_file.save(tmp_path / "m", eqx.tree_at(lambda m: m.encoder, model(), Foreign()))
-    with pytest.raises(BadInput, match="Effect has no place"):
-        model_file.save(tmp_path / "m", model(effects=(Effect(1),)))
+    with pytest.raises(BadInput, match="drag: of tomorrow has no place"):
+        model_file.save(tmp_path / "m", model(effects=(TOMORROW(1.0),)))
     with pytest.raises(BadInput, match="int32"):
         model_file.save(tmp_path / "m", eqx.tree_at(lambda m: m.coefficients, model(), jnp.zeros(3, jnp.int32)))
     with pytest.raises(BadInput, match="not those its parts"):
@@ -287,9 +289,9 @@ def test_unknown_parts_are_not_saved(tmp_path):
 
 
 def test_an_effect_needs_one_line(tmp_path, monkeypatch):
-    line = parts.Part(Effect, lambda effect: {"size": effect.size}, Effect)
-    monkeypatch.setitem(parts.EFFECTS, "effect", line)
-    saved = model(effects=(Effect(2), Effect(5)))
+    line = parts.Part(Effect, lambda effect: {}, TOMORROW.neutral)
+    monkeypatch.setitem(parts.EFFECTS, TOMORROW.key, line)
+    saved = model(effects=(TOMORROW(2.0), TOMORROW(5.0)))
     model_file.save(tmp_path / "m", saved)
     assert_same(saved, model_file.load(tmp_path / "m"))
 

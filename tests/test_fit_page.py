@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
+from pitp_jax import Prediction
 from pitp_jax._commands.fit_page import fit_page
 from pitp_jax._commands.predict import score
-from pitp_jax._simulate.prediction import Prediction
 
 
 @pytest.fixture(scope="module")

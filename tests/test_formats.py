@@ -20,8 +20,7 @@ from record_files import (
     text,
 )
 
-from pitp_jax._errors import BadInput
-from pitp_jax._record.reading import read
+from pitp_jax import BadInput, read
 
 
 @pytest.mark.parametrize("name", SAVERS)

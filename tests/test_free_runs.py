@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from normal import normal_equations
 
-from pitp_jax._sharding import records_mesh
-from pitp_jax._simulate.decoder import rest_state
+from pitp_jax import records_mesh, rest_state
 from pitp_jax._train import free_run_problem
 from pitp_jax._train.forward_sensitivity import Runs
 from pitp_jax._train.free_run_problem import FreeRuns

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from record_files import refused, save_csv, save_npz
 
-from pitp_jax._record.reading import read
+from pitp_jax import read
 
 COUNT = 2000
 TIME = np.arange(COUNT) / 1000

@@ -5,9 +5,8 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 from typed import of_kind
 
-from pitp_jax._errors import BadInput, ComputationFailed
+from pitp_jax import BadInput, ComputationFailed, Record
 from pitp_jax._identify.identification import identify
-from pitp_jax._record.record import Record
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
 TIME = np.arange(SAMPLES) * DT

@@ -15,7 +15,7 @@ from pitp_jax._diagnose.fit import Candidate
 from pitp_jax._diagnose.noise import Noise
 from pitp_jax._diagnose.result import Gap, _interval, closed
 from pitp_jax._diagnose.verdict import rezeroed, verdict
-from pitp_jax._effects import stiffness
+from pitp_jax._effects import lookup
 
 # rms, % of range: of the sensor's noise, of the nominal's gap, of what an effect leaves of it
 NOISE, GIVEN, LEFT = 0.3, 3.0, 0.5
@@ -76,7 +76,7 @@ def test_the_memory_of_a_signal_is_its_integrated_autocorrelation():
 
 
 def found(after, ties=0):
-    candidate = Candidate((stiffness.CubicStiffening,), ((0.3,),), (), np.ones(3), False)
+    candidate = Candidate((lookup("stiffening"),), ((0.3,),), (), np.ones(3), False)
     best = Judged(candidate, (), after, after)
     tied = tuple(f"effect {k}" for k in range(ties))
     return Attribution(best, best, (best,), (), best, tied, (), Noise(1e-3, 1e-3, np.zeros((1, 2)), ""))

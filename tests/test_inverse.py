@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 from motions import DT, SAMPLES, TIME, hump, respond, swing, swing_force
 
-from pitp_jax._errors import BadInput
+from pitp_jax import BadInput, Target, e_rms_percent, feedforward, rest_state
 from pitp_jax._invert.equation import invert_path
-from pitp_jax._invert.feedforward_plan import feedforward
-from pitp_jax._metrics import e_rms_percent
-from pitp_jax._model.input_map import LinearInput
+from pitp_jax._model import LinearInput
 from pitp_jax._numerics.spline_derivative import derivatives
-from pitp_jax._record.reading import Target
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax._simulate.decoder import rollout
 
 # ---- eq. 13 ----
 

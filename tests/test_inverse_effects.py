@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 from motions import DT
 
-from pitp_jax._effects.amplifier import Delay, VoltageClip, VoltageOffset
-from pitp_jax._effects.coupling import DielectricSaturation, TanhSaturation
-from pitp_jax._effects.electrode import ChargeLeak, ElectrodeRC
-from pitp_jax._effects.sensor import SettlingDrift
+from pitp_jax._effects import effect, lookup
 from pitp_jax._invert.feedforward_plan import feedforward
 from pitp_jax._metrics import e_rms_percent
 from pitp_jax._record.reading import Target
@@ -34,7 +31,7 @@ def hump(size=1e-3):
     return size * np.sin(np.pi * TIME / TIME[-1]) ** 4
 
 
-@pytest.mark.parametrize("saturation", [DielectricSaturation, TanhSaturation])
+@pytest.mark.parametrize("saturation", [lookup("dielectric_saturation"), lookup("dielectric_saturation", "tanh")])
 def test_a_pull_beyond_saturation_is_no_push(actuator, saturation):
     """Where the target asks for less than -F_s, no voltage is played, and all such samples are flagged."""
     model = replace(actuator, effects=(saturation(number(1.3)),))
@@ -53,7 +50,7 @@ def test_a_pull_beyond_saturation_is_no_push(actuator, saturation):
 @pytest.mark.parametrize("begins", [0.0, 3600.0, 1.7e9])
 def test_a_drift_is_inverted_at_the_age_its_clock_shows(actuator, begins):
     """And one of another kind (epoch seconds) shows none."""
-    model = replace(actuator, effects=(SettlingDrift(number(-0.3), number(60.0)),))
+    model = replace(actuator, effects=(effect("stiffness_drift", d=-0.3, time=60.0),))
     found = plan(model, hump(), begins)
     age = begins if begins < 1e6 else 0.0
     states = rollout(model, jnp.asarray(found.voltage, jnp.float32), DT, rest_state(model, age))
@@ -65,16 +62,16 @@ def test_a_drift_is_inverted_at_the_age_its_clock_shows(actuator, begins):
 @pytest.mark.parametrize("late", [0.03, 0.1])
 def test_what_is_late_is_played_before_the_target_begins(actuator, late):
     wanted = 5e-4 * (1 - np.cos(4 * np.pi * TIME)) * (1 - np.exp(-((20 * TIME) ** 3)))
-    found = plan(replace(actuator, effects=(Delay(number(late)),)), wanted)
+    found = plan(replace(actuator, effects=(effect("delay", time=late),)), wanted)
     assert found.time[0] <= -late and found.self_check_e_rms_percent < 0.01
 
 
-@pytest.mark.parametrize("behind", [VoltageOffset(number(60.0)), ChargeLeak(number(0.3), number(1.0)),
-                                    ElectrodeRC(number(0.03))])  # fmt: skip
+@pytest.mark.parametrize("behind", [effect("voltage_offset", offset=60.0), effect("charge_leak", kappa=0.3, tau=1.0),
+                                    effect("electrode_rc", tau=0.03)])  # fmt: skip
 def test_a_clip_is_asked_about_what_leaves_it(actuator, behind):
     """Not about the film behind the effects that follow."""
     clip = 700.0
-    model = replace(actuator, effects=(VoltageClip(number(1 / clip)), behind))
+    model = replace(actuator, effects=(effect("voltage_clip", inverse=1 / clip), behind))
     found = plan(model, 6e-4 * np.sin(2 * np.pi * TIME) ** 4, shots=0, max_slew=1e9)
     asked = plan(replace(actuator, effects=(behind,)), 6e-4 * np.sin(2 * np.pi * TIME) ** 4, shots=0, max_slew=1e9)
     beyond = asked.voltage > clip
@@ -83,7 +80,7 @@ def test_a_clip_is_asked_about_what_leaves_it(actuator, behind):
 
 @pytest.mark.slow
 def test_an_offset_behind_a_clip_is_within_its_reach(actuator):
-    model = replace(actuator, effects=(VoltageClip(number(1 / 700)), VoltageOffset(number(60.0))))
+    model = replace(actuator, effects=(effect("voltage_clip", inverse=1 / 700), effect("voltage_offset", offset=60.0)))
     wanted = 6.3e-4 * np.sin(2 * np.pi * TIME) ** 4
     found = plan(model, wanted)
     assert found.voltage.max() < 700 < found.voltage.max() + 60
@@ -93,7 +90,7 @@ def test_an_offset_behind_a_clip_is_within_its_reach(actuator):
 @pytest.mark.slow
 def test_overlapping_clocks_tell_no_age(actuator):
     """Two files that both begin at an hour are no session: nothing is known of their age."""
-    model = replace(actuator, effects=(SettlingDrift(number(-0.3), number(60.0)),))
+    model = replace(actuator, effects=(effect("stiffness_drift", d=-0.3, time=60.0),))
     voltage = 500 * (1 - np.cos(2 * np.pi * TIME))
     x = np.asarray(rollout(model, jnp.asarray(voltage, jnp.float32), DT, rest_state(model)), np.float64)[:, 0]
     fresh = [Record(name, 3600 + TIME, voltage, x * model.scales.state[0]) for name in ("a", "b")]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from motions import DT, TIME, hump, swing
 from scipy.optimize import lsq_linear, minimize
 
-from pitp_jax._effects.amplifier import Delay
+from pitp_jax._effects import effect
 from pitp_jax._invert import change_programme
 from pitp_jax._invert.change_programme import _Cut, _readings
 from pitp_jax._invert.feedforward_plan import feedforward
@@ -78,7 +78,7 @@ def test_a_small_change_of_the_voltage_does_what_the_stages_say(nonlinear, doubl
         model = double(lagging(model)) if kind == "lag" else model
         late = 7 if kind == "delay" else 0
         if late:
-            model = replace(model, effects=(Delay(jnp.asarray(late * DT)),))
+            model = replace(model, effects=(effect("delay", time=late * DT),))
         count, stages = 120, 120 // length
         u = 300 + 250 * np.sin(60 * DT * np.arange(count)) ** 2
         wish = Wish(np.zeros(count), np.ones(count, bool), DT, np.zeros(count), np.full(count, 2e3), 1e5, 1e9)

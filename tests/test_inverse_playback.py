@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from pitp_jax._errors import BadInput
-from pitp_jax._invert.feedforward_plan import Feedforward
+from pitp_jax import BadInput, Feedforward, Target
 from pitp_jax._invert.playback import at_faster_rate, at_slower_rate
-from pitp_jax._record.reading import Target
 
 TIME = -0.3 + 1e-3 * np.arange(1301)
 

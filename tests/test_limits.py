@@ -5,11 +5,8 @@ import pytest
 from motions import DT, HIGH, SAMPLES, SLEW, TIME, hump, respond, swing, swing_force
 from scipy.signal import lsim
 
-from pitp_jax._errors import BadInput
-from pitp_jax._invert.feedforward_plan import feedforward
-from pitp_jax._metrics import e_rms_percent
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._record.reading import Target
+from pitp_jax import BadInput, Target, e_rms_percent, feedforward
+from pitp_jax._model import LinearInput
 
 
 def slew_of(found, dt=DT):

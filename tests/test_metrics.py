@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pitp_jax._metrics import e_rms_percent, nrmse_percent, rmhe_percent, rmse, steady
+from pitp_jax import e_rms_percent, nrmse_percent, rmhe_percent, rmse
+from pitp_jax._metrics import steady
 
 PHASE = np.arange(1000) / 1000 * 2 * np.pi
 SINE = 2.0 * np.sin(PHASE)

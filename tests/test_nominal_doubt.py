@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from played import DT, FEW, nominal_of, play
@@ -15,7 +14,7 @@ from pitp_jax._diagnose.evaluation import Judged, judge
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.hold import settled
 from pitp_jax._diagnose.parameter_uncertainty import doubted
-from pitp_jax._effects import CATALOGUE, amplifier, sensor
+from pitp_jax._effects import CATALOGUE, effect, lookup
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +26,7 @@ def nominal(linear):
 def test_the_nominals_own_doubt_widens_an_effects_interval(nominal):
     """All coefficients off by one common 1 % are a gain off by 1 %: that much the sensor's gain is not known."""
     told = nominal.provenance.with_(covariance=((1e-4,) * 3,) * 3)
-    records = play(replace(nominal, effects=(sensor.SensorGain(jnp.asarray(0.3)),)))
+    records = play(replace(nominal, effects=(effect("sensor_gain", d=0.3),)))
     sure, unsure = (
         pitp.diagnose(m, records, exclude=FEW).added[0].parameters["d"]
         for m in (nominal, replace(nominal, provenance=told))
@@ -40,7 +39,7 @@ def test_the_nominals_own_doubt_widens_an_effects_interval(nominal):
 def test_a_refit_reads_the_sensors_zero_anew(nominal):
     """A nominal whose zero is 4 um off, twice the noise, as one that was identified without the effect."""
     off = replace(nominal, output=replace(nominal.output, offset=4e-6))
-    planted = replace(nominal, effects=(amplifier.VoltageOffset(jnp.asarray(60.0)),))
+    planted = replace(nominal, effects=(effect("voltage_offset", offset=60.0),))
     found = pitp.diagnose(off, play(planted), refit_nominal=True, exclude=FEW)
     assert found.effects == ("voltage_offset",)
     told = found.added[0].parameters["offset"]
@@ -53,7 +52,7 @@ def test_a_refit_does_not_know_the_hold(nominal):
     """A zero-order hold is half a sample of delay: so little is a delay known behind one, and no more."""
     held = replace(nominal, hold="zoh")
     case = build_case(held, play(nominal))
-    begin = Candidate((amplifier.Delay,), ((0.02,),), (amplifier.Delay.starts(case.surroundings)[0],), np.ones(3), True)
+    begin = Candidate((lookup("delay"),), ((0.02,),), (lookup("delay").start(case.surroundings)[0],), np.ones(3), True)
     judged = Judged(replace(begin, covariance=np.zeros((5, 5))), (), 1.0, 1.0)
     told = doubted(case, judged, held).candidate.covariance
     np.testing.assert_allclose(np.sqrt(np.diag(told)) * 0.02, [DT / 2, 0, 0, 0, 0])
@@ -64,13 +63,13 @@ def test_a_refit_does_not_know_the_hold(nominal):
 def test_a_refit_settles_the_hold_once_the_effect_is_known(nominal, hold):
     """A nominal that took its hold from lagged records: under the wrong one tau was read half a sample short."""
     held = replace(nominal, hold="zoh")
-    lag = sensor.SensorLag(jnp.asarray(0.02))
+    lag = effect("sensor_lag", tau=0.02)
     records = play(replace(nominal, hold=hold, effects=(lag,)))
     case = build_case(held, records)
     begin = Candidate(
-        (sensor.SensorLag,), ((0.015,),), (sensor.SensorLag.starts(case.surroundings)[0],), np.ones(3), True
+        (lookup("sensor_lag"),), ((0.015,),), (lookup("sensor_lag").start(case.surroundings)[0],), np.ones(3), True
     )
-    lanes = Lanes(case, [(sensor.SensorLag,)])
+    lanes = Lanes(case, [(lookup("sensor_lag"),)])
     (best,) = judge(lanes, fit(lanes, [begin]))
     found, model = settled(case, best, held)
     assert model.hold == hold
@@ -80,7 +79,7 @@ def test_a_refit_settles_the_hold_once_the_effect_is_known(nominal, hold):
 @pytest.mark.slow
 def test_what_has_one_form_has_no_excuse_for_what_it_leaves(nominal):
     """A sensor's lag passes for a delay in part only: excused for a nominal of unknown quality, not for a good one."""
-    lag = replace(nominal, effects=(sensor.SensorLag(jnp.asarray(0.015)),))
+    lag = replace(nominal, effects=(effect("sensor_lag", tau=0.015),))
     others = {c.name for c in CATALOGUE if c.name != "delay"} | {"parameter_change"}
     records = play(lag)
     known = pitp.identify(play(nominal, seed=1), order=2).model

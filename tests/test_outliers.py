@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from pitp_jax import read
 from pitp_jax._record.outliers import mask_faults
-from pitp_jax._record.reading import read
 
 DT, COUNT = 1e-3, 8000
 TIME = np.arange(COUNT) * DT

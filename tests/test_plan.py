@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pitp_jax as pitp
+from pitp_jax import rest_state
 from pitp_jax._plan.expected_error import knowledge, motions
 from pitp_jax._plan.information import choose, gains, variance
 from pitp_jax._plan.next_recordings import greedy
 from pitp_jax._plan.page import page
 from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax._simulate.decoder import rollout
 from pitp_jax._train.parameters import parameters, with_parameters
 from pitp_jax.cli import main
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import brentq
 from typed import of_kind
 
-from pitp_jax._errors import ComputationFailed
-from pitp_jax._plant.virtual_actuator import plant, record, simulate, stepper
+from pitp_jax import ComputationFailed, plant, record, simulate, stepper
 
 NAMES = ("cone100", "cone122", "cone150", "roll")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pitp_jax._metrics import e_rms_percent
+from pitp_jax import e_rms_percent
 
 pytestmark = pytest.mark.slow
 WORKER = Path(__file__).with_name("precision_worker.py")

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfreqz
 
-from pitp_jax._errors import BadInput
+from pitp_jax import BadInput, Record
 from pitp_jax._record.derivative import central, stencil
 from pitp_jax._record.preprocess import cutoff, edge_samples, force_band, preprocess, stretches
-from pitp_jax._record.record import Record
 
 FS = 1000.0
 

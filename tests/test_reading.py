@@ -17,9 +17,7 @@ from record_files import (
     text,
 )
 
-from pitp_jax._errors import BadInput
-from pitp_jax._record.reading import read, read_target
-from pitp_jax._record.record import Record
+from pitp_jax import BadInput, Record, read, read_target
 from pitp_jax._record.sets import session_clock
 
 

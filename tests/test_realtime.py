@@ -8,15 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._errors import BadInput
+from pitp_jax import BadInput, Record, decoder_step, inverse_step, predict, rest_state, restore_step
 from pitp_jax._invert.equation import invert_path
-from pitp_jax._invert.realtime import decoder_step, inverse_step, restore_step
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._model import ElapsedTime, ElectrodeLag
 from pitp_jax._numerics.spline_derivative import derivatives
-from pitp_jax._record.record import Record
-from pitp_jax._simulate.decoder import rest_state, rollout
-from pitp_jax._simulate.prediction import predict
+from pitp_jax._simulate.decoder import rollout
 
 DT = 1e-3
 

@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from diagnosis_cases import candidate, no_gap, tied
@@ -14,7 +13,7 @@ from matplotlib import rcParams
 from pitp_jax._diagnose import verdict as rule
 from pitp_jax._diagnose.report import figures, formatting
 from pitp_jax._diagnose.report.page import report
-from pitp_jax._effects import stiffness
+from pitp_jax._effects import effect
 
 
 class Page(HTMLParser):
@@ -95,7 +94,7 @@ def test_ties_are_said_first_and_come_with_an_experiment(tied):
 
 
 def test_two_effects_are_both_told_with_their_own_numbers(explained):
-    limited = stiffness.GentStiffening(jnp.asarray(0.25))
+    limited = effect("stiffening", form="limited chain", curvature=0.25)
     model = replace(explained.model, effects=(limited, *explained.model.effects))
     both = replace(explained, effects=("electrode_rc", "stiffening"), model=model)
     _, text = read(both)

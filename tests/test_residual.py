@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pitp_jax import Model
 from pitp_jax._model.equation import equation_force
-from pitp_jax._model.model import Model
 from pitp_jax._model.positive import logit_of, positive_factor
 from pitp_jax._train.equation_error import EquationData, huber, loss
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter, lsim
 
+from pitp_jax import Record
 from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.identification import identify
 from pitp_jax._record.initial_state import first_known, first_states, level_groups, noise_std, starts_at_rest
-from pitp_jax._record.record import Record
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
 TIME = np.arange(3000) * DT

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from typed import untyped
 
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import PaperEncoder
-from pitp_jax._model.memory import ElapsedTime
+from pitp_jax import rest_state
+from pitp_jax._model import ElapsedTime, ElectrodeLag, PaperEncoder
 from pitp_jax._simulate.batched_rollout import fast_rollout
-from pitp_jax._simulate.decoder import rest_state, rollout, rollout_batch
+from pitp_jax._simulate.decoder import rollout, rollout_batch
 
 DT, SAMPLES = 1e-3, 250
 

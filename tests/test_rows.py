@@ -6,8 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
-from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
+from pitp_jax._model import (
+    AbstractEncoder,
+    CompactEncoder,
+    ConstantEncoder,
+    ElapsedTime,
+    FadingMemory,
+    NoMemory,
+    PaperEncoder,
+    RingingMemory,
+)
 from pitp_jax._model.positive import positive_factor
 from pitp_jax._model.relu_tables import tables
 

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from pitp_jax._diagnose.regress import Screening, pairs, singles
-from pitp_jax._effects.base import Start
-from pitp_jax._effects.dissipation import PowerDrag
-from pitp_jax._effects.sensor import SensorGain
-from pitp_jax._effects.stiffness import CubicStiffening
+from pitp_jax._effects import lookup
+from pitp_jax._effects.spec import Start
 
 SAMPLES, NUISANCE = 400, 3
 WIDE = {1: Start((1.0,), (1e-6,), (1e6,)), 3: Start((1.0, 0.7, 2.0), (1e-6, 0.3, 2.0), (1e6, 3.0, 2.0))}
-FORMS = (CubicStiffening, CubicStiffening, SensorGain, PowerDrag)
+FORMS = (lookup("stiffening"), lookup("stiffening"), lookup("sensor_gain"), lookup("drag", "power"))
 VALUES = ((0.5,), (0.25,), (0.1,), (0.3, 0.7, 2.0))
 
 
@@ -50,7 +48,7 @@ def agrees(row, which, fitted, held):
 def test_single_forms_are_regressed_at_their_best_points(screened):
     fitted, held, found = screened
     rows = singles(found)
-    assert [r.forms for r in rows] == [(CubicStiffening,), (PowerDrag,), (SensorGain,)]
+    assert [r.forms for r in rows] == [(lookup("stiffening"),), (lookup("drag", "power"),), (lookup("sensor_gain"),)]
     for row, which in zip(rows, ([1], [3], [2]), strict=True):
         agrees(row, which, fitted, held)
 
@@ -59,9 +57,9 @@ def test_pairs_are_regressed_together(screened):
     fitted, held, found = screened
     rows = pairs(found, 10)
     assert [set(r.forms) for r in rows] == [
-        {CubicStiffening, PowerDrag},
-        {CubicStiffening, SensorGain},
-        {SensorGain, PowerDrag},
+        {lookup("stiffening"), lookup("drag", "power")},
+        {lookup("stiffening"), lookup("sensor_gain")},
+        {lookup("sensor_gain"), lookup("drag", "power")},
     ]
     for row, which in zip(rows, ([1, 3], [1, 2], [2, 3]), strict=True):
         agrees(row, which, fitted, held)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from played import SAMPLES, TIME, nominal_of, play
@@ -13,7 +12,7 @@ from pitp_jax._diagnose.effect_pairs import _around
 from pitp_jax._diagnose.evaluation import judge
 from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.noise import estimate, scatter
-from pitp_jax._effects import CATALOGUE, coupling, dissipation
+from pitp_jax._effects import CATALOGUE, effect, lookup
 
 QUIET = 1e-3
 
@@ -69,12 +68,12 @@ def test_the_second_effect_is_what_screens_best_around_the_first(nominal):
     """A coupling that zips up beside dry friction: around the fitted coupling, friction leads."""
     force = 600.0**2 / nominal.scales.force
     both = (
-        dissipation.CoulombFriction(jnp.asarray(0.08 * force)),
-        coupling.ExponentialCoupling(jnp.asarray(-1.5 / build_case(nominal, play(nominal)).surroundings.reach)),
+        effect("coulomb_friction", level=0.08 * force),
+        effect("stretch_coupling", form="exponential", b=-1.5 / build_case(nominal, play(nominal)).surroundings.reach),
     )
     case = build_case(nominal, play(replace(nominal, effects=both), noise=1e-7))
-    form = coupling.ExponentialCoupling
-    starts = form.starts(case.surroundings)
+    form = lookup("stretch_coupling", "exponential")
+    starts = form.start(case.surroundings)
     begin = [Candidate((form,), (s.values,), (s,), np.ones(3), False) for s in starts]
     lanes = Lanes(case, [(form,)])
     first = min(judge(lanes, fit(lanes, begin)), key=lambda j: j.heldout)

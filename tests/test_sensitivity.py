@@ -10,9 +10,7 @@ import pytest
 from normal import normal_equations
 from typed import of_kind
 
-from pitp_jax._effects.amplifier import Delay
-from pitp_jax._effects.dissipation import QuadraticDrag
-from pitp_jax._effects.sensor import SensorLag
+from pitp_jax._effects import effect
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.memory import FadingMemory, NoMemory
@@ -91,7 +89,7 @@ def test_normal_equations_are_those_of_the_plain_rollout(model, double, order, s
 def test_effects_are_trained_along(model, double):
     """A delay, a drag and a sensor's lag: their columns too, in logarithms, against the plain rollout's."""
     with jax.enable_x64(True):
-        parts = Delay(jnp.asarray(3.1e-3)), QuadraticDrag(jnp.asarray(0.4)), SensorLag(jnp.asarray(7e-3))
+        parts = effect("delay", time=3.1e-3), effect("drag", c=0.4), effect("sensor_lag", tau=7e-3)
         m = double(replace(model(2, 2), effects=parts))
         runs = runs_of(m)
         vector, counts = parameters(m)

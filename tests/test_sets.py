@@ -9,7 +9,7 @@ import pytest
 
 import pitp_jax as pitp
 from pitp_jax._diagnose.case import build_case
-from pitp_jax._effects.sensor import SettlingDrift
+from pitp_jax._effects import lookup
 from pitp_jax._errors import BadInput
 from pitp_jax._record.sets import alike, check_set, clock_start
 
@@ -74,7 +74,7 @@ def test_only_absolute_clocks_have_a_start():
 @pytest.mark.slow
 def test_drift_is_the_same_by_either_clock(linear):
     """A spring that settles within a minute, records one to four minutes into a session."""
-    drift = SettlingDrift(*(jnp.asarray(v, jnp.float32) for v in (0.3, 60.0)))
+    drift = lookup("stiffness_drift")(*(jnp.asarray(v, jnp.float32) for v in (0.3, 60.0)))
     session = [record(f"{k}", begins=60.0 * k) for k in range(4)]
     dated = [replace(r, time=r.time + EPOCH) for r in session]
     model = replace(linear(2, dt=DT), effects=(drift,))

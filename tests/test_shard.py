@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from typed import some
 
-from pitp_jax._errors import BadInput
-from pitp_jax._sharding import local_rows, records_mesh, sharded_rollout, spread
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax import BadInput, records_mesh, rest_state, rollout_scaled, sharded_inverse, sharded_rollout
+from pitp_jax._sharding import local_rows, spread
 
 WORKER = Path(__file__).with_name("shard_worker.py")
 PARTS = {"rollout", "inverse", "slopes"}
@@ -47,14 +46,21 @@ def running():
         some(process.stdout).close()
 
 
-@pytest.mark.slow
-def test_equal_on_one_device(running, nonlinear):
-    model, t = nonlinear(2), np.arange(100) * 1e-3
+def test_one_device_rolls_out_and_inverts_as_without(linear, coefficients):
+    """Free runs are those of one record at a time; the inverse is sqrt(a_0 x + a_1 x' + a_2 x'') of known motions."""
+    model, mesh, t, w = linear(2), records_mesh(jax.devices()[:1]), np.arange(400) * 1e-3, 2 * np.pi * 1.5
     volts = np.stack([300 * np.sin((1 + r) * 4 * t) ** 2 for r in range(3)])
-    start = np.tile(np.asarray(rest_state(model)), (3, 1))
-    found = sharded_rollout(model, volts, 1e-3, start, records_mesh(jax.devices()[:1]))
-    truth = rollout_batch(model, jnp.asarray(volts, jnp.float32), 1e-3, jnp.asarray(start))
+    rest = np.asarray(rest_state(model))
+    found = sharded_rollout(model, volts, 1e-3, np.tile(rest, (3, 1)), mesh)
+    truth = [rollout_scaled(model, jnp.asarray(u, jnp.float32), 1e-3, rest_state(model)) for u in volts]
     np.testing.assert_allclose(found, truth, rtol=0, atol=2e-5 * np.abs(truth).max())
+    motion = np.stack([1.5 - 2 * np.cos(w * t) + 0.5 * np.cos(2 * w * t), 2 * w * np.sin(w * t) - w * np.sin(2 * w * t),
+                       2 * w**2 * (np.cos(w * t) - np.cos(2 * w * t))])  # fmt: skip
+    sizes = np.array([[2e-4], [4e-4]])
+    wanted = np.sqrt(np.maximum(sizes * (coefficients(2) @ motion), 0.0))
+    np.testing.assert_allclose(
+        sharded_inverse(model, sizes * motion[0], 1e-3, mesh), wanted, rtol=0, atol=1e-3 * wanted.max()
+    )
 
 
 @pytest.mark.slow

@@ -7,12 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pitp_jax._errors import BadInput
+from pitp_jax import BadInput, Model, invert_stream
 from pitp_jax._invert.equation import invert_path
-from pitp_jax._invert.stream import invert_stream
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._model.model import Model
+from pitp_jax._model import ElapsedTime, ElectrodeLag
 from pitp_jax._numerics.spline_derivative import derivatives
 
 DT = 1e-3

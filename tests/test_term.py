@@ -21,7 +21,7 @@ from pitp_jax._diagnose.report import figures
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._diagnose.term import Drawn, Term
 from pitp_jax._diagnose.term_search import search
-from pitp_jax._effects.found_term import KNEES, LIBRARY, NAMES, FoundTerm, Values
+from pitp_jax._effects.found_term import KNEES, LIBRARY, NAMES, Values, sparse_term
 from pitp_jax._effects.physical import in_scales
 from pitp_jax._export import steps
 from pitp_jax._export.c99 import export_c
@@ -32,7 +32,7 @@ FLOOR = 0.14  # %, of the records of `play`
 
 
 def term(a=1.0, b=1.0, e=1.0, tau=1.0, d=1.0, **sums):
-    return FoundTerm.of([sums.get(name, 0.0) for name in NAMES] + [a, b, e, tau, d])
+    return sparse_term([sums.get(name, 0.0) for name in NAMES] + [a, b, e, tau, d])
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_what_no_name_explains_is_an_equation_with_units_and_intervals(nominal, 
 def test_the_model_handed_back_carries_it(nominal, described, tmp_path):
     pitp.save(tmp_path / "m", described.model)
     model = pitp.load(tmp_path / "m")
-    assert model.effects[0].functions == ("x^3", "x' F")
+    assert model.effects[0].spec.functions == ("x^3", "x' F")
     records = play(replace(nominal, effects=(term(**{"x' F": 0.3, "x^3": -0.05}),)), noise=0.0, seed=4)[:2]
     for old, new, r in zip(pitp.predict(nominal, records), pitp.predict(model, records), records, strict=True):
         before, after = (pitp.e_rms_percent(p.displacement, r.displacement) for p in (old, new))
@@ -100,8 +100,8 @@ def test_a_threshold_is_found_where_it_is(nominal):
     planted = replace(nominal, effects=(term(0.6, **{"max(x - a, 0) x'": 0.5}),))
     case = build_case(nominal, play(planted))
     (base,) = judge(Lanes(case, [()]), [Candidate((), (), (), np.ones(3), False)])
-    found = FoundTerm.of(some(search(case, base, FLOOR)).candidate.values[-1])
-    assert found.functions == ("max(x - a, 0) x'",) and float(found.knees[0]) == pytest.approx(0.6, abs=0.02)
+    found = sparse_term(some(search(case, base, FLOOR)).candidate.values[-1])
+    assert found.spec.functions == ("max(x - a, 0) x'",) and float(found.knees[0]) == pytest.approx(0.6, abs=0.02)
 
 
 def test_a_free_run_is_that_of_the_equation(nominal):
@@ -154,7 +154,7 @@ def test_in_other_scales_it_is_the_same_force(nominal):
     new = (nominal.scales.state * [2.0, 3.0, 5.0], 0.7 * old[1])
     effect = term(0.4, 0.3, 0.2, 0.1, **dict.fromkeys(NAMES, 0.1))
     twice = in_scales(in_scales(effect, old, new), new, old)
-    assert isinstance(twice, FoundTerm) and np.allclose(twice.c, effect.c) and np.allclose(twice.knees, effect.knees)
+    assert twice.spec is effect.spec and np.allclose(twice.c, effect.c) and np.allclose(twice.knees, effect.knees)
     here, there = ({p.name: float(v) for p, v in e.numbers()} for e in (effect, in_scales(effect, old, new)))
     ratios = {"x": 1 / 2, "v": 1 / 3, "f": 1 / 0.7}
     for name in ("x^2 x'", "x' U", "x F^2", "max(F - e, 0)"):

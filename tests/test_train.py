@@ -10,8 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from typed import of_kind, untyped
 
-from pitp_jax._effects.amplifier import Delay
-from pitp_jax._effects.dissipation import QuadraticDrag
+from pitp_jax._effects import effect
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._metrics import e_rms_percent, rmse
 from pitp_jax._model.drive import DirectDrive, ElectrodeLag
@@ -136,7 +135,7 @@ def test_a_delay_and_a_sensors_lag_are_learned_with_the_model(plant, coefficient
 def test_effects_of_the_nominal_are_fitted_along(plant, coefficients):
     """A delay given in a model of other scales, half of what it is: it stays an effect, and grows to its length."""
     a = coefficients(2, 5.0, 0.15)
-    late = replace(plant[0], effects=(Delay(jnp.asarray(0.006)), QuadraticDrag(jnp.asarray(1e-3))))
+    late = replace(plant[0], effects=(effect("delay", time=0.006), effect("drag", c=1e-3)))
     settings = replace(TINY, epochs=4, stages=1, refine_steps=25, drive="direct")
     found = train(late, [duffing(a, hz, delay=0.012) for hz in (1.0, 2.0, 3.2)], settings=settings, key=KEY).model
     assert (found.scales.state != late.scales.state).any()

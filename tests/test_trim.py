@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._invert.pi_control import KV_PER_MM, pi_trim
-from pitp_jax._model.input_map import SquareInput
-from pitp_jax._plant.virtual_actuator import plant, simulate, stepper
+from pitp_jax import pi_trim, plant, simulate, stepper
+from pitp_jax._invert.pi_control import KV_PER_MM
+from pitp_jax._model import SquareInput
 
 POLE, GAIN, DT = 0.9, 2e-7, 1e-3  # x' = POLE x + GAIN u + load
 

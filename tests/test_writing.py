@@ -8,8 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pitp_jax._errors import BadInput
-from pitp_jax._record.reading import read
+from pitp_jax import BadInput, read
 from pitp_jax._record.writing import write_bytes_atomic, write_csv, write_text_atomic
 
 VALUES = st.floats(-1e6, 1e6, allow_subnormal=False)

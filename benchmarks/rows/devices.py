@@ -14,8 +14,10 @@ import sys
 import numpy as np
 
 from ..clock import row
+from ..sizes import size
 
 _ROLLOUT = "rollout, 256 x 1,000"
+_COUNTS = size((1, 2, 4, 8), (1, 2))
 
 
 def with_devices(count: int, seconds: float) -> dict:
@@ -27,7 +29,7 @@ def with_devices(count: int, seconds: float) -> dict:
 
 def measure(seconds: float) -> dict:
     """All counts."""
-    answers = {count: with_devices(count, seconds / 2) for count in (1, 2, 4, 8)}
+    answers = {count: with_devices(count, seconds / 2) for count in _COUNTS}
     cores, base, curve = len(os.sched_getaffinity(0)), answers[1], []
     for count, answer in answers.items():
         for name, times in answer["times"].items():

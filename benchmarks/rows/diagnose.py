@@ -3,16 +3,17 @@
 import time
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._effects.electrode import ElectrodeRC
+from pitp_jax._effects import effect
 
 from ..clock import summary
+from ..sizes import size
 from ..subjects import DT, nominal, voltages
 
-RECORDS, STEPS, NOISE = 8, 10_000, 2e-6  # m
+RECORDS, STEPS = size((8, 10_000), (4, 1000))
+NOISE = 2e-6  # m
 
 
 def records(model) -> tuple[pitp.Record, ...]:
@@ -31,7 +32,7 @@ def records(model) -> tuple[pitp.Record, ...]:
 
 def measure(seconds: float) -> dict:
     """One diagnosis, compilation included."""
-    return diagnosed((ElectrodeRC(jnp.asarray(0.01)),))
+    return diagnosed((effect("electrode_rc", tau=0.01),))
 
 
 def diagnosed(effects: tuple, **how) -> dict:

@@ -3,6 +3,7 @@
 minimise over log a and the rest position:  sum_t (x(t; a) - x_measured(t))^2,   a_0 x + a_1 x' + a_2 x'' = u^2
 """
 
+from dataclasses import replace
 from functools import cache
 
 import jax
@@ -16,11 +17,14 @@ import pitp_jax as pitp
 from pitp_jax._demo import protocol
 
 from ..clock import row, take_turns
+from ..sizes import size
 
 
 def sweep():
     """The quick protocol's sweep, measured on the virtual cone."""
-    return protocol.measure(pitp.plant("cone100"), protocol.excitations("cone100", "sweep", True))[0]
+    whole = protocol.measure(pitp.plant("cone100"), protocol.excitations("cone100", "sweep", True))[0]
+    kept = slice(0, size(None, 4000))
+    return replace(whole, time=whole.time[kept], voltage=whole.voltage[kept], displacement=whole.displacement[kept])
 
 
 def by_scipy(record, near: np.ndarray) -> np.ndarray:

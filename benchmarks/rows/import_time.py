@@ -5,7 +5,9 @@ import sys
 import time
 
 from ..clock import row, summary
+from ..sizes import size
 
+_TURNS = size(7, 1)
 _BASE = "import jax, equinox"
 _OURS = f"{_BASE}; import pitp_jax"
 _VERBS = f"{_OURS}; [getattr(pitp_jax, name) for name in pitp_jax.__all__]"
@@ -23,7 +25,7 @@ def measure(seconds: float) -> dict:
     lines = {"pitp_jax": _OURS, "jax and equinox": _BASE, "every verb": _VERBS}
     first = {name: seconds_of(line) for name, line in lines.items()}
     times: dict[str, list[float]] = {name: [] for name in lines}
-    for _ in range(7):
+    for _ in range(_TURNS):
         for name, line in lines.items():
             times[name].append(seconds_of(line))
     found = {name: summary(taken, first[name]) for name, taken in times.items()}

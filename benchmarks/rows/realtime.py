@@ -12,9 +12,10 @@ from pitp_jax._invert.realtime import decoder_step, inverse_step
 from pitp_jax._numerics.spline_derivative import derivatives
 
 from ..clock import once, summary
+from ..sizes import size
 from ..subjects import DT, default, target
 
-_CALLS = 30_000
+_CALLS = size(30_000, 200)
 _PERIODS_US = {"1 kHz": 1000.0, "5 kHz": 200.0}
 
 

@@ -13,9 +13,10 @@ from pitp_jax._simulate.decoder import rollout_batch
 
 from ..clock import row, take_turns
 from ..ode import EQUAL, diffrax_ways, error, films, reference, rollout_floor
+from ..sizes import size
 from ..subjects import DT, default, voltages
 
-RECORDS, STEPS, CHECKED, PART = 32, 10_000, 4, 10
+RECORDS, STEPS, CHECKED, PART = size((32, 10_000, 4, 10), (2, 100, 2, 2))
 
 
 def torch_ways(model, film, start, truth) -> tuple[dict, dict, str]:

@@ -8,9 +8,10 @@ from pitp_jax._simulate.decoder import rollout_batch
 
 from ..clock import row, take_turns
 from ..ode import rollout_floor
+from ..sizes import size
 from ..subjects import DT, default, voltages
 
-RECORDS, STEPS = 1024, 1000
+RECORDS, STEPS = size((1024, 1000), (8, 100))
 
 
 def measure(seconds: float) -> dict:

@@ -14,9 +14,11 @@ from pitp_jax._invert.equation import invert_path, scaled_equation
 from pitp_jax._numerics.spline_derivative import fast_derivatives
 
 from ..clock import summary
+from ..sizes import size
 from ..subjects import DT, default, target
 
-_BLOCK, _PERIOD = 100_000, 200_000  # the target repeats every 200 s
+_BLOCK, _PERIOD = size((100_000, 200_000), (1000, 2000))  # the target repeats every 200 s
+_LENGTHS = size((10**6, 10**7, 10**8), (10**4,))
 
 
 def blocks(samples: int):
@@ -37,17 +39,17 @@ def run(model, samples: int) -> tuple[float, int]:
 def measure(seconds: float) -> dict:
     """The median is of repeated streams of 10^6; the others run once."""
     model = default()
-    first, _ = run(model, 10**6)
-    times = [run(model, 10**6)[0] for _ in range(5)]
+    first, _ = run(model, _LENGTHS[0])
+    times = [run(model, _LENGTHS[0])[0] for _ in range(5)]
     curve = []
-    for samples in (10**6, 10**7, 10**8):
+    for samples in _LENGTHS:
         taken, count = run(model, samples)
         assert count == samples
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         curve.append({"samples": samples, "seconds": taken, "ns_per_sample": 1e9 * taken / samples, "peak_mb": peak})
-    path = np.concatenate(list(blocks(10**6)))
+    path = np.concatenate(list(blocks(_LENGTHS[0])))
     whole = np.asarray(invert_path(model, scaled_equation(model, fast_derivatives(path, DT, 2)), DT)[1])
-    streamed = np.concatenate([piece.voltage for piece in invert_stream(model, blocks(10**6), DT)])
+    streamed = np.concatenate([piece.voltage for piece in invert_stream(model, blocks(_LENGTHS[0]), DT)])
     apart = np.abs(whole - streamed) / np.abs(whole).max()
-    return {**summary(times, first), "peer": None, "peer_median_ms": None, "ratio": None, "samples": 10**6,
+    return {**summary(times, first), "peer": None, "peer_median_ms": None, "ratio": None, "samples": _LENGTHS[0],
             "curve": curve, "apart": float(apart.max()), "apart_p999": float(np.percentile(apart, 99.9))}  # fmt: skip

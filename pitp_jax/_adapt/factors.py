@@ -17,9 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._effects.amplifier import Delay
-from .._effects.electrode import ElectrodeLadder, ElectrodeRC
-from .._effects.viscoelastic import Creep, LosingCreep, SpreadCreep
 from .._model.drive import DirectDrive, ElectrodeLag
 from .._model.encoder import AdaptedEncoder, ConstantEncoder, plain
 from .._model.memory import FadingMemory, RingingMemory
@@ -33,8 +30,6 @@ _TIME = 2.0  # and of lengthened times, in units
 _FIRST = ("stiffness", "damping", "inertia")
 TIMES = ("electrode_tau", "delay")
 TILTS = ("gain over the stroke", "stiffness over the stroke")
-_CREEPS = (Creep, SpreadCreep, LosingCreep)
-_LAGS = (ElectrodeRC, ElectrodeLadder)
 
 
 class Factors(NamedTuple):
@@ -87,14 +82,14 @@ def factors_of(model: Model, seconds: float, middle: float) -> Factors:
     names = [*_FIRST[: n + 1], *(f"a{i}" for i in range(3, n + 1))]
     prior = [_COEFFICIENT] * (n + 1)
     outlasted = np.asarray(jnp.exp(_lags(model)) < seconds / 2, np.float64)
-    if outlasted.any() or any(isinstance(e, _CREEPS) and float(e.tau) < seconds / 2 for e in model.effects):
+    if outlasted.any() or any(e.name == "creep" and float(e.tau) < seconds / 2 for e in model.effects):
         names, prior = [*names, "creep"], [*prior, _OTHER]
     tau = 0.0
     if model.input_map.one_sided:  # a lag before a linear input is one of the force, and orders tell those
         names, prior = [*names, "electrode_tau"], [*prior, _TIME]
-        tau = next((float(e.tau) for e in model.effects if isinstance(e, _LAGS)), 0.0)
+        tau = next((float(e.tau) for e in model.effects if e.name == "electrode_rc"), 0.0)
         tau = float(jnp.exp(model.drive.log_tau)) if isinstance(model.drive, ElectrodeLag) else tau
-    delay = next((float(e.time) for e in model.effects if isinstance(e, Delay)), 0.0)
+    delay = next((float(e.time) for e in model.effects if e.delays), 0.0)
     if delay:
         names, prior = [*names, "delay"], [*prior, _TIME]
     if not isinstance(plain(model.encoder), ConstantEncoder):
@@ -131,9 +126,9 @@ def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers 
         model = _later(model, factors, by["electrode_tau"], dt)
 
     def effect(e):
-        if isinstance(e, _CREEPS):
+        if e.name == "creep":
             return eqx.tree_at(lambda e: e.kappa, e, e.kappa * jnp.exp(creep))
-        if isinstance(e, Delay) and "delay" in by:
+        if e.delays and "delay" in by:
             return eqx.tree_at(lambda e: e.time, e, jnp.maximum(e.time + factors.unit * by["delay"], 0.0))
         return e
 
@@ -154,8 +149,8 @@ def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array)
 def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
     """The electrode's lag lengthened, where the model has it: its drive, or an effect."""
     tau = factors.tau + factors.unit * z
-    if isinstance(model.drive, DirectDrive) and any(isinstance(e, _LAGS) for e in model.effects):
-        place = next(k for k, e in enumerate(model.effects) if isinstance(e, _LAGS))
+    if isinstance(model.drive, DirectDrive) and any(e.name == "electrode_rc" for e in model.effects):
+        place = next(k for k, e in enumerate(model.effects) if e.name == "electrode_rc")
         return eqx.tree_at(lambda m: m.effects[place].tau, model, jnp.maximum(tau, 0.0))
     log_tau = jnp.log(jnp.maximum(tau, _SHORTEST * dt)).astype(model.coefficients.dtype)
     drive = eqx.tree_at(lambda d: d.log_tau, ElectrodeLag(jnp.zeros(())), log_tau)  # it may have rows

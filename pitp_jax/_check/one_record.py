@@ -17,7 +17,7 @@ from .._record.initial_state import in_motion, noise_std
 from .._record.outliers import mask_faults
 from .._record.plausible import doubts
 from .._record.record import Record
-from .._record.units import base_unit, from_base
+from .._table.units import base_unit, from_base
 
 _TAIL = 0.01  # of the drive's energy that lies below and above its band
 _FEW_PER_PERIOD = 8  # samples of the fastest drive's period, below which what happens between them matters

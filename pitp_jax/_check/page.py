@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._record.record import Record
-from .._record.units import from_base
 from .._report import html
 from .._report.html import tag
 from .._report.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
 from .._report.numbers import figure, with_error
+from .._table.units import from_base
 from .check import Check, CheckedRecord
 
 _DRAWN = 24  # records; more make no page that anybody reads

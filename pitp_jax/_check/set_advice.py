@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._record.record import Record
-from .._record.units import OUTPUT_UNITS
+from .._table.units import OUTPUT_UNITS
 from .coverage import Coverage
 from .repeats import Repeat
 from .set_fit import SetFit

@@ -28,7 +28,7 @@ def bode_page(found: Identification, name: str) -> str:
         html.picture("coherence", _coherence(found), "How much of the output the drive explains, linearly."),
         "</div>",
         tag("h2", "Orders compared"),
-        html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in found.orders]),
+        html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in found.orders], {}),
         tag("h2", "Poles of the model"),
         html.table(("pole", "damping"), [("", row) for row in _poles(chosen)], {0: "left"}),
     ]

@@ -4,10 +4,10 @@ from pathlib import Path
 
 from .._check.check import Check, checked
 from .._check.page import page
-from .._errors import BadInput
 from .._model_file.model_file import load
-from .._record.reading import read_each, together
+from .._record.reading import read_each
 from .._record.writing import write_csv, write_text_atomic
+from .._table.units import base_unit, column_name
 from .console import number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
 from .recordings import recognised
@@ -32,8 +32,6 @@ def check(records, model, out, json_file, reading) -> None:
     check_files(json_file, inputs=inputs)
     loaded = load(model) if model else None
     read_in, refused = read_each(records, reading)
-    if not read_in:
-        raise BadInput(together(list(refused.values()), len(refused)))
     for line in recognised(read_in):
         say(line)
     for line in refused.values():
@@ -59,7 +57,11 @@ def _write(found: Check, files: dict[str, str], folder: Path) -> None:
     for record in found.understood:
         path = folder / files[record.name]
         path.parent.mkdir(parents=True, exist_ok=True)
-        columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_m": record.displacement}
+        drive, output = (
+            column_name(q, base_unit(u))
+            for q, u in (("voltage", record.voltage_unit), ("displacement", record.displacement_unit))
+        )
+        columns = {"time_s": record.time, drive: record.voltage, output: record.displacement}
         write_csv(path, columns)
     write_text_atomic(folder / PAGE, page(found))
 

@@ -6,7 +6,7 @@ from .._errors import BadInput
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import RATE_TOLERANCE
-from .._record.units import base_unit
+from .._table.units import base_unit
 from .console import say
 
 

@@ -9,9 +9,11 @@ from .._diagnose.diagnosis import diagnose as run_diagnosis
 from .._diagnose.report.answers import NEXT_CSV
 from .._diagnose.report.figures import FIGURES, figures
 from .._diagnose.report.page import report
+from .._errors import BadInput
 from .._model_file.lineage import descended
 from .._model_file.model_file import load, save
 from .._record.writing import write_csv, write_text_atomic
+from .against import against as diagnose_against
 from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
@@ -22,21 +24,32 @@ FILES = (MODEL, REPORT, JSON, NEXT_CSV, *(f"{name}.png" for name in FIGURES))
 _ROWS = 8  # of the ranking on standard output
 
 
-def diagnose(records, nominal, refit_nominal, seconds, out, json_file, reading) -> None:
+def diagnose(
+    records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None
+) -> None:
     """Diagnose, write what was asked for, and print the finding.
 
     Args:
         records: files and folders.
-        nominal: model file, identified or trained.
+        nominal: model file, identified or trained; None with `against`.
         refit_nominal: whether its coefficients are fitted along with every effect.
         seconds: of computing, or None.
         out: folder for the augmented model, the report, its figures and the next experiment, or None.
         json_file: where to write the finding for machines, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+        against: recordings of a simulator in the place of a model, or None.
+        position_gain: of the simulator's controller, with `against`.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
+    if against is not None:
+        if refit_nominal:
+            raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
+        diagnose_against(records, against, position_gain, seconds, out, json_file, reading)
+        return
+    if position_gain is not None:
+        raise BadInput("--position-gain is for --against: it is the simulator's")
     check_files(json_file, inputs=[nominal, *records])
     model = load(nominal)
     read_in = read_records(records, reading, square=is_square(model))

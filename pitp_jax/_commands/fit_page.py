@@ -17,13 +17,13 @@ from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
-from .._record.units import base_unit, from_base
 from .._report import html
 from .._report.html import tag
 from .._report.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, own_axes
 from .._report.numbers import figure, shown_unit
 from .._report.paper_figures import prediction as beside
 from .._simulate.prediction import Prediction
+from .._table.units import base_unit, from_base
 
 _SHOWN = 12  # records drawn, the worst first
 

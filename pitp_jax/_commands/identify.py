@@ -3,10 +3,10 @@
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
 from .._model_file.model_file import save
-from .._record.units import from_base
 from .._record.writing import write_text_atomic
 from .._report.description import describe
 from .._simulate.prediction import predict
+from .._table.units import from_base
 from .bode_page import bode_page
 from .console import number, print_table, say
 from .outputs import REPORT, check_files, check_folder, staged_files, staged_folder, write_json

@@ -12,10 +12,10 @@ from .._metrics import e_rms_percent, nrmse_percent, rmse
 from .._model_file.model_file import load
 from .._record.initial_state import Beginning
 from .._record.record import Record
-from .._record.units import from_base
 from .._record.writing import write_csv, write_text_atomic
 from .._simulate.prediction import Prediction
 from .._simulate.prediction import predict as run_predict
+from .._table.units import from_base
 from .compatibility import check_suits
 from .console import number, print_table
 from .outputs import REPORT, check_files, check_folder, staged_files, staged_folder, write_json

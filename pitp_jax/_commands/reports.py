@@ -3,8 +3,8 @@
 import math
 
 from .._record.initial_state import Beginning
-from .._record.units import from_base
 from .._report.description import in_words
+from .._table.units import from_base
 from .console import number, print_table
 
 

@@ -10,10 +10,10 @@ from .._errors import ComputationFailed
 from .._model.model import Model
 from .._model_file.model_file import load
 from .._record.sets import RATE_TOLERANCE
-from .._record.units import from_base
 from .._record.voltage_file import Drive, read_voltage
 from .._record.writing import write_csv
 from .._simulate.voltage_only import rollout
+from .._table.units import from_base
 from .console import number, print_table, say
 from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
 

@@ -3,11 +3,11 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._record.units import from_base
 from .._report import html
 from .._report.html import tag
 from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from .._report.numbers import figure, shown_unit
+from .._table.units import from_base
 from .pairing import Pair
 from .result import Comparison, Difference
 

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import BadInput, ComputationFailed
-from .._identify import identify
-from .._model.model import Model
+from .._identify import Identification, identify
 from .._record.initial_state import noise_std
 from .._record.record import Record
-from .._record.units import base_unit, from_base
+from .._table.units import base_unit, from_base
 from .models import compare_models
 from .pairing import Pair, pair_records
 from .result import Comparison, Difference, measured
@@ -31,7 +30,7 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
         rows = [row for pair in pairs.pairs for row in _outputs(pair, names[0])]
         return Comparison("records", names, tuple(rows), tuple(remarks), pairs)
     try:
-        models = [linear_model_of(records) for records in (a, b)]
+        models = [linear_model_of(records).model for records in (a, b)]
     except ComputationFailed as error:
         raise ComputationFailed(f"no drive is common to both sets, and no model of one can be made: {error}") from None
     found = compare_models(models[0], models[1], names)
@@ -39,25 +38,26 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
     return Comparison("records", names, found.rows, (first, *found.remarks), pairs)
 
 
-def linear_model_of(records: Sequence[Record]) -> Model:
-    """A linear model of these records; of a voltage that moves something, with the input map that leaves less.
+def linear_model_of(records: Sequence[Record]) -> Identification:
+    """A linear model of these records, a delay included; of two input maps the one that leaves less.
 
     Raises:
         BadInput, ComputationFailed: as `identify`.
     """
-    maps = ["linear"]
-    if base_unit(records[0].displacement_unit) == "m" and records[0].voltage_unit.endswith("V"):
-        maps.append("square")
-    found = []
-    for input_map in maps:
+    found, failed = [], None
+    for input_map in ("linear", "square") if _may_be_squared(records[0]) else ("linear",):
         try:
             found.append(identify(records, input_map=input_map, learn=("delay",)))
-        except ComputationFailed:
-            if len(maps) == 1:
-                raise
+        except ComputationFailed as error:
+            failed = error
     if not found:
-        raise ComputationFailed("no order of a linear model can be identified; record a sweep")
-    return min(found, key=lambda f: f.chosen.rms).model
+        raise failed or ComputationFailed("no linear model can be identified")
+    return min(found, key=lambda f: f.chosen.rms)
+
+
+def _may_be_squared(record: Record) -> bool:
+    """A voltage that moves something may pull with its square; a command, torque or current does not."""
+    return base_unit(record.displacement_unit) == "m" and record.voltage_unit.endswith("V")
 
 
 def _outputs(pair: Pair, first: str) -> list[Difference]:

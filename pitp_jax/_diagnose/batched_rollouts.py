@@ -22,8 +22,8 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
 from .._effects import EFFECTS
-from .._effects.amplifier import Delay
-from .._effects.base import AbstractEffect
+from .._effects.kernels import DELAY
+from .._effects.spec import EffectSpec
 from .._model.model import Model
 from .._model.programs import jit
 from .._numerics.intersample import between
@@ -32,14 +32,14 @@ from .._simulate.decoder import step
 from .case import Case, Series
 
 CHUNK, WIDTH, THREADS = 2000, 32, 2
-Forms = Sequence[type[AbstractEffect]]
+Forms = Sequence[EffectSpec]
 
 
 @dataclass(frozen=True)
 class Lane:
     """One run: forms with their parameters, factors on the nominal's coefficients, and a record."""
 
-    forms: tuple[type[AbstractEffect], ...]
+    forms: tuple[EffectSpec, ...]
     values: tuple[tuple[float, ...], ...]
     factors: np.ndarray
     series: int
@@ -86,8 +86,8 @@ class _Composite:
         self._neutral = np.asarray(ravel_pytree(neutral)[0], np.float64) if forms else np.zeros(0)
         self._places, first = {}, 0
         for f in self.forms:
-            self._places[f] = slice(first, first + len(f.PARAMETERS))
-            first += len(f.PARAMETERS)
+            self._places[f] = slice(first, first + len(f.parameters))
+            first += len(f.parameters)
         self.width = WIDTH * (1 if case.mesh is None else case.mesh.size)
         self._starts = [self._start(s) for s in case.series]
 
@@ -125,7 +125,7 @@ class _Composite:
 
     def _lane_stages(self, lane: Lane) -> np.ndarray:
         for form, values in zip(lane.forms, lane.values, strict=True):
-            if issubclass(form, Delay) and values[0] > 0:
+            if form.kernel is DELAY and values[0] > 0:
                 s = self._case.series[lane.series]
                 place = np.arange(len(s.voltage))
                 before = 0.0 if s.rest else s.voltage[0]

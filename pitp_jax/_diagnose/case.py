@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
-from .._effects.base import Surroundings
+from .._effects.spec import Surroundings
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.excitation_kind import kind, loudest

@@ -16,16 +16,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from .._effects.amplifier import Delay
-from .._effects.base import (
-    AbstractCouplingEffect,
-    AbstractDriveEffect,
-    AbstractEffect,
-    AbstractForceEffect,
-    AbstractSensorEffect,
-    Known,
-    states_of,
-)
+from .._effects.effect import Effect, Instant
 from .._model.model import Model
 
 
@@ -86,14 +77,14 @@ class Nominal(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _compiled_for(types: tuple, order: int, input_map: type):
-    effects = tuple(t.neutral() for t in types)
+    effects = tuple(row.neutral() for row in types)
     begin, advance = _passes(effects, order, input_map())
     return jax.jit(begin), jax.jit(advance)
 
 
 def compiled(model: Model, effects):
     """One compiled pass per set of forms, order and input map."""
-    return _compiled_for(tuple(type(e) for e in effects), model.order, type(model.input_map))
+    return _compiled_for(tuple(e.spec for e in effects), model.order, type(model.input_map))
 
 
 def _passes(effects, n: int, input_map):
@@ -101,12 +92,17 @@ def _passes(effects, n: int, input_map):
     unravel = ravel_pytree(effects)[1]
 
     def lane_start(row, start):
-        return [states_of(e, *start) for e in unravel(row)]
+        x, voltage, age, reached = start
+        found = [(e, e.start(voltage if e.port == "IN" else x, age)) for e in unravel(row)]
+        return [e.resumed(z, reached) for e, z in found]
 
     def lane(row, states, now, then, late, nominal):
         """Forces of all forms at this sample (filtered later), direct output columns, and the next states."""
         base = input_map.force(now.voltage) / nominal.force
-        instant = Known(now.motion[:n], nominal.coefficients, nominal.rates, base, nominal.blunt, now.motion[n])
+        frozen = now.tokens, now.offset
+        instant = Instant(
+            now.motion[:n], nominal.coefficients, nominal.rates, base, nominal.blunt, *frozen, last=now.motion[n]
+        )
         found = [
             _felt(e, z, instant, (now, then, late), nominal, input_map)
             for e, z in zip(unravel(row), states, strict=True)
@@ -139,7 +135,7 @@ def _passes(effects, n: int, input_map):
     return begin, advance
 
 
-def _felt(e: AbstractEffect, z, instant: Known, samples, nominal: Nominal, input_map):
+def _felt(e: Effect, z, instant: Instant, samples, nominal: Nominal, input_map):
     """One form: its force (filtered later), its direct share of the output, and its next states.
 
     `samples`: the columns at this sample, those at the next, and the delayed voltage at this one.
@@ -149,15 +145,14 @@ def _felt(e: AbstractEffect, z, instant: Known, samples, nominal: Nominal, input
     def lost(volts):
         return instant.force - input_map.force(volts) / nominal.force
 
-    if isinstance(e, AbstractDriveEffect):
-        return lost(e.film(z, now.voltage)), none, e.advance(z, now.voltage, then.voltage, nominal.dt)
-    if isinstance(e, Delay):
+    if e.delays:
         return lost(late), none, z
-    if isinstance(e, AbstractCouplingEffect):
-        return instant.force - e.couple(instant.force, now.motion[0]), none, z
-    if isinstance(e, AbstractForceEffect):
-        tokens, offset = e.act(z, instant, now.tokens, now.offset)
-        force = (tokens - now.tokens) @ now.motion + offset - now.offset
-        return force, none, e.advance(z, now.motion[0], then.motion[0], nominal.dt)
-    assert isinstance(e, AbstractSensorEffect)
-    return none, now.run - e.reading(z, now.run), e.advance(z, now.run, then.run, nominal.dt)
+    if e.port == "IN":
+        return lost(e.apply(now.voltage, z)), none, e.advance(z, now.voltage, then.voltage, nominal.dt)
+    if e.port == "SQ":
+        return instant.force - e.apply(instant.force, now.motion[0]), none, z
+    if e.port == "OUT":
+        return none, now.run - e.apply(now.run, z), e.advance(z, now.run, then.run, nominal.dt)
+    after = e.act(z, instant)
+    force = (after.tokens - now.tokens) @ now.motion + after.offset - now.offset
+    return force, none, e.advance(z, now.motion[0], then.motion[0], nominal.dt)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._effects import CATALOGUE, REMAINDERS
-from .._effects.viscoelastic import BORDER
+from .._effects.memory import BORDER
 from .bootstrap import means
 from .budget import Budget
 from .case import Case, build_case

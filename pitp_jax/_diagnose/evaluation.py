@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._effects import EFFECTS, REMAINDERS
-from .._effects.base import Start
+from .._effects import EFFECTS, FOUND_TERM, REMAINDERS
+from .._effects.found_term import sparse_term
+from .._effects.spec import Start
 from .._model.model import Model
 from .batched_rollouts import Lanes
 from .budget import Budget
@@ -112,7 +113,7 @@ def augmented(case: Case, judged: Judged, model: Model) -> Model:
     """The nominal with a candidate's effects, its coefficients and zero, and the substeps it was fitted with."""
     c = judged.candidate
     pairs = sorted(zip(c.forms, c.values, strict=True), key=lambda fv: EFFECTS.index(fv[0]))
-    effects = tuple(f.of(values) for f, values in pairs)
+    effects = tuple(sparse_term(values) if f is FOUND_TERM else f(*values) for f, values in pairs)
     substeps = max(case.model.substeps, model.substeps) if effects else model.substeps
     output = replace(model.output, offset=float(model.output.to_rig(c.zero * model.scales.state[0])))
     return replace(

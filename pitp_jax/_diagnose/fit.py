@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .._effects.base import AbstractEffect, Parameter, Start
+from .._effects.spec import EffectSpec, Parameter, Start
 from .batched_rollouts import Lane, Lanes
 from .budget import Budget
 
@@ -40,7 +40,7 @@ class Candidate:
         zero: reading of the resting sensor beside the nominal's, scaled.
     """
 
-    forms: tuple[type[AbstractEffect], ...]
+    forms: tuple[EffectSpec, ...]
     values: tuple[tuple[float, ...], ...]
     starts: tuple[Start, ...]
     factors: np.ndarray
@@ -52,7 +52,7 @@ class Candidate:
     @property
     def parameters(self) -> list[Parameter]:
         """All parameters in a row."""
-        return [p for f in self.forms for p in f.PARAMETERS]
+        return [p for f in self.forms for p in f.parameters]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -99,8 +99,8 @@ def _at(c: Candidate, z: np.ndarray) -> Candidate:
         flat[k] = np.exp(z[i]) if c.parameters[k].positive else z[i]
     values, first = [], 0
     for f in c.forms:
-        values.append(tuple(flat[first : first + len(f.PARAMETERS)]))
-        first += len(f.PARAMETERS)
+        values.append(tuple(flat[first : first + len(f.parameters)]))
+        first += len(f.parameters)
     if not c.refit:
         return replace(c, values=tuple(values))
     return replace(c, values=tuple(values), factors=np.exp(z[len(free) : -1]), zero=float(z[-1]))

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._effects.amplifier import Delay
+from .._effects.kernels import DELAY
 from .._model.model import Model
 from .batched_rollouts import Lanes
 from .case import Case
@@ -44,6 +44,6 @@ def _of_the_hold(c: Candidate, nominal: Model, dt: float) -> np.ndarray:
     extra = np.zeros(len(c.covariance))
     if nominal.hold == "zoh":
         for k, (form, values) in enumerate(zip(c.forms, c.values, strict=True)):
-            if form is Delay:
-                extra[sum(len(f.PARAMETERS) for f in c.forms[:k])] = (dt / 2 / values[0]) ** 2
+            if form.kernel is DELAY:
+                extra[sum(len(f.parameters) for f in c.forms[:k])] = (dt / 2 / values[0]) ** 2
     return np.diag(extra)

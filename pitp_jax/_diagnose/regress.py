@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._effects.base import AbstractEffect, Start
+from .._effects.spec import EffectSpec, Start
 
 # what the regression may multiply a coefficient by
 _CHANGE = (0.5, 2.0)
@@ -25,7 +25,7 @@ class Screened:
         train, heldout: mean squared error in (1 %)^2, pooled over records.
     """
 
-    forms: tuple[type[AbstractEffect], ...]
+    forms: tuple[EffectSpec, ...]
     values: tuple[tuple[float, ...], ...]
     starts: tuple[Start, ...]
     factors: np.ndarray
@@ -58,7 +58,7 @@ class Screening:
 
 def _limits(form) -> tuple[float, float]:
     """What a column's factor may be: a strength of either sign, a linear one, or one the grid must come close to."""
-    strength = form.PARAMETERS[0]
+    strength = form.parameters[0]
     if strength.linear:
         return (0.0 if strength.positive else -30.0), 30.0
     return (0.7, 1.4) if strength.positive else (-5.0, 5.0)
@@ -142,7 +142,7 @@ def _scaled(form, values, start: Start, strength: float) -> tuple[float, ...]:
 
     A clip moved by its factor once left the voltages played, and with them every slope.
     """
-    if not form.PARAMETERS[0].linear:
+    if not form.parameters[0].linear:
         return tuple(values)
     first = values[0] * (strength if strength != 0 else 0.05)
     return (float(np.clip(first, start.low[0], start.high[0])), *values[1:])

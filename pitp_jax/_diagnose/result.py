@@ -110,7 +110,7 @@ def added_of(case: Case, judged: Judged) -> tuple[Added, ...]:
     errors = np.sqrt(np.maximum(np.diag(c.covariance), 0)) if c.covariance.size else None
     for form, values, start in zip(c.forms, c.values, c.starts, strict=True):
         told = {}
-        for p, v, low, high in zip(form.PARAMETERS, values, start.low, start.high, strict=True):
+        for p, v, low, high in zip(form.parameters, values, start.low, start.high, strict=True):
             value, unit = physical(case.model, p, v)
             error = None
             if high > low:
@@ -166,7 +166,7 @@ def _fitted(case: Case, found: Attribution, j: Judged, low: float, held) -> Rank
 
 def _screened(case: Case, found: Attribution, s: Screened, low: float) -> Ranked:
     form, told = s.forms[0], {}
-    for p, v in zip(form.PARAMETERS, s.values[0], strict=True):
+    for p, v in zip(form.parameters, s.values[0], strict=True):
         value, unit = physical(case.model, p, v)
         told[p.name] = {"value": value, "unit": unit, "stderr": None}
     train, heldout = (float(np.sqrt(max(e, 0))) for e in (s.train, s.heldout))

@@ -13,8 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import jax
 import numpy as np
 
-from .._effects.amplifier import Delay
-from .._effects.base import AbstractEffect, Start
+from .._effects.spec import EffectSpec, Start
 from .case import Case, Series
 from .effect_responses import Columns, Nominal, compiled, nominal_filter, responses
 from .regress import Screening
@@ -23,16 +22,14 @@ POINTS, LANES = 20, 24  # grid points of a form besides its starts, and in all
 CHUNK = 2500  # samples of a compiled pass
 
 
-def grid(
-    effect: type[AbstractEffect], starts: list[Start], count: int = POINTS
-) -> list[tuple[tuple[float, ...], Start]]:
+def grid(effect: EffectSpec, starts: list[Start], count: int = POINTS) -> list[tuple[tuple[float, ...], Start]]:
     """Active parameter vectors: the strength as in the starts where it is linear, everything else spread out."""
     if not starts:
         return []
-    free = [k for k, p in enumerate(effect.PARAMETERS) if p.neutral is None]
+    free = [k for k, p in enumerate(effect.parameters) if p.off is None]
     first = starts[0]
     if not free:  # one number that may act nonlinearly
-        p = effect.PARAMETERS[0]
+        p = effect.parameters[0]
         values = [s.values[0] for s in starts]
         if not p.positive:
             spread = [v * f for v in values for f in (0.3, 1.0, 2.5)]
@@ -42,7 +39,7 @@ def grid(
         spread = [float(np.clip(v, first.low[0], first.high[0])) for v in spread]
         return [((v, *first.values[1:]), first) for v in spread]
     axes = []
-    for k in range(len(effect.PARAMETERS)):
+    for k in range(len(effect.parameters)):
         wide = first.high[k] > first.low[k] and k in free
         if not wide:
             axes.append(sorted({s.values[k] for s in starts}) if k in free else [first.values[k]])
@@ -70,14 +67,14 @@ def nuisance(case: Case, series: Series, refit: bool) -> np.ndarray:
 
 def screen(case: Case, catalogue, factors: np.ndarray, *, refit: bool) -> Screening:
     """Every form of `catalogue` at its grid; `factors` are those of the case's nominal on the given one."""
-    catalogue = tuple(c for c in catalogue if c.starts(case.surroundings))
-    grids = [grid(c, c.starts(case.surroundings)) for c in catalogue]
-    rows = np.zeros((LANES, sum(len(c.PARAMETERS) for c in catalogue)), np.float32)
+    catalogue = tuple(c for c in catalogue if c.start(case.surroundings))
+    grids = [grid(c, c.start(case.surroundings)) for c in catalogue]
+    rows = np.zeros((LANES, sum(len(c.parameters) for c in catalogue)), np.float32)
     first = 0
     for c, g in zip(catalogue, grids, strict=True):
         for k in range(LANES):
-            rows[k, first : first + len(c.PARAMETERS)] = g[min(k, len(g) - 1)][0]
-        first += len(c.PARAMETERS)
+            rows[k, first : first + len(c.parameters)] = g[min(k, len(g) - 1)][0]
+        first += len(c.parameters)
     which = [(k, j) for j, g in enumerate(grids) for k in range(len(g))]
     points = tuple((catalogue[j], *grids[j][k]) for k, j in which)
     grams = _grams(case, tuple(c.neutral() for c in catalogue), rows, np.array(which).T, refit)
@@ -90,7 +87,7 @@ def screen(case: Case, catalogue, factors: np.ndarray, *, refit: bool) -> Screen
 def _grams(case: Case, effects, rows, which, refit: bool) -> list[np.ndarray]:
     """Per record the weighted Gram matrix of its columns, thinned to two dozen samples a natural period."""
     begin, advance = compiled(case.model, effects)
-    model, delays = case.model, [k for k, e in enumerate(effects) if isinstance(e, Delay)]
+    model, delays = case.model, [k for k, e in enumerate(effects) if e.delays]
     filt = jax.tree.map(lambda v: np.asarray(v, np.float32), nominal_filter(model, case.dt))
     nominal = Nominal(
         np.asarray(model.coefficients), np.asarray(model.scales.rates, np.float32), np.float32(model.scales.force),
@@ -128,7 +125,7 @@ def _delayed(voltage, rows, effects, delays, rest, dt) -> np.ndarray:
     """The voltage of every lane behind its delay, (T, lanes)."""
     late = np.repeat(voltage[:, None], len(rows), 1)
     if delays:
-        first = sum(len(e.PARAMETERS) for e in effects[: delays[0]])
+        first = sum(len(e.spec.parameters) for e in effects[: delays[0]])
         place = np.arange(len(voltage))
         for k, time in enumerate(rows[:, first]):
             late[:, k] = np.interp(place - time / dt, place, voltage, left=0.0 if rest else voltage[0])

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._effects.found_term import LIBRARY, NAMES, FoundTerm
+from .._effects.effect import Effect
+from .._effects.found_term import LIBRARY, NAMES, sparse_term
 from .._effects.physical import physical
 from .._model.model import Model
 from .case import Case
@@ -59,7 +60,7 @@ class Term:
     closed_fraction: float | None
     ci95: tuple[float, float] | None
     after: float
-    effect: FoundTerm
+    effect: Effect
     drawn: Drawn | None = None
 
     def as_json(self) -> dict:
@@ -91,10 +92,10 @@ def found_term(
 def told(case: Case, found: Attribution, best: Judged) -> Term:
     """Equation and parameters in physical units, with what they close."""
     c, (_, held) = best.candidate, sides(case)
-    effect = FoundTerm.of(c.values[-1])
+    effect = sparse_term(c.values[-1])
     before = sum(h > low for s in c.starts[:-1] for low, h in zip(s.low, s.high, strict=True))
     errors = np.sqrt(np.maximum(np.diag(c.covariance), 0.0))[before:] if c.covariance.size else []
-    names = [f"c{k + 1}" for k in range(len(effect.functions))]
+    names = [f"c{k + 1}" for k in range(len(effect.spec.functions))]
     names += [p.name for p, _ in effect.numbers()[len(names) :]]
     rows = {}
     for k, (name, (p, value)) in enumerate(zip(names, effect.numbers(), strict=True)):
@@ -135,10 +136,10 @@ def _binned(at: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return middle[count > 0], mean[count > 0], share
 
 
-def equation(effect: FoundTerm, beside: tuple, square: bool) -> str:
+def equation(effect: Effect, beside: tuple, square: bool) -> str:
     """`missing force = c1 x x' + c2 x^3`, with what stands beside it."""
-    terms = " + ".join(f"c{k + 1} {written(name, square)}" for k, name in enumerate(effect.functions))
-    memory = ", tau z' = x - z" if any(LIBRARY[name].knee == 3 for name in effect.functions) else ""
+    terms = " + ".join(f"c{k + 1} {written(name, square)}" for k, name in enumerate(effect.spec.functions))
+    memory = ", tau z' = x - z" if any(LIBRARY[name].knee == 3 for name in effect.spec.functions) else ""
     others = f", beside {' and '.join(f'{f.name} ({f.form})' for f in beside)}" if beside else ""
     return f"missing force = {terms}{memory}{others}"
 

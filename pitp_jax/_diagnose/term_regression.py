@@ -49,7 +49,7 @@ def subsets(case: Case, refit: bool) -> list[list[Subset]]:
 
 
 def numbers(subset: Subset) -> list[float]:
-    """A subset in the order of FoundTerm.PARAMETERS; knees that it lacks at one."""
+    """A subset in the order of FOUND_TERM.parameters; knees that it lacks at one."""
     values = [0.0] * len(NAMES) + [1.0] * len(KNEES)
     for point, strength in zip(subset.points, subset.strengths, strict=True):
         values[NAMES.index(point.name)] = strength

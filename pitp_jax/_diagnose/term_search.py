@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._effects.base import Start
-from .._effects.found_term import NAMES, FoundTerm, held_knees
+from .._effects import FOUND_TERM
+from .._effects.found_term import NAMES, held_knees
+from .._effects.spec import Start
 from .batched_rollouts import Lanes
 from .bootstrap import means
 from .case import Case, build_case
@@ -38,7 +39,7 @@ def search(case: Case, base: Judged, low: float, progress: Callable[[str], None]
         around = build_case(model, [s.record for s in case.series], how=case.split, mesh=case.mesh)
     progress("looking for an equation of the missing force")
     by_size = _needed(subsets(around, start.refit))
-    lanes, rivals = Lanes(case, [(*start.forms, FoundTerm)]), [base]
+    lanes, rivals = Lanes(case, [(*start.forms, FOUND_TERM)]), [base]
     for stage, counts in enumerate(_TRIED):
         chosen = [s for few, n in zip(by_size[2 * stage :], counts, strict=False) for s in few[:n]]
         if not chosen:
@@ -73,7 +74,7 @@ def _fitted(lanes: Lanes, candidates: list[Candidate], progress) -> list[Judged]
 
 def _candidate(case: Case, subset: Subset, base: Candidate) -> Candidate:
     """The regression's numbers as a start."""
-    (wide,) = FoundTerm.starts(case.surroundings)
+    (wide,) = FOUND_TERM.start(case.surroundings)
     return _held(base, np.clip(numbers(subset), wide.low, wide.high), wide, tuple(p.name for p in subset.points))
 
 
@@ -82,13 +83,13 @@ def _held(base: Candidate, values, wide: Start, names: tuple[str, ...]) -> Candi
     used = {NAMES.index(name) for name in names} | {len(NAMES) + k for k in held_knees(names)}
     values = tuple(float(v) for v in values)
     ends = [tuple(b[k] if k in used else values[k] for k in range(len(values))) for b in (wide.low, wide.high)]
-    forms, numbers_, starts = (*base.forms, FoundTerm), (*base.values, values), (*base.starts, Start(values, *ends))
+    forms, numbers_, starts = (*base.forms, FOUND_TERM), (*base.values, values), (*base.starts, Start(values, *ends))
     return replace(base, forms=forms, values=numbers_, starts=starts)
 
 
 def _present(c: Candidate) -> list[int]:
     """Places of the functions in a sum."""
-    return [k for k in range(len(NAMES)) if FoundTerm in c.forms and c.values[-1][k] != 0]
+    return [k for k in range(len(NAMES)) if FOUND_TERM in c.forms and c.values[-1][k] != 0]
 
 
 def _size(j: Judged) -> int:

@@ -1,97 +1,68 @@
-"""The catalogue: every effect a diagnosis may name, one line per form.
+"""The catalogue: every effect a diagnosis may name, as rows of one table, in the order their forces act.
 
-A new effect is one final class and one line here; it is then fitted, ranked, saved, drawn and put through the
-family's tests. Forces act in this order: velocity and friction see all that comes before them.
+A new effect is one row in the file of its port; one whose memory is new is one kernel besides. Velocity and friction
+see all the forces that come before them.
 """
 
-from . import (
-    amplifier,
-    coupling,
-    dissipation,
-    electrode,
-    hysteresis,
-    inertia,
-    sensor,
-    sensor_curve,
-    stiffness,
-    viscoelastic,
-)
-from .base import AbstractEffect
-from .found_term import FoundTerm
+from .._errors import BadInput
+from .coupling import COUPLING
+from .dissipation import DRAG, FRICTION
+from .drive import DRIVE
+from .effect import Effect
+from .found_term import FOUND_TERM
+from .inertia import MASSES, SLACK
+from .memory import BRANCHES, DRIFT, LOOPS
+from .sensor import SENSOR
+from .spec import EffectSpec
+from .stiffness import BUMPERS, SPRINGS
 
-CATALOGUE: tuple[type[AbstractEffect], ...] = (
-    stiffness.CubicStiffening,
-    stiffness.PowerStiffening,
-    stiffness.GentStiffening,
-    stiffness.QuadraticSoftening,
-    stiffness.SaturatingSoftening,
-    stiffness.ExponentialSoftening,
-    stiffness.MullinsSoftening,
-    stiffness.UpperStop,
-    stiffness.LowerStop,
-    stiffness.BothStops,
-    viscoelastic.Creep,
-    viscoelastic.SpreadCreep,
-    viscoelastic.LosingCreep,
-    viscoelastic.Relaxation,
-    viscoelastic.SpreadRelaxation,
-    viscoelastic.LosingRelaxation,
-    hysteresis.PlayHysteresis,
-    hysteresis.DahlHysteresis,
-    hysteresis.BoucWenHysteresis,
-    hysteresis.WenHysteresis,
-    sensor.SettlingDrift,
-    sensor.LinearDrift,
-    inertia.AddedMass,
-    inertia.AttachedMode,
-    inertia.LoosenedMode,
-    stiffness.DampedStop,
-    stiffness.DampedStops,
-    dissipation.QuadraticDrag,
-    dissipation.PowerDrag,
-    dissipation.CoulombFriction,
-    dissipation.SmoothFriction,
-    dissipation.StribeckFriction,
-    dissipation.BristleFriction,
-    inertia.LoadSlack,
-    inertia.HangingSlack,
-    inertia.SoftSlack,
-    electrode.ElectrodeRC,
-    electrode.ElectrodeLadder,
-    amplifier.SlewLimit,
-    amplifier.SlewingLag,
-    amplifier.VoltageClip,
-    amplifier.RoundedClip,
-    amplifier.VoltageOffset,
-    amplifier.Delay,
-    electrode.ChargeLeak,
-    electrode.ChargeRetention,
-    coupling.StretchCoupling,
-    coupling.SquaredCoupling,
-    coupling.ExponentialCoupling,
-    coupling.DielectricSaturation,
-    coupling.TanhSaturation,
-    sensor.SensorGain,
-    sensor_curve.QuadraticSensor,
-    sensor_curve.CubicSensor,
-    sensor_curve.CurvedSensor,
-    sensor_curve.Backlash,
-    sensor.SensorLag,
-    sensor.SensorFilter,
-    sensor.SecondOrderSensor,
-    inertia.MountedMode,
-)
+CATALOGUE: tuple[EffectSpec, ...] = (
+    *SPRINGS, *BRANCHES, *LOOPS, *DRIFT, *MASSES, *BUMPERS, *DRAG, *FRICTION, *SLACK, *DRIVE, *COUPLING, *SENSOR,
+)  # fmt: skip
+_BY_KEY = {spec.key: spec for spec in CATALOGUE}
 
 # All that a model may carry, in the order its forces act in; a found term is no name, so no diagnosis ranks it.
-EFFECTS: tuple[type[AbstractEffect], ...] = (*CATALOGUE, FoundTerm)
+EFFECTS: tuple[EffectSpec, ...] = (*CATALOGUE, FOUND_TERM)
 
 # A form whose first number may be out of reach, and what it is then, with the numbers that stay: fitted beside it, so
 # that a name is not won by a limit that nothing touches.
-REMAINDERS: dict[type[AbstractEffect], tuple[type[AbstractEffect], tuple[int, ...]]] = {
-    amplifier.SlewingLag: (electrode.ElectrodeRC, (1,)),
+REMAINDERS: dict[EffectSpec, tuple[EffectSpec, tuple[int, ...]]] = {
+    _BY_KEY["slew_limit: rate limit and lag"]: (_BY_KEY["electrode_rc: one lag"], (1,)),
 }
 
 
-def key(effect: type[AbstractEffect] | AbstractEffect) -> str:
-    """How a form is named in files and tables: name, then form."""
-    return f"{effect.name}: {effect.form}"
+def lookup(name: str, form: str | None = None) -> EffectSpec:
+    """The row of that name and form (the name's first form without one).
+
+    Raises:
+        BadInput: there is none; the message lists those that there are.
+    """
+    forms = [r for r in CATALOGUE if r.name == name]
+    if not forms:
+        names = ", ".join(dict.fromkeys(r.name for r in CATALOGUE))
+        raise BadInput(f"no effect is called {name!r}; there are {names}")
+    chosen = [r for r in forms if form in (None, r.form)]
+    if not chosen:
+        raise BadInput(f"{name} has no form {form!r}; it has {', '.join(r.form for r in forms)}")
+    return chosen[0]
+
+
+def effect(name: str, *, form: str | None = None, **numbers) -> Effect:
+    """Make an effect by name and form from its numbers, in the model's scaled coordinates.
+
+    Args:
+        name, form: as in the catalogue; without a form the name's first.
+        numbers: every number of the form by its name.
+
+    Raises:
+        BadInput: the name, the form or a number is not in the catalogue, or a number is missing.
+
+    Examples:
+        >>> effect("delay", time=7.5e-3).name
+        'delay'
+    """
+    spec = lookup(name, form)
+    wanted = [p.name for p in spec.parameters]
+    if set(numbers) != set(wanted):
+        raise BadInput(f"{spec.key} has the numbers {', '.join(wanted)}; given: {', '.join(numbers) or 'none'}")
+    return spec(*(numbers[k] for k in wanted))

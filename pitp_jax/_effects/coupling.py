@@ -1,127 +1,77 @@
 """What the film makes of its voltage at the square (port SQ).
 
-stretch_coupling        F (1 + b x)          F (1 + b x / 2)^2       thinner film, larger area: more force
-                      F exp(b x)                              electrodes that zip up, b < 0: less and less
-dielectric_saturation   F / (1 + |F| / F_s)  F_s tanh(F / F_s)        the permittivity falls at high field
+stretch_coupling        F (1 + b x),  F (1 + b x / 2)^2,  F exp(b x): never a push
+dielectric_saturation   F / (1 + |F| / F_s),  F_s tanh(F / F_s)
 """
 
-from abc import abstractmethod
+from collections.abc import Callable
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from .base import AbstractCouplingEffect, Parameter, Surroundings, bounded
+from .spec import EffectSpec, Parameter, starts
 
-
-class _Stretched(AbstractCouplingEffect):
-    """F times a factor of x that stays positive: never a push, and undone by division."""
-
-    name, family, port = "stretch_coupling", "coupling", "SQ"
-    PARAMETERS = (Parameter("b", "1/x", length=-1, positive=False, neutral=0.0),)
-    b: Float[Array, ""]
-
-    @abstractmethod
-    def factor(self, x) -> Array:
-        """Of the force, at X."""
-
-    def couple(self, force, x):
-        """Never a push."""
-        return force * self.factor(x)
-
-    def uncouple(self, force, x):
-        """By division."""
-        return force / self.factor(x)
+_SMALL = 0.03  # below, a ratio is replaced by its series: 0/0 in float32
+_ALONG = Parameter("b", "1/x", length=-1, positive=False, off=0.0)
+_INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
 
-class StretchCoupling(_Stretched):
-    """F (1 + b x)."""
-
-    form = "linear"
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Either sign; far up, since an actuator that snaps in one record has a reach its others never see."""
-        return [bounded((sign * 0.1 / s.reach,), (-0.95 / s.reach,), (12.0 / s.reach,)) for sign in (1, -1)]
-
-    def factor(self, x):
-        """At least 0.05."""
-        return jnp.maximum(1 + self.b * x, 0.05)
+def _stretched(form: str, title: str, equation: str, start, factor: Callable) -> EffectSpec:
+    """F times a factor of x that stays positive, undone by division."""
+    return EffectSpec(
+        "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ", start=start,
+        law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
+    )  # fmt: skip
 
 
-class SquaredCoupling(_Stretched):
-    """F (1 + b x / 2)^2."""
-
-    form = "quadratic"
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Either sign, as far up."""
-        return [bounded((sign * 0.1 / s.reach,), (-1.0 / s.reach,), (12.0 / s.reach,)) for sign in (1, -1)]
-
-    def factor(self, x):
-        """At least 0.01."""
-        return jnp.maximum(1 + self.b * x / 2, 0.1) ** 2
+def _no_field(force, possible, inside):
+    """The force where it is possible, else infinite: no field makes it."""
+    return jnp.where(possible, inside, jnp.sign(force) * jnp.inf)
 
 
-class ExponentialCoupling(_Stretched):
-    """F exp(b x)."""
-
-    form = "exponential"
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Either sign; far down, where the grid must come close: an exponent is not a strength."""
-        return [bounded((b / s.reach,), (-6.0 / s.reach,), (3.0 / s.reach,)) for b in (0.3, -0.3, -1.0, -3.0)]
-
-    def factor(self, x):
-        """Within exp(+-8)."""
-        return jnp.exp(jnp.clip(self.b * x, -8.0, 8.0))
+def _unsaturated(p, force, x):
+    remains = 1 - p.inverse * jnp.abs(force)
+    return _no_field(force, remains > 0, force / jnp.where(remains > 0, remains, 1.0))
 
 
-class DielectricSaturation(AbstractCouplingEffect):
-    """F / (1 + |F| / F_s); `inverse` is 1 / F_s."""
-
-    name, form, family, port = "dielectric_saturation", "rational", "coupling", "SQ"
-    PARAMETERS = (Parameter("inverse", "1/V^2", force=-1, neutral=0.0, linear=False),)
-    inverse: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """A tenth and a half of the force at the largest voltage."""
-        return [bounded((share,), (1e-4,), (20.0,)) for share in (0.1, 0.5)]
-
-    def couple(self, force, x):
-        """What the field still makes."""
-        return force / (1 + self.inverse * jnp.abs(force))
-
-    def uncouple(self, force, x):
-        """In closed form below F_s."""
-        left = 1 - self.inverse * jnp.abs(force)
-        return jnp.where(left > 0, force / jnp.where(left > 0, left, 1.0), jnp.sign(force) * jnp.inf)
+def _ratio(r, small, of, series):
+    """of(r) / r, by its series near zero."""
+    return jnp.where(small, series, of(r) / jnp.where(small, 1.0, r))
 
 
-class TanhSaturation(AbstractCouplingEffect):
-    """F_s tanh(F / F_s)."""
+def _tanh(p, force, x):
+    r = p.inverse * force
+    return force * _ratio(r, jnp.abs(r) < _SMALL, jnp.tanh, 1 - r**2 / 3)
 
-    name, form, family, port = "dielectric_saturation", "tanh", "coupling", "SQ"
-    PARAMETERS = DielectricSaturation.PARAMETERS
-    inverse: Float[Array, ""]
 
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Half of the force at the largest voltage."""
-        return [bounded((0.5,), (1e-2,), (10.0,))]
+def _arctanh(p, force, x):
+    r = p.inverse * force
+    inside = jnp.where(jnp.abs(r) < 1, r, 0.0)
+    return _no_field(force, jnp.abs(r) < 1, force * _ratio(inside, jnp.abs(r) < _SMALL, jnp.arctanh, 1 + inside**2 / 3))
 
-    def couple(self, force, x):
-        """What the field still makes."""
-        r = self.inverse * force
-        small = jnp.abs(r) < 0.03
-        return force * jnp.where(small, 1 - r**2 / 3, jnp.tanh(r) / jnp.where(small, 1.0, r))
 
-    def uncouple(self, force, x):
-        """In closed form below F_s."""
-        r = self.inverse * force
-        inside = jnp.abs(r) < 1
-        small = jnp.abs(r) < 0.03
-        grown = jnp.arctanh(jnp.where(inside, r, 0.0)) / jnp.where(small, 1.0, r)
-        return jnp.where(inside, force * jnp.where(small, 1 + r**2 / 3, grown), jnp.sign(force) * jnp.inf)
+COUPLING = (
+    _stretched(
+        "linear", "The film's force depends on how far it is stretched.", "F (1 + b x)",
+        # far up, since an actuator that snaps in one record has a reach its others never see
+        lambda s: starts(1 / s.reach, [0.1, -0.1], -0.95, 12), lambda r: jnp.maximum(1 + r, 0.05),
+    ),
+    _stretched(
+        "quadratic", "The film gets thinner and its area larger as it is stretched.", "F (1 + b x / 2)^2",
+        lambda s: starts(1 / s.reach, [0.1, -0.1], -1, 12), lambda r: jnp.maximum(1 + r / 2, 0.1) ** 2,
+    ),
+    _stretched(
+        "exponential", "Electrodes that zip up pull less and less, or more and more, as they move.", "F exp(b x)",
+        # far down the grid of starts must come close: an exponent is not a strength
+        lambda s: starts(1 / s.reach, [0.3, -0.3, -1.0, -3.0], -6, 3), lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
+    ),
+    EffectSpec(
+        "dielectric_saturation", "rational", (_INVERSE,), "At high field more voltage no longer brings its full force.",
+        "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ", start=lambda s: starts(1.0, [0.1, 0.5], 1e-4, 20),
+        law=lambda p, force, x: force / (1 + p.inverse * jnp.abs(force)), inverse=_unsaturated,
+    ),
+    EffectSpec(
+        "dielectric_saturation", "tanh", (_INVERSE,), "The film's force nears a limit that no field exceeds.",
+        "F_s tanh(F / F_s), inverse = 1 / F_s", "coupling", "SQ", start=lambda s: starts(1.0, [0.5], 1e-2, 10),
+        law=_tanh, inverse=_arctanh,
+    ),
+)  # fmt: skip

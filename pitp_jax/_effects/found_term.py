@@ -7,18 +7,20 @@ functions there are is static, their coefficients are data: with all of them, ab
 a row of numbers under one compiled program.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from math import prod
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
 
-from .base import AbstractForceEffect, Instant, Known, Parameter, Surroundings, bounded
-from .dissipation import resolved_friction
-from .viscoelastic import lag_after
+from .dissipation import dry
+from .effect import Effect, Instant
+from .kernels import Kernel, lags
+from .spec import EffectSpec, Parameter, Start, Surroundings, starts
 
 KNEES = (
     Parameter("a", "x", length=1, positive=False),
@@ -57,7 +59,7 @@ class Function:
     """
 
     text: str
-    powers: tuple[float, float, float, float]
+    powers: tuple[float, ...]
     of: Callable[[Values], Any]
     knee: int | None = None
 
@@ -83,55 +85,56 @@ class Function:
         low = low.strip()
         return Parameter(
             self.text, f"{unit}/{low}" if low else unit, length=-x, speed=-int(v), acceleration=-int(a), force=1 - f,
-            positive=False, neutral=0.0,
+            positive=False, off=0.0,
         )  # fmt: skip
 
 
-def _over(values: Values):
+def _over(q: Values):
     """[x > a], rounded."""
-    return 0.5 * (1 + jnp.tanh((values.x - values.knees[0]) / _EDGE))
+    return 0.5 * (1 + jnp.tanh((q.x - q.knees[0]) / _EDGE))
 
 
-_LISTED = (
-    Function("x", (1, 0, 0, 0), lambda q: q.x),
-    Function("x^2", (2, 0, 0, 0), lambda q: q.x**2),
-    Function("x^3", (3, 0, 0, 0), lambda q: q.x**3),
-    Function("x^5", (5, 0, 0, 0), lambda q: q.x**5),
-    Function("x'", (0, 1, 0, 0), lambda q: q.v),
-    Function("|x'|", (0, 1, 0, 0), lambda q: jnp.abs(q.v)),
-    Function("x'^2", (0, 2, 0, 0), lambda q: q.v**2),
-    Function("x' |x'|", (0, 2, 0, 0), lambda q: q.v * jnp.abs(q.v)),
-    Function("x'^3", (0, 3, 0, 0), lambda q: q.v**3),
-    Function("x x'", (1, 1, 0, 0), lambda q: q.x * q.v),
-    Function("x^2 x'", (2, 1, 0, 0), lambda q: q.x**2 * q.v),
-    Function("x |x'|", (1, 1, 0, 0), lambda q: q.x * jnp.abs(q.v)),
-    Function("x x'^2", (1, 2, 0, 0), lambda q: q.x * q.v**2),
-    Function("sgn x'", (0, 0, 0, 0), lambda q: jnp.ones_like(q.x)),
-    Function("|x| sgn x'", (1, 0, 0, 0), lambda q: jnp.abs(q.x)),
-    Function("|F| sgn x'", (0, 0, 0, 1), lambda q: jnp.abs(q.f)),
-    Function("F", (0, 0, 0, 1), lambda q: q.f),
-    Function("x F", (1, 0, 0, 1), lambda q: q.x * q.f),
-    Function("x^2 F", (2, 0, 0, 1), lambda q: q.x**2 * q.f),
-    Function("x' F", (0, 1, 0, 1), lambda q: q.v * q.f),
-    Function("|x'| F", (0, 1, 0, 1), lambda q: jnp.abs(q.v) * q.f),
-    Function("F^2", (0, 0, 0, 2), lambda q: q.f**2),
-    Function("x F^2", (1, 0, 0, 2), lambda q: q.x * q.f**2),
-    Function("U", (0, 0, 0, 0.5), lambda q: q.u - 1e-3),
-    Function("x U", (1, 0, 0, 0.5), lambda q: q.x * q.u),
-    Function("x' U", (0, 1, 0, 0.5), lambda q: q.v * q.u),
-    Function("max(x - a, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0), 0),
-    Function("max(x - d, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[4], 0.0), 4),
-    Function("max(a - x, 0)", (1, 0, 0, 0), lambda q: jnp.maximum(q.knees[0] - q.x, 0.0), 0),
-    Function("max(x - a, 0) x'", (1, 1, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0) * q.v, 0),
-    Function("max(x - a, 0) F", (1, 0, 0, 1), lambda q: jnp.maximum(q.x - q.knees[0], 0.0) * q.f, 0),
-    Function("x' [x > a]", (0, 1, 0, 0), lambda q: _over(q) * q.v, 0),
-    Function("max(|x'| - b, 0) sgn x'", (0, 1, 0, 0), lambda q: q.v - jnp.clip(q.v, -q.knees[1], q.knees[1]), 1),
-    Function("max(F - e, 0)", (0, 0, 0, 1), lambda q: jnp.maximum(q.f - q.knees[2], 0.0), 2),
-    Function("x - z", (1, 0, 0, 0), lambda q: q.x - q.z, 3),
-    Function("x (x - z)", (2, 0, 0, 0), lambda q: q.x * (q.x - q.z), 3),
-    Function("z x'", (1, 1, 0, 0), lambda q: q.z * q.v, 3),
-    Function("x x''", (1, 0, 1, 0), lambda q: q.x),
-)
+# what functions are products of: (powers of x, x', x'' and F; value; knee)
+_FACTORS: dict[str, tuple] = {
+    "max(|x'| - b, 0) sgn x'": ((0, 1, 0, 0), lambda q: q.v - jnp.clip(q.v, -q.knees[1], q.knees[1]), 1),
+    "max(x - a, 0)": ((1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0), 0),
+    "max(x - d, 0)": ((1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[4], 0.0), 4),
+    "max(a - x, 0)": ((1, 0, 0, 0), lambda q: jnp.maximum(q.knees[0] - q.x, 0.0), 0),
+    "max(F - e, 0)": ((0, 0, 0, 1), lambda q: jnp.maximum(q.f - q.knees[2], 0.0), 2),
+    "[x > a]": ((0, 0, 0, 0), _over, 0),
+    "x - z": ((1, 0, 0, 0), lambda q: q.x - q.z, 3),
+    "z": ((1, 0, 0, 0), lambda q: q.z, 3),
+    "sgn x'": ((0, 0, 0, 0), lambda q: jnp.ones_like(q.x), None),
+    "x''": ((0, 0, 1, 0), lambda q: 1.0, None),
+    "|x'|": ((0, 1, 0, 0), lambda q: jnp.abs(q.v), None),
+    "|x|": ((1, 0, 0, 0), lambda q: jnp.abs(q.x), None),
+    "|F|": ((0, 0, 0, 1), lambda q: jnp.abs(q.f), None),
+    "x'": ((0, 1, 0, 0), lambda q: q.v, None),
+    "x": ((1, 0, 0, 0), lambda q: q.x, None),
+    "F": ((0, 0, 0, 1), lambda q: q.f, None),
+    "U": ((0, 0, 0, 0.5), lambda q: q.u, None),
+}
+_FACTOR = re.compile(rf"({'|'.join(map(re.escape, _FACTORS))})(?:\^(\d))?")
+
+
+def _function(text: str) -> Function:
+    """A function from how it is written: a product of factors and their powers."""
+    factors = [(*_FACTORS[name], int(power or 1)) for name, power in _FACTOR.findall(text)]
+    powers = tuple(sum(p[i] * n for p, _, _, n in factors) for i in range(4))
+    alone = 1e-3 if text == "U" else 0.0  # zero where there is no voltage, whose root is rounded
+
+    def of(q: Values):
+        return prod(value(q) ** n for _, value, _, n in factors) - alone
+
+    return Function(text, powers, of, next((k for *_, k, _ in factors if k is not None), None))
+
+
+_LISTED = tuple(map(_function, (
+    "x", "x^2", "x^3", "x^5", "x'", "|x'|", "x'^2", "x' |x'|", "x'^3", "x x'", "x^2 x'", "x |x'|", "x x'^2",
+    "sgn x'", "|x| sgn x'", "|F| sgn x'", "F", "x F", "x^2 F", "x' F", "|x'| F", "F^2", "x F^2", "U", "x U", "x' U",
+    "max(x - a, 0)", "max(x - d, 0)", "max(a - x, 0)", "max(x - a, 0) x'", "max(x - a, 0) F", "x' [x > a]",
+    "max(|x'| - b, 0) sgn x'", "max(F - e, 0)", "x - z", "x (x - z)", "z x'", "x x''",
+)))  # fmt: skip
 LIBRARY: dict[str, Function] = {f.text: f for f in _LISTED}
 NAMES = tuple(LIBRARY)
 
@@ -141,103 +144,75 @@ def held_knees(functions: tuple[str, ...]) -> list[int]:
     return sorted({k for name in functions if (k := LIBRARY[name].knee) is not None})
 
 
-class FoundTerm(AbstractForceEffect):
-    """f = sum_j c_j phi_j(x, x', F, z), found in the data.
+def _knees(p, functions) -> list:
+    """All of a, b, e, tau and d, those that the sum does not have at one."""
+    held = held_knees(functions)
+    return [p.knees[held.index(k)] if k in held else jnp.ones((), p.c.dtype) for k in range(len(KNEES))]
 
-    Attributes:
-        functions: names of the functions present.
-        c: their coefficients, scaled.
-        knees: those of a, b, e, tau and d that they have.
-    """
 
-    name, form, family, port, states = "found_term", "sum of functions", "found", "K", 1
-    PARAMETERS = (*(f.parameter for f in _LISTED), *KNEES)
-    functions: tuple[str, ...] = eqx.field(static=True)
-    c: Float[Array, " functions"]
-    knees: Float[Array, " knees"]
+def _starts(s: Surroundings) -> list[Start]:
+    """All coefficients at zero, bounded by thirty times the restoring force; knees within the records."""
+    speed = 2 * s.speed
+    units = [s.pull / (s.reach ** f.powers[0] * speed ** f.powers[1] * s.pull ** f.powers[3]) for f in _LISTED]
+    units[-1] = s.inertia / s.reach
+    knees = (0.0, s.speed, 0.5 * s.pull, 1 / s.omega, s.top)
+    low = [*(-30 * u for u in units), s.bottom, 0.02 * s.speed, 0.02 * s.pull, 2 * s.dt, s.bottom]
+    high = [*(30 * u for u in units), s.top, 5 * s.speed, 2 * s.pull, s.duration, s.top]
+    return starts(1.0, [(*[0.0] * len(units), *knees)], low, high)
 
-    @classmethod
-    def neutral(cls):
-        """All functions, none of them at work."""
-        return cls.of_functions(NAMES)
 
-    @classmethod
-    def of_functions(cls, names: tuple[str, ...]):
-        """These functions, none of them at work."""
-        return cls(names, jnp.zeros(len(names), jnp.float32), jnp.ones(len(held_knees(names)), jnp.float32))
+@lru_cache(maxsize=256)
+def term_row(functions: tuple[str, ...]) -> EffectSpec:
+    """The row of a sum of these functions; its numbers are their coefficients c and those knees that they have."""
+    held = held_knees(functions)
+    lag = lags(1.0)
 
-    @classmethod
-    def of(cls, values):
-        """The sum without the functions that are not in it, from numbers in the order of PARAMETERS."""
-        kept = [k for k in range(len(NAMES)) if values[k] != 0]
-        chosen = tuple(NAMES[k] for k in kept)
-        knees = [values[len(NAMES) + k] for k in held_knees(chosen)]
-        return cls(chosen, *(jnp.asarray(np.array(v, float), jnp.float32) for v in ([values[k] for k in kept], knees)))
+    def value(p, now: Instant, name: str, v):
+        q = Values(now.x, v, now.force, now.z[0], _knees(p, functions))
+        return p.c[functions.index(name)] * LIBRARY[name].of(q)  # not along p.c: an iteration cannot be written as C
 
-    def numbers(self):
-        """Coefficients, then knees."""
-        known = [*(LIBRARY[name].parameter for name in self.functions), *(KNEES[k] for k in held_knees(self.functions))]
-        return list(zip(known, [*self.c, *self.knees], strict=True))
+    def total(p, now: Instant, v, chosen):
+        return sum((value(p, now, name, v) for name in functions if chosen(LIBRARY[name])), jnp.zeros_like(v))
 
-    def times(self, factors):
-        """Each of them times a factor."""
-        both, count = jnp.concatenate([self.c, self.knees]), len(self.functions)
-        both = both * jnp.asarray(np.array(factors, float), both.dtype)
-        return FoundTerm(self.functions, both[:count], both[count:])
+    def mass(p, now: Instant):
+        return total(p, now, now.x, lambda f: f.inertial) if now.order > 1 else 0.0
 
-    def _knees(self) -> list:
-        """All of them, those that are not there at one."""
-        held = held_knees(self.functions)
-        return [self.knees[held.index(k)] if k in held else jnp.ones((), self.c.dtype) for k in range(len(KNEES))]
-
-    @property
-    def driven(self) -> bool:
-        """Whether the film's force is in it: its inverse solves for that force."""
-        return any(LIBRARY[name].powers[3] for name in self.functions)
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """All coefficients at zero, bounded by thirty times the restoring force; knees within the records."""
-        force, speed = s.stiffness * s.reach, 2 * s.speed
-        units = [force / (s.reach ** f.powers[0] * speed ** f.powers[1] * force ** f.powers[3]) for f in _LISTED]
-        units[-1] = s.inertia / s.reach
-        knees = (0.0, s.speed, 0.5 * force, 1 / s.omega, s.top)
-        low = [*(-30 * u for u in units), s.bottom, 0.02 * s.speed, 0.02 * force, 2 * s.dt, s.bottom]
-        high = [*(30 * u for u in units), s.top, 5 * s.speed, 2 * force, s.duration, s.top]
-        return [bounded((*[0.0] * len(units), *knees), low, high)]
-
-    def initial(self, x, age):
-        """The memory has followed."""
-        return jnp.reshape(x, (1,))
-
-    def advance(self, states, x, after, h):
-        """Exact for X linear."""
-        return lag_after(states, x, after, jnp.reshape(self._knees()[3], (1,)), h)
-
-    def act(self, states, now: Instant, tokens, offset):
+    def law(p, now: Instant):
         """The sum, at the velocity half a step on that it makes itself; friction is resolved after the rest."""
-        v = now.velocity(tokens, offset)
-        if not isinstance(now, Known):
-            heavier, force, _ = self._parts(states, now, v, tokens)
-            v = now.velocity(heavier, offset + force)
-        tokens, force, level = self._parts(states, now, v, tokens)
-        offset = offset + force
-        if level is None:
-            return tokens, offset
-        if isinstance(now, Known):
-            return tokens, offset + level * jnp.tanh(100 * v)
-        dry = resolved_friction(now, tokens, offset, jnp.abs(level))
-        return tokens, offset + jnp.sign(level) * dry
+        v = now.v
+        if now.last is None:
+            v = now.pulled(total(p, now, v, _smooth)).v
+        force = total(p, now, v, _smooth)
+        if not any(LIBRARY[name].friction for name in functions):
+            return force
+        level = total(p, now, v, lambda f: f.friction)
+        if now.last is not None:
+            return force + level * jnp.tanh(100 * v)
+        return force + jnp.sign(level) * dry(now.pulled(force), jnp.abs(level))
 
-    def _parts(self, states, now: Instant, v, tokens):
-        """Tokens with what multiplies x'', the force but for dry friction, and the level of that (None without)."""
-        q, force, level = Values(now.state[0], v, now.force, states[0], self._knees()), jnp.zeros_like(v), None
-        for k, name in enumerate(self.functions):  # not along self.c: an iteration cannot be written as C
-            value = self.c[k] * LIBRARY[name].of(q)
-            if LIBRARY[name].friction:
-                level = value if level is None else level + value
-            elif not LIBRARY[name].inertial:
-                force = force + value
-            elif tokens.shape[0] > 2:
-                tokens = tokens.at[2].add(value)
-        return tokens, force, level
+    def with_tau(rule):
+        return lambda p, *rest: rule(SimpleNamespace(tau=_knees(p, functions)[3]), *rest)
+
+    return EffectSpec(
+        "found_term", "sum of functions", (*(LIBRARY[name].parameter for name in functions), *(KNEES[k] for k in held)),
+        "An equation found in the data, where no name fits.", "f = sum_j c_j phi_j(x, x', F, z), tau z' = x - z",
+        "found", "K", start=_starts, law=law, mass=mass if any(LIBRARY[name].inertial for name in functions) else None,
+        kernel=Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), with_tau(lag.advance)),
+        driven=any(LIBRARY[name].powers[3] for name in functions),
+        arrays=(("c", len(functions)), ("knees", len(held))), functions=functions,
+    )  # fmt: skip
+
+
+def _smooth(f: Function) -> bool:
+    return not f.friction and not f.inertial
+
+
+def sparse_term(values) -> Effect:
+    """The sum without the functions that are not in it, from numbers in the order of `FOUND_TERM.parameters`."""
+    kept = [k for k in range(len(NAMES)) if values[k] != 0]
+    chosen = tuple(NAMES[k] for k in kept)
+    knees = [values[len(NAMES) + k] for k in held_knees(chosen)]
+    return term_row(chosen)(*map(float, [*(values[k] for k in kept), *knees]))
+
+
+FOUND_TERM = term_row(NAMES)  # all functions: every sparse sum is a row of numbers under one compiled program

@@ -1,228 +1,109 @@
-"""Masses the nominal does not have (port M).
+"""Masses the nominal does not have, and loads that let go (port M); a_2 is the nominal's mass, k its stiffness.
 
 added_mass    d a_2 x''
-second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'            a mass carried along by a spring
-              f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')               or a share of the mass come loose
-              y = x + g (z - x)                                                or standing between film and sensor
+second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass carried along by a spring,
+              f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')          or a share of the mass come loose
 slack         x'' >= -g, sharp or soft: a load that is only pulled falls freely once the film lets go
 """
 
-from typing import ClassVar
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from .base import AbstractForceEffect, AbstractSensorEffect, Instant, Parameter, Surroundings, bounded, nothing
-from .lags import oscillate
-
-
-class AddedMass(AbstractForceEffect):
-    """A share d more mass."""
-
-    name, form, family, port = "added_mass", "share", "inertia", "M"
-    only = True
-    PARAMETERS = (Parameter("d", positive=False, neutral=0.0),)
-    d: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """More or less; an order-1 nominal has no mass."""
-        return [bounded((d,), (-0.8,), (5.0,)) for d in (0.15, -0.15)] if s.inertia > 0 else []
-
-    def initial(self, x, age):
-        """None."""
-        return nothing()
-
-    def act(self, states, now: Instant, tokens, offset):
-        """The coefficient of x'', or of x^(n) below order 2."""
-        place = min(2, tokens.shape[0] - 1)
-        return tokens.at[place].add(self.d * now.coefficients[place]), offset
-
-    def advance(self, states, x, after, h):
-        """None."""
-        return states
+from .effect import Instant
+from .kernels import oscillator
+from .spec import EffectSpec, Parameter, Surroundings, starts
 
 
-def _mode_starts(s: Surroundings, strength, *, most=20.0, ratios=(0.6, 1.6, 2.5, 4.5)):
+def _massive(start):
+    """Nothing for a nominal of order 1, which has no mass."""
+    return lambda s: start(s) if s.inertia > 0 else []
+
+
+def mode_starts(s: Surroundings, strength: float, most: float = 20.0, ratios=(0.6, 1.6, 2.5, 4.5)):
     """Resonances below and above the nominal's, within reach of the sampling; `most`: bound of the strength."""
     high = min(20 * s.omega, 1.5 / s.dt)
-    bounds = (1e-4, 0.2 * s.omega, 1e-3), (most, high, 0.4)  # with more damping it is a lag
-    return [bounded((strength, min(m * s.omega, 0.9 * high), 0.04), *bounds) for m in ratios]
+    values = [(strength, min(m * s.omega, 0.9 * high), 0.04) for m in ratios]
+    return starts(1.0, values, (1e-4, 0.2 * s.omega, 1e-3), (most, high, 0.4))  # with more damping it is a lag
 
 
-class Carried(AbstractForceEffect):
-    """A mass carried along by a spring, at rest beside X at first."""
-
-    name, family, port, states = "second_mode", "inertia", "M", 2
-    omega: eqx.AbstractVar[Array]
-    zeta: eqx.AbstractVar[Array]
-
-    def initial(self, x, age):
-        """At rest beside X."""
-        return jnp.stack([jnp.asarray(x), jnp.zeros_like(x)])
-
-    def apart(self, states, now: Instant):
-        """The spring's length, half a step on."""
-        return now.state[0] - states[0] - now.h / 2 * states[1]
-
-    def advance(self, states, x, after, h):
-        """By the mean displacement of the step."""
-        return oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
+def _loosened(p, now: Instant):
+    if now.order < 2:
+        return 0.0 * now.x
+    slip = now.rates[0] * now.state[1] - now.z[1]
+    pull = p.omega**2 * (now.x - now.z[0]) + 2 * p.zeta * p.omega * slip
+    return p.p * now.coefficients[2] / (now.rates[0] * now.rates[1]) * pull
 
 
-class AttachedMode(Carried):
-    """One more mass on a spring."""
+MODE = Parameter("omega", "rad/s"), Parameter("zeta")
 
-    form = "attached"
-    PARAMETERS = (Parameter("kappa", neutral=0.0), Parameter("omega", "rad/s"), Parameter("zeta"))
-    kappa: Float[Array, ""]
-    omega: Float[Array, ""]
-    zeta: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Over the band."""
-        return _mode_starts(s, 0.2)
-
-    def act(self, states, now: Instant, tokens, offset):
-        """The spring's pull."""
-        return tokens, offset + now.coefficients[0] * self.kappa * self.apart(states, now)
-
-
-class LoosenedMode(Carried):
-    """A share p of the mass that has come loose and hangs on a spring."""
-
-    form = "come loose"
-    PARAMETERS = (Parameter("p", neutral=0.0), Parameter("omega", "rad/s"), Parameter("zeta"))
-    p: Float[Array, ""]
-    omega: Float[Array, ""]
-    zeta: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Over the band; an order-1 nominal has no mass."""
-        return _mode_starts(s, 0.1, most=0.9, ratios=(1.2, 1.6, 2.5, 4.5)) if s.inertia > 0 else []
-
-    def act(self, states, now: Instant, tokens, offset):
-        """Its pull on the rest of the mass."""
-        if now.state.shape[0] < 2:
-            return tokens, offset
-        mass = self.p * now.coefficients[2]
-        slip = now.rates[0] * now.state[1] - states[1]
-        pull = self.omega**2 * self.apart(states, now) + 2 * self.zeta * self.omega * slip
-        return tokens.at[2].add(-mass), offset + mass / (now.rates[0] * now.rates[1]) * pull
+MASSES = (
+    EffectSpec(
+        "added_mass", "share", (Parameter("d", positive=False, off=0.0),),
+        "More (or less) mass moves than the model knows of.", "f = d a_2 x''", "inertia", "M", only=True,
+        start=_massive(lambda s: starts(1.0, [0.15, -0.15], -0.8, 5.0)), law=lambda p, now: 0.0 * now.x,
+        mass=lambda p, now: p.d * now.coefficients[min(2, now.order)],
+    ),
+    EffectSpec(
+        "second_mode", "attached", (Parameter("kappa", off=0.0), *MODE),
+        "A second moving mass resonates beside the first one.",
+        "f = k kappa (x - z), z'' = omega^2 (x - z) - 2 zeta omega z'", "inertia", "M", kernel=oscillator(),
+        start=lambda s: mode_starts(s, 0.2), law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]),
+    ),
+    EffectSpec(
+        "second_mode", "come loose", (Parameter("p", off=0.0), *MODE),
+        "Part of the mass has come loose and hangs on a spring.",
+        "f = p a_2 (omega^2 (x - z) + 2 zeta omega (x' - z') - x''), z as of the attached mass", "inertia", "M",
+        kernel=oscillator(), law=_loosened,
+        start=_massive(lambda s: mode_starts(s, 0.1, 0.9, (1.2, 1.6, 2.5, 4.5))),
+        mass=lambda p, now: -p.p * now.coefficients[2] if now.order > 1 else 0.0,
+    ),
+)  # fmt: skip
 
 
-class MountedMode(AbstractSensorEffect):
-    """A mass between film and sensor."""
-
-    name, form, family, port, states = "second_mode", "between film and sensor", "inertia", "OUT", 2
-    PARAMETERS = (Parameter("gain", neutral=0.0), Parameter("omega", "rad/s"), Parameter("zeta"))
-    gain: Float[Array, ""]
-    omega: Float[Array, ""]
-    zeta: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Over the band."""
-        return _mode_starts(s, 0.3)
-
-    def initial(self, x):
-        """At rest on X."""
-        return jnp.stack([jnp.asarray(x), jnp.zeros_like(x)])
-
-    def advance(self, states, x, after, h):
-        """By the mean displacement of the step."""
-        return oscillate(states, (x + after) / 2, self.omega, self.zeta, h)
-
-    def reading(self, states, x):
-        """A share g of the relative motion is seen."""
-        return x + self.gain * (states[0] - x)
-
-    def undo(self, y, dt):
-        """Not known: left to the shooting on the rollout."""
-        return y
+def _falling(start):
+    """Nothing where there is no mass, or no acceleration that a load could not follow."""
+    return lambda s: start(s) if s.inertia > 0 and s.acceleration > 0 else []
 
 
-class Slack(AbstractForceEffect):
-    """No acceleration below -g (order 2); `inverse` is 1 / g."""
+def _free_fall(sign: float):
+    """As much push as is missing for sign x'' >= -g."""
 
-    name, family, port = "slack", "stiffness", "M"
-    PARAMETERS = (Parameter("inverse", "s^2/x", acceleration=-1, neutral=0.0, linear=False),)
-    sign: ClassVar[float]
-    inverse: Float[Array, ""]
+    def law(p, now: Instant):
+        if now.order != 2:
+            return 0.0 * now.x
+        missing = jnp.maximum(-1 / jnp.maximum(p.inverse, 1e-30) - sign * now.highest, 0.0)
+        return -sign * now.tokens[2] * missing
 
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Within the accelerations reached."""
-        if s.inertia <= 0 or s.acceleration <= 0:
-            return []
-        unit = 1 / s.acceleration
-        return [bounded((share * unit,), (0.7 * unit,), (50 * unit,)) for share in (1.3, 2.5)]
-
-    def initial(self, x, age):
-        """None."""
-        return nothing()
-
-    def act(self, states, now: Instant, tokens, offset):
-        """As much push as is missing."""
-        if now.state.shape[0] != 2:
-            return tokens, offset
-        free = self.sign * now.highest(tokens, offset)
-        missing = jnp.maximum(-1 / jnp.maximum(self.inverse, 1e-30) - free, 0.0)
-        return tokens, offset - self.sign * tokens[2] * missing
-
-    def advance(self, states, x, after, h):
-        """None."""
-        return states
+    return law
 
 
-class LoadSlack(Slack):
-    """The load falls."""
-
-    form, sign = "free fall", 1.0
-
-
-class HangingSlack(Slack):
-    """The load falls in the direction of motion."""
-
-    form, sign = "free fall, hanging", -1.0
+def _soft_fall(p, now: Instant):
+    if now.order != 2:
+        return 0.0 * now.x
+    g = 1 / jnp.maximum(p.inverse, 1e-12)
+    width = p.softness * g
+    missing = width * jax.nn.softplus(-(now.highest + g) / width)
+    return -now.tokens[2] * missing * (p.inverse > 0)
 
 
-class SoftSlack(AbstractForceEffect):
-    """x'' = -g + w log(1 + exp((a + g) / w)), a what it would be without, w the softness times g; the load falls."""
+_FALL = Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False)
+_fall_starts = _falling(lambda s: starts(1 / s.acceleration, [1.3, 2.5], 0.7, 50))
 
-    name, form, family, port = "slack", "free fall, soft", "stiffness", "M"
-    PARAMETERS = (
-        Parameter("inverse", "s^2/x", acceleration=-1, neutral=0.0, linear=False),
-        Parameter("softness", "1"),
-    )
-    inverse: Float[Array, ""]
-    softness: Float[Array, ""]
-
-    @classmethod
-    def starts(cls, s: Surroundings):
-        """Within the accelerations reached, a tenth of g soft."""
-        if s.inertia <= 0 or s.acceleration <= 0:
-            return []
-        unit = 1 / s.acceleration
-        return [bounded((share * unit, 0.1), (0.7 * unit, 0.01), (50 * unit, 1.0)) for share in (1.3, 3.0)]
-
-    def initial(self, x, age):
-        """None."""
-        return nothing()
-
-    def act(self, states, now: Instant, tokens, offset):
-        """As much push as is missing."""
-        if now.state.shape[0] != 2:
-            return tokens, offset
-        g = 1 / jnp.maximum(self.inverse, 1e-12)
-        width = self.softness * g
-        missing = width * jax.nn.softplus(-(now.highest(tokens, offset) + g) / width)
-        return tokens, offset - tokens[2] * missing * (self.inverse > 0)
-
-    def advance(self, states, x, after, h):
-        """None."""
-        return states
+SLACK = (
+    EffectSpec(
+        "slack", "free fall", (_FALL,), "The load is only pulled, and falls freely where the actuator lets go.",
+        "x'' >= -g, inverse = 1 / g", "stiffness", "M", start=_fall_starts, law=_free_fall(1.0),
+    ),
+    EffectSpec(
+        "slack", "free fall, hanging", (_FALL,), "A hanging load is only pulled, and falls in the direction of motion.",
+        "x'' <= g, inverse = 1 / g", "stiffness", "M", start=_fall_starts, law=_free_fall(-1.0),
+    ),
+    EffectSpec(
+        "slack", "free fall, soft", (_FALL, Parameter("softness")), "The load is only pulled, and lets go gradually.",
+        "x'' = -g + w log(1 + exp((a + g) / w)), a without it, w = softness g, inverse = 1 / g", "stiffness", "M",
+        start=_falling(lambda s: starts(
+            (1 / s.acceleration, 1), [(1.3, 0.1), (3.0, 0.1)], (0.7, 0.01), (50, 1)
+        )),
+        law=_soft_fall,
+    ),
+)  # fmt: skip

@@ -6,8 +6,9 @@ physical = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: t
 from collections.abc import Iterable
 
 from .._model.model import Model
-from .._record.units import base_unit
-from .base import AbstractEffect, Parameter
+from .._table.units import base_unit
+from .effect import Effect
+from .spec import Parameter
 
 
 def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float:
@@ -16,7 +17,7 @@ def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float
     return float(s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * force**p.force)
 
 
-def in_scales(effect: AbstractEffect, old: tuple, new: tuple) -> AbstractEffect:
+def in_scales(effect: Effect, old: tuple, new: tuple) -> Effect:
     """The same effect in a model of other scales (state, force)."""
     return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from .._effects.amplifier import Delay
+from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._model.model import Model, check_model
 from . import steps
@@ -117,8 +117,8 @@ def _tuned(a0: float, zero: float, loops: list, dt: float, time_constant: float)
 
 def _linearised(model: Model, dt: float) -> tuple[list, list[float]]:
     """(rad/s, G) about each displacement that a voltage holds, and dF/dx between them."""
-    late = sum(float(e.time) for e in model.effects if isinstance(e, Delay))
-    model = replace(model, effects=tuple(e for e in model.effects if not isinstance(e, Delay)))
+    late = total_delay(model.effects)
+    model = replace(model, effects=tuple(e for e in model.effects if not e.delays))
     forward, back = steps.predict(model, dt, held=True), jax.jit(partial(_holding, steps.inverse(model, dt)))
     square, polarity = model.input_map.one_sided, float(model.output.polarity)
     reach = stroke(model)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import expm
 
-from .._effects.amplifier import Delay
+from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
 from .._model.model import Model
@@ -79,7 +79,7 @@ class Plan:
     @property
     def late(self) -> float:
         """What the drive's delays take, s."""
-        return float(sum(float(e.time) for e in self.model.effects if isinstance(e, Delay)))
+        return total_delay(self.model.effects)
 
     @property
     def voltages(self) -> tuple[float, float, float]:

@@ -4,13 +4,14 @@
     inverse   (m, z, x_{-1}, V_{-1}, V_{-2}), [y, y', ..., y^(n)]
               ->  u = drive^-1(map^-1(F)),  F = sigma_off + sum_i sigma_i x^(i) + effects
 
-The array forms of `undo` look both ways; here they run along the parabola through the last three film voltages, whose
-slope is (3 V - 4 V_{-1} + V_{-2}) / (2 dt). What a delay or a step later than the drive needs is asked for ahead.
+Closed inverses look both ways along a series; here they run along the parabola through the last three values, whose
+slope is (3 V - 4 V_{-1} + V_{-2}) / (2 dt). An effect with a memory and no closed inverse is solved sample by sample,
+its own last three values are the parabola of those before it. What a delay or a step later than the drive needs is
+asked for ahead.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import singledispatch
 from typing import Any
 
 import equinox as eqx
@@ -19,14 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._effects.amplifier import Delay
-from .._effects.base import AbstractDriveEffect, AbstractSensorEffect
-from .._effects.electrode import ChargeLeak, ChargeRetention
+from .._effects.effect import Effect
+from .._effects.kernels import shifted
 from .._invert.realtime import film_after, memory_after
 from .._model.drive import DirectDrive
 from .._model.model import Model
 from .._numerics.intersample import weights
-from .._numerics.linear_recurrence import lag_after
 from .._simulate import ports
 from .._simulate.decoder import settled_state, step
 from .._simulate.prediction import at_rate
@@ -66,7 +65,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     model = at_rate(model, dt)
     scale = model.scales.state[0]
     taps = weights("foh" if held else model.hold, np.arange(2 * model.substeps + 1) / (2 * model.substeps))
-    delays = [e for e in model.effects if isinstance(e, Delay)]
+    delays = [e for e in model.effects if e.delays]
 
     def start(y, u):
         x = model.output.to_model(y) / scale
@@ -79,7 +78,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
         u, moved = values[0], []
         for effect, line in zip(delays, lines, strict=True):
             line = jnp.append(line[1:], u)
-            u = effect.shifted(line, dt, line[0])[-1]
+            u = shifted(line, effect.time / dt, line[0])[-1]
             moved.append(line)
         if held:
             before, films = u, jnp.full_like(films, u) if isinstance(model.drive, DirectDrive) else films
@@ -90,7 +89,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     return Step(start, run, 1, len(taps) // 2 - 1)
 
 
-def samples_of(effect: Delay, dt: float) -> int:
+def samples_of(effect: Effect, dt: float) -> int:
     """How many voltages a delay keeps."""
     return int(np.floor(float(effect.time) / dt)) + 2
 
@@ -98,15 +97,15 @@ def samples_of(effect: Delay, dt: float) -> int:
 def inverse(model: Model, dt: float) -> Step:
     """Drive voltage (V) and whether none makes it, for [y, ..., y^(n)] (rig, m / s^i) at this sample."""
     n, scales = model.order, jnp.asarray(model.scales.state)
-    senses = any(isinstance(e, AbstractSensorEffect) for e in model.effects)
+    senses = bool(ports.sensors(model))
 
     def start(y, u):
         x = model.output.to_model(y) / scales[0]
         film, levels = u, []
-        for effect in model.effects:
-            if isinstance(effect, AbstractDriveEffect):
-                levels.append(film)
-                film = effect.film(effect.initial(film), film)
+        for effect in ports.drives(model):
+            begun = effect.start(film)
+            levels.append((begun, jnp.full(3, film)))
+            film = effect.apply(film, begun)
         states = ports.initial(model, x, u, 0.0)
         rows = jnp.zeros((3, n + 1)).at[:, 0].set(x) if senses else jnp.zeros((0, n + 1))
         return x, model.memory.initial(x), states, jnp.full(3, film), levels, rows, jnp.zeros(())
@@ -141,44 +140,23 @@ def _parabola(values: Float[Array, "3 ..."]) -> Float[Array, "window ..."]:
 
 
 def _undone(model: Model, films, levels, begun, dt: float):
-    """The drive behind the film, new states of the drive effects' inverses, and whether the drive lets it pass."""
+    """The drive behind the film, what the drive effects' inverses carry on, and whether the drive lets it pass.
+
+    `levels`: per effect its states and the last three values of what entered it.
+    """
     window, passes, found = _parabola(films), jnp.ones((), bool), []
-    places = [e for e in model.effects if isinstance(e, AbstractDriveEffect)]
-    for effect, level in zip(reversed(places), reversed(levels), strict=True):
+    for effect, (states, entered) in zip(reversed(ports.drives(model)), reversed(levels), strict=True):
         passes = passes & effect.passes(window, dt)[_BESIDE]
-        window, level = undo(effect, window, level, begun, dt)
-        found.append(level)
+        if effect.spec.inverse or not effect.states:
+            window = effect.undo(window, dt)
+        else:
+            after, w = effect.undo_sample(states, entered[-1], window[_BESIDE], dt)
+            # the first call finds it as it was started
+            states, w = jnp.where(begun, after, states), jnp.where(begun, w, entered[-1])
+            entered = jnp.append(entered[1:], w)
+            window = _parabola(entered)
+        found.append((states, entered))
     return model.drive.lead(window, dt)[_BESIDE], found[::-1], passes
-
-
-@singledispatch
-def undo(effect: AbstractDriveEffect, window, level, begun, dt: float):
-    """The voltages before an effect, along a window, and its state carried on."""
-    return effect.undo(window, dt), level
-
-
-@undo.register
-def _(effect: ChargeLeak, window, level, begun, dt: float):
-    open_, tau = window / (1 - effect.kappa), effect.tau / (1 - effect.kappa)
-    now = jnp.where(begun, lag_after(level, open_[_BESIDE - 1], open_[_BESIDE], tau, dt), level)
-
-    k = dt * np.arange(-_BESIDE, _BESIDE + 1.0)
-    pace = (open_[_BESIDE] - now) / tau
-    bend = ((open_[_BESIDE + 1] - open_[_BESIDE - 1]) / (2 * dt) - pace) / tau
-    return window + effect.kappa * (now + k * pace + k**2 / 2 * bend), now
-
-
-@undo.register
-def _(effect: ChargeRetention, window, level, begun, dt: float):
-    """`level`: what is stored; the drive before the first sample, where it is settled."""
-    q, film = jnp.where(begun, level, effect.k * jnp.abs(level)), window[_BESIDE]
-    before = window[_BESIDE - 1] - q
-    now = jnp.where(begun, effect.stored(q, before, film, dt), q)
-    k, drive = dt * np.arange(-_BESIDE, _BESIDE + 1.0), film - now
-    pace = (effect.k * jnp.abs(drive) - now) / effect.tau
-    slope = (window[_BESIDE + 1] - window[_BESIDE - 1]) / (2 * dt) - pace
-    bend = (effect.k * jnp.sign(drive) * slope - pace) / effect.tau
-    return window - (now + k * pace + k**2 / 2 * bend), now
 
 
 def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Float[Array, " tokens"]:

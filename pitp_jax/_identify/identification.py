@@ -13,10 +13,9 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._effects.amplifier import Delay
+from .._effects import effect
 from .._errors import BadInput, ComputationFailed
 from .._model.input_map import INPUT_MAPS
 from .._model.model import Hold, Model, Output, Provenance, linear_model
@@ -308,4 +307,4 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
         substeps=int(np.clip(np.ceil(fastest * dt / 0.25), 1, 16)),
         provenance=provenance,
     )
-    return replace(model, effects=(Delay(jnp.asarray(chosen.delay)),)) if chosen.delay > 0 else model
+    return replace(model, effects=(effect("delay", time=chosen.delay),)) if chosen.delay > 0 else model

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from .._effects.amplifier import Delay
 from .._model.model import Model
 from .._simulate import ports
 from .._simulate.prediction import FAR
@@ -79,7 +78,7 @@ def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) 
         rho: weight of the second differences.
     """
     count, period = len(now.voltage), 2 * np.pi / model.natural_frequency
-    late = min(sum(round(float(e.time) / wish.dt) for e in model.effects if isinstance(e, Delay)), count - 1)
+    late = min(sum(round(float(e.time) / wish.dt) for e in model.effects if e.delays), count - 1)
     length = int(np.clip(-(-count // _STAGES), 1, max(period / wish.dt / _SHARE, 1)))
     cut = _Cut(_padded(-(-count // length)), length)
     seen = _readings(model, wish, now, cut, late)

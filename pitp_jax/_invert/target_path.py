@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
 
-from .._effects.amplifier import Delay
+from .._effects.kernels import total_delay
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives
 from .limits import Limits
@@ -63,7 +63,7 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits) -> Path:
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
     share = np.abs(states[0, 1:]) / np.maximum(np.abs(states[:, 1:]).max(0), 1e-30)
     if not (abs(states[0, 0]) > 1e-3 * span or share[0] > 1e-2 or (share[1 : order - 1] > _SUDDEN).any()):
-        early = int(np.ceil(sum(float(e.time) for e in model.effects if isinstance(e, Delay)) / dt))
+        early = int(np.ceil(total_delay(model.effects) / dt))
         lead = np.zeros(early + 2 * order if early else 0)  # at rest: what is late has to be played before
         return Path(np.append(lead, wanted), slice(len(lead), len(lead) + len(wanted)), True, True, period)
     high = float(model.input_map.force(jnp.asarray(limits.high)))

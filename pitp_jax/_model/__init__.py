@@ -6,4 +6,21 @@ Parts: encoder (what the model sees to tokens), memory (what it sees beside S), 
 electrodes), output (the sensor's zero and direction), and the effects of `_effects`.
 """
 
+from .drive import DirectDrive as DirectDrive
+from .drive import ElectrodeLag as ElectrodeLag
+from .encoder import AbstractEncoder as AbstractEncoder
+from .encoder import AdaptedEncoder as AdaptedEncoder
+from .encoder import CompactEncoder as CompactEncoder
+from .encoder import ConstantEncoder as ConstantEncoder
+from .encoder import PaperEncoder as PaperEncoder
+from .input_map import LinearInput as LinearInput
+from .input_map import SquareInput as SquareInput
+from .memory import ElapsedTime as ElapsedTime
+from .memory import FadingMemory as FadingMemory
+from .memory import NoMemory as NoMemory
+from .memory import RingingMemory as RingingMemory
+from .model import Hold as Hold
 from .model import Model as Model
+from .model import Output as Output
+from .model import Scales as Scales
+from .model import linear_model as linear_model

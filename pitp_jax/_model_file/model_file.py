@@ -24,8 +24,8 @@ import numpy as np
 from .._errors import BadInput
 from .._model.model import Model
 from .._model.programs import on_device
-from .._record.table import cleaned
 from .._record.writing import write_bytes_atomic
+from .._table.guard import cleaned
 from .parts import build, decode, describe, encode
 from .plausible import LARGEST_FILE, check_header, check_leaves
 

@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._effects import CATALOGUE
-from .._effects import key as form_key
+from .._effects import CATALOGUE, FOUND_TERM
+from .._effects.effect import Effect
 from .._effects.found_term import NAMES as LISTED
-from .._effects.found_term import FoundTerm
+from .._effects.found_term import term_row
 from .._errors import BadInput
 from .._model.drive import DirectDrive, ElectrodeLag
 from .._model.encoder import AdaptedEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
@@ -117,11 +117,11 @@ DRIVES = {
     "direct": Part(DirectDrive, _nothing, DirectDrive),
     "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
 }
-EFFECTS = {form_key(cls): Part(cls, _nothing, cls.neutral) for cls in CATALOGUE} | {
-    form_key(FoundTerm): Part(
-        FoundTerm,
-        lambda e: {f"function{k}": LISTED.index(name) for k, name in enumerate(e.functions)},
-        lambda **k: FoundTerm.of_functions(tuple(LISTED[int(place)] for place in k.values())),
+EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in CATALOGUE} | {
+    FOUND_TERM.key: Part(
+        Effect,
+        lambda e: {f"function{k}": LISTED.index(name) for k, name in enumerate(e.spec.functions)},
+        lambda **k: term_row(tuple(LISTED[int(place)] for place in k.values())).neutral(),
     )
 }
 
@@ -137,7 +137,7 @@ def describe(model: Model) -> dict:
         "encoder": _named(ENCODERS, model.encoder),
         "memory": _named(MEMORIES, model.memory),
         "drive": _named(DRIVES, model.drive),
-        "effects": [_named(EFFECTS, effect) for effect in model.effects],
+        "effects": [_effect(e) for e in model.effects],
         "output": {"offset": float(model.output.offset), "polarity": float(model.output.polarity)},
         "scales": {
             "state": model.scales.state.tolist(),
@@ -158,6 +158,13 @@ def describe(model: Model) -> dict:
         "long_record": _packed(source.long_record),
         "notes": _notes_out(source.notes),
     }
+
+
+def _effect(effect) -> dict:
+    key = effect.spec.key if isinstance(effect, Effect) else type(effect).__name__
+    if key not in EFFECTS:
+        raise BadInput(f"cannot save the model: {key} has no place in model files; only rows of the catalogue have")
+    return {"name": key, **EFFECTS[key].describe(effect)}
 
 
 def _packed(long: LongRecord | None) -> dict | None:

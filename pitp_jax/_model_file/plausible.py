@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from .._errors import BadInput
-from .._record.units import INPUT_UNITS, OUTPUT_UNITS
+from .._table.units import INPUT_UNITS, OUTPUT_UNITS
 
 _LARGEST = {"depth": 64, "outputs": 64, "tokens": 64, "order": 16, "memories": 256, "size": 256, "lags": 256}
 _EFFECTS, _LEAVES = 64, 4096

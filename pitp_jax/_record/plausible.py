@@ -1,6 +1,6 @@
 """What a careful colleague would ask about a recording: refused where it cannot be, told where it may be meant.
 
-|u| > 100 kV, |x| > 1 km                     refused: a unit is wrong
+100 kV, 1 km and more                        refused: a unit is wrong
 range of x > 1 m, 90 % of x equal            told
 |u| <= 10 V on a squared input               told: a monitor's voltage, not the actuator's
 """
@@ -12,18 +12,18 @@ import numpy as np
 from .._errors import BadInput
 from .record import Record
 
-_HIGHEST, _FARTHEST = 1e5, 1e3  # V, m
+_HIGHEST = {"V": 1e5, "m": 1e3}
 _LONG, _EQUAL = 1.0, 0.9  # m, share of the samples
 _MONITOR = 10.0  # V: the range of a DAQ
 
 
-def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, unit: str, source: str, columns, place) -> None:
+def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, source: str, columns, place) -> None:
     """Refuse what no rig has, whatever the unit says.
 
     Args:
-        voltage: in V, shape (T,).
-        displacement: in m or V, shape (T,); nan where missing.
-        unit: of the output, `m` or `V`.
+        voltage: in its base unit, shape (T,).
+        displacement: in its base unit, shape (T,); nan where missing.
+        units: base units of both; only volts and metres have a limit.
         source: file, for the message.
         columns: headers of input and output.
         place: turns a sample index into words.
@@ -32,8 +32,8 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, unit: str,
         BadInput: with both columns where both are.
     """
     problems = []
-    limits = ((voltage, _HIGHEST, "V", "input"), (displacement, _HIGHEST if unit == "V" else _FARTHEST, unit, "output"))
-    for (values, most, base, stem), column in zip(limits, columns, strict=True):
+    for values, base, stem, column in zip((voltage, displacement), units, ("input", "output"), columns, strict=True):
+        most = _HIGHEST.get(base, np.inf)
         far = np.abs(np.nan_to_num(values)) > most
         if far.any() and not (stem == "output" and far.mean() < 0.01):  # a few are the sensor's, and masked
             at = int(np.argmax(far))

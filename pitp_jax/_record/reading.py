@@ -1,43 +1,45 @@
 """Files and folders to records, in base units and checked.
 
-    files -> table -> (time, input, output) columns -> base units -> faults masked -> uniform grid -> Record
+    files -> (time, input, output) columns in base units -> faults masked -> uniform grid -> Record
 
-The name of a record is its file name less exactly the known suffix; where names collide in one call the
-parent folder goes in front (`clean/sine0`). What every file lacks is told in one message.
+The name of a record is its file name less exactly the known suffix; where names collide in one call the parent
+folders go in front (`clean/sine0`). What every file lacks is told in one message.
 """
 
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .._errors import BadInput
+from .._table import Loaded, ReadOptions, Refused, load_columns, together
+from .._table.formats import split_suffix
+from .._table.guard import cleaned
+from .._table.options import FOLDER_FILE as FOLDER_FILE
+from .._table.options import OPTIONS
+from .._table.units import base_unit, from_base
 from .checks import TIME_TOLERANCE, check_samples, check_wanted
-from .choice import Choice, choose_columns
-from .formats import open_table, split_suffix
-from .grid import on_grid
-from .options import OPTIONS, ReadOptions
+from .grid import Gridded, on_grid
 from .outliers import Masked, mask_faults
 from .plausible import doubts, refuse_implausible
 from .record import Record
 from .sets import check_set
-from .table import Table, cleaned
-from .units import base_unit, from_base, to_base
 
 _NOTES = ("readme", "notes", "note", "license", "licence", "info")
+_QUANTITIES = ("time", "voltage", "displacement")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Target:
     """A wanted trajectory, for the inverse model.
 
     Attributes:
         time: sample times in s, shape (T,), uniform to 1 % of a sample.
-        displacement: wanted output in m (or V), shape (T,), no missing samples.
+        displacement: wanted output in its base unit, shape (T,), no missing samples.
         displacement_unit: unit it had in its file.
         source: the file, for messages.
 
@@ -56,43 +58,36 @@ class Target:
             object.__setattr__(self, field, np.asarray(getattr(self, field), dtype=np.float64))
         check_wanted(self.time, self.displacement, self.source or "target")
 
+    def __repr__(self) -> str:
+        ends = [from_base(float(f(self.displacement)), self.displacement_unit) for f in (np.min, np.max)]
+        span = f"{ends[0]:.4g} to {ends[1]:.4g} {self.displacement_unit}"
+        return f"Target({len(self.time)} samples at {1 / self.dt:.6g} Hz, {span})"
+
     @property
     def dt(self) -> float:
         """Sampling interval in s."""
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
 
-def read(
-    *paths: str | os.PathLike,
-    time_column: str | None = None,
-    input_column: str | None = None,
-    output_column: str | None = None,
-    time_unit: str | None = None,
-    input_unit: str | None = None,
-    output_unit: str | None = None,
-    input_scale: float | None = None,
-    output_scale: float | None = None,
-    rate: float | None = None,
-) -> tuple[Record, ...]:
+def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     """Read any mix of record files and folders of them.
 
     Folders do not recurse; their files are taken in sorted order, files that are not records are ignored. A record with
-    a gap too long to fill is split there (`name.1`, `name.2`).
+    a gap too long to fill is split there (`name.1`, `name.2`). What is said here wins over `pitp.toml` in the folder of
+    a file, and that over what is recognised.
 
     Args:
-        *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`) and folders.
-        time_column: exact header of the time; the others likewise. By default names and units in the headers decide.
-        input_column: of the voltage.
-        output_column: of the displacement.
-        time_unit: `s`, `ms`, `us`, `ns` or `min`, over what the file says.
-        input_unit: `V`, `kV` or `mV`.
-        output_unit: `m`, `mm`, `um`, `cm`, `nm`, `V` or `mV`.
-        input_scale: V per V of the input column, for an amplifier's monitor (1 V per kV: 1000).
-        output_scale: m per V of the output column, for a sensor's voltage (2 mm per V: 0.002).
-        rate: samples per second, for files without time.
+        *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`, `.parquet`, `.mcap`) and folders.
+        **said: by name, all optional. `time_column`, `input_column`, `output_column`: exact headers. `time_unit`,
+            `input_unit`, `output_unit`: over what the file says. `input_scale`: of an amplifier's monitor (1 V per
+            kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
+            without time or whose clock repeats. `header_line`: the line that names the columns, from 1. `units_line`:
+            the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a workbook.
+            `split_by`: a column, "sheet" or "group", for several runs in one file.
 
     Returns:
-        the records, in the order given, in s, V and m (or V); missing output is nan. `recognised` says what was read.
+        the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
+        what was read.
 
     Raises:
         BadInput: nothing to read, or files are refused: one line with all of them (file, column, sample, remedy).
@@ -100,13 +95,9 @@ def read(
     Examples:
         >>> records = read("recordings/", input_scale=1000.0)  # doctest: +SKIP
     """
-    options = ReadOptions(
-        time_column, input_column, output_column, time_unit, input_unit, output_unit, input_scale, output_scale, rate
-    )
-    found, refused = _attempted(paths, options)
+    records, refused, files = _attempted(paths, options_of(said))
     if refused:
-        raise BadInput(together(list(refused.values()), len(refused) + len(found)))
-    records = [record for pieces in found.values() for record in pieces]
+        raise BadInput(together(list(refused.values()), files, paths))
     check_set(records)
     return tuple(records)
 
@@ -121,58 +112,65 @@ def read_each(
         reading: keyword arguments of `read`.
 
     Raises:
-        BadInput: no such file or folder, two records of one name, or options that no file could be read with.
+        BadInput: no such file or folder, options that no file could be read with, or nothing could be read.
     """
-    found, refused = _attempted(paths, ReadOptions(**reading))
-    return tuple(record for pieces in found.values() for record in pieces), refused
+    records, refused, files = _attempted(paths, options_of(reading))
+    if not records:
+        raise BadInput(together(list(refused.values()), files, paths))
+    return tuple(records), {name: str(error) for name, error in refused.items()}
 
 
-def _attempted(paths, options: ReadOptions) -> tuple[dict[str, list[Record]], dict[str, str]]:
-    """Records and refusals by name."""
+def options_of(said: Mapping[str, Any]) -> ReadOptions:
+    """Keyword arguments as options.
+
+    Raises:
+        BadInput: an unknown name, or a value that means nothing.
+    """
+    strange = [name for name in said if name not in ReadOptions.__dataclass_fields__]
+    if strange:
+        raise BadInput(
+            f"{strange[0]!r} is no option of reading; they are {', '.join(ReadOptions.__dataclass_fields__)}"
+        )
+    return ReadOptions(**said)
+
+
+def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
+    """Records, refusals by name, and how many files there were."""
     files = files_of(paths)
-    found: dict[str, list[Record]] = {}
-    refused: dict[str, str] = {}
-    for file, name in zip(files, names_of(files), strict=True):
+    records: list[Record] = []
+    refused: dict[str, BadInput] = {}
+    names = names_of(files)
+    for file, name in zip(files, names, strict=True):
         try:
-            found[name] = _read_one(file, name, options)
+            records += _read_one(file, name, options)
         except BadInput as error:
-            refused[name] = str(error)
-    return found, refused
+            refused[name] = error
+    return _unique(records), refused, len(files)
 
 
-def together(refusals: list[str], files: int) -> str:
-    """All refusals in one line, alike ones once."""
-    if len(refusals) == 1:
-        return refusals[0]
-    alike: dict[str, list[str]] = {}
-    for refusal in refusals:
-        source, _, why = refusal.partition(": ")
-        alike.setdefault(why, []).append(source)
-    lines = [f"{', '.join(sources)}: {why}" for why, sources in alike.items()]
-    return f"{len(refusals)} of {files} files are refused: " + " | ".join(lines)
+def _unique(records: list[Record]) -> list[Record]:
+    """Records of one name told apart: a.csv split at its gap beside a file a.1.csv."""
+    taken: set[str] = set()
+    kept = []
+    for record in records:
+        name = record.name
+        while name in taken:
+            name += "'"
+        taken.add(name)
+        kept.append(record if name == record.name else replace(record, name=name))
+    return kept
 
 
-def read_target(
-    path: str | os.PathLike,
-    output_column: str | None = None,
-    *,
-    time_column: str | None = None,
-    time_unit: str | None = None,
-    output_unit: str | None = None,
-    output_scale: float | None = None,
-) -> Target:
+def read_target(path: str | os.PathLike, output_column: str | None = None, **said: Any) -> Target:
     """Read a wanted trajectory: time and displacement, whatever else the file holds.
 
     Args:
         path: one file of the known formats.
-        output_column: exact header of the displacement; it, time_column and units as for `read`.
-        time_column: of the time.
-        time_unit: of the time.
-        output_unit: of the displacement.
-        output_scale: m per V of the output column.
+        output_column: exact header of the displacement.
+        **said: `time_column`, units, `output_scale` and the others as for `read`.
 
     Returns:
-        the target in s and m (or V).
+        the target in base units.
 
     Raises:
         BadInput: as for a record, and where a sample is missing.
@@ -184,30 +182,40 @@ def read_target(
     path = _existing(path)
     if path.is_dir():
         raise BadInput(f"{cleaned(path)}: is a folder; give one target file")
-    options = ReadOptions(time_column, None, output_column, time_unit, None, output_unit, None, output_scale)
-    table = open_table(path)
-    chosen = choose_columns(table, options, ("time", "displacement"))
-    time, wanted = load_columns(table, chosen, options)
-    columns = chosen["time"].name, chosen["displacement"].name
-    idle = np.zeros_like(time)
-    check_samples(time, idle, wanted, table.source, (columns[0], "voltage", columns[1]), table.place)
-    check_wanted(time, wanted, table.source, columns, table.place)
-    return Target(time, wanted, _shown_unit(chosen["displacement"], options), table.source)
+    options = options_of({**said, "output_column": output_column})
+    loaded = load_columns(path, options, ("time", "displacement"))
+    if len(loaded) > 1:
+        raise BadInput(f"{cleaned(path)}: {len(loaded)} parts; give one target file")
+    (one,) = loaded
+    time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
+    columns = one.chosen["time"].name, one.chosen["displacement"].name
+    check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place)
+    check_wanted(time, wanted, source, columns, one.place)
+    return Target(time, wanted, one.unit("displacement"), os.fspath(path))
 
 
 def _existing(path: str | os.PathLike) -> Path:
-    path = Path(path)
     try:
-        os.stat(path)
+        made = Path(path)
+    except TypeError:
+        raise BadInput(
+            f"{path!r}: a {type(path).__name__} is no path; give files and folders one by one, as text"
+        ) from None
+    try:
+        os.stat(made)
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
-            raise BadInput(f"{cleaned(path)}: no such file or folder; check the path") from None
-        raise BadInput(f"{cleaned(path)!r}: not a usable path ({cleaned(error)}); check it") from None
-    return path
+            raise BadInput(f"{cleaned(made)}: no such file or folder; check the path") from None
+        raise BadInput(f"{cleaned(made)!r}: not a usable path ({cleaned(error)}); check it") from None
+    return made
 
 
 def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
-    """The record files behind files and folders, in order."""
+    """The record files behind files and folders, in order.
+
+    Raises:
+        BadInput: none given, one that does not exist, a folder without any.
+    """
     if not paths:
         raise BadInput("no records given; name at least one file or folder")
     files: list[Path] = []
@@ -238,118 +246,106 @@ def _is_record(file: Path) -> bool:
 
 
 def names_of(files: Sequence[Path]) -> list[str]:
-    """One unique name per file."""
-    names = [cleaned(split_suffix(file.name)[0]) for file in files]
-    count = Counter(names)
-    full = [
-        name if count[name] == 1 else f"{cleaned(os.path.basename(os.path.dirname(os.path.realpath(file))))}/{name}"
-        for file, name in zip(files, names, strict=True)
-    ]
-    first: dict[str, Path] = {}
-    for file, name in zip(files, full, strict=True):
-        if name in first:
-            if os.path.realpath(file) == os.path.realpath(first[name]):
-                raise BadInput(f"{cleaned(file)}: given twice; name each record once")
-            raise BadInput(
-                f"{cleaned(file)}: has the same record name {name!r} as {cleaned(first[name])}; rename one of the two"
-            )
-        first[name] = file
-    return full
+    """One unique name per file: where names collide, as many folders in front as tell them apart.
 
-
-def load_columns(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> list[np.ndarray]:
-    """The chosen columns in base units, scaled; a time of --rate where there is none."""
-    places = [choice.place for choice in chosen.values() if choice.place is not None]
-    values = dict(zip(places, table.load(places), strict=True))
-    count = len(values[places[0]])
-    loaded = []
-    with np.errstate(over="ignore"):  # infinite values are refused after this
-        for quantity, choice in chosen.items():
-            if choice.place is None:
-                assert options.rate is not None
-                loaded.append(np.arange(count) / options.rate)
-            else:
-                base = to_base(values[choice.place], choice.unit, quantity)
-                scale = options.scale(quantity)
-                loaded.append(base if scale is None else base * scale)
-    return loaded
-
-
-def _shown_unit(choice: Choice, options: ReadOptions) -> str:
-    """The unit an output is shown in: its own; mm where a sensor's volts became a length."""
-    return "mm" if options.output_scale is not None and base_unit(choice.unit) == "V" else choice.unit
+    Raises:
+        BadInput: a file given twice, or two of one folder that differ by their suffix alone.
+    """
+    real = [Path(os.path.realpath(file)) for file in files]
+    stems, depth = [cleaned(split_suffix(file.name)[0]) for file in files], [0] * len(files)
+    names = list(stems)
+    while twice := [name for name, count in Counter(names).items() if count > 1]:
+        for name in twice:
+            same = [k for k, other in enumerate(names) if other == name]
+            first, second = same[:2]
+            if real[first] == real[second]:
+                raise BadInput(f"{cleaned(files[second])}: given twice; name each record once")
+            if real[first].parent == real[second].parent:
+                raise BadInput(
+                    f"{cleaned(files[second])}: has the same record name {name!r} as {cleaned(files[first])}; "
+                    "rename one of the two"
+                )
+            for k in same:
+                depth[k] += 1
+                folders = [cleaned(part) for part in real[k].parent.parts[1:][-depth[k] :]]
+                names[k] = "/".join((*folders, stems[k]))
+    return names
 
 
 def _read_one(path: Path, name: str, options: ReadOptions) -> list[Record]:
-    """The records of one file: one, or several where its gaps are too long."""
-    table = open_table(path)
-    chosen = choose_columns(table, options, ("time", "voltage", "displacement"))
+    """The records of one file: one, or several by its parts and where its gaps are too long."""
+    loaded = load_columns(path, options, _QUANTITIES)
+    named = [(f"{name}.{cleaned(one.label)}" if len(loaded) > 1 or one.label else name, one) for one in loaded]
+    return [record for label, one in named for record in _records(path, label, one)]
+
+
+def gridded(one: Loaded, displacement: np.ndarray) -> Gridded:
+    """A file's columns on their uniform grid; a clock that repeats is refused with the option that replaces it.
+
+    Raises:
+        BadInput: time decreases, repeats, or is no grid with lost samples.
+    """
+    time, clock, source = one.values["time"], one.chosen["time"], one.table.source
+    try:
+        return on_grid(time, one.values["voltage"], displacement, source, clock.name, one.place)
+    except BadInput as error:
+        if (np.diff(time) == 0).any() and not (np.diff(time) < 0).any() and one.options.rate is None:
+            why = str(error).removeprefix(f"{source}: ") + ", or give --rate HZ"
+            raise Refused(source, why, [*one.options.words(), "--rate", "RATE"]) from None
+        raise
+
+
+def _records(path: Path, name: str, one: Loaded) -> list[Record]:
+    time, voltage, displacement = (one.values[q] for q in _QUANTITIES)
+    source, chosen = one.table.source, one.chosen
     columns = chosen["time"].name, chosen["voltage"].name, chosen["displacement"].name
-    time, voltage, displacement = load_columns(table, chosen, options)
-    check_samples(time, voltage, displacement, table.source, columns, table.place, uniform=False)
-    unit = _shown_unit(chosen["displacement"], options)
-    refuse_implausible(voltage, displacement, base_unit(unit), table.source, columns[1:], table.place)
-    _check_rate(time, chosen["time"], options, table.source)
+    check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
+    drive, unit = one.unit("voltage"), one.unit("displacement")
+    refuse_implausible(voltage, displacement, (base_unit(drive), base_unit(unit)), source, columns[1:], one.place)
     masked = mask_faults(displacement, voltage)
-    found = on_grid(time, voltage, masked.displacement, table.source, columns[0], table.place)
-    remarks = [f"{name}: {line}" for line in _faults(masked, unit) + doubts(masked.displacement, base_unit(unit))]
-    lost = sum(piece.lost for piece in found.pieces)
-    if found.jitter > TIME_TOLERANCE:
-        remarks.append(f"{name}: time jitters by up to {found.jitter:.2g} of a sample, put on a uniform grid")
-    if lost:
-        remarks.append(f"{name}: {lost} lost sample{'s' if lost > 1 else ''} filled in, their output missing")
-    if len(found.pieces) > 1 or found.dropped:
-        short = f", {found.dropped} samples of shorter stretches left out" if found.dropped else ""
-        remarks.append(f"{name}: split at its gaps into {len(found.pieces)}{short}")
+    put = gridded(one, masked.displacement)
+    lost, many = sum(piece.lost for piece in put.pieces), len(put.pieces) > 1
+    remarks = [f"{name}: {line}" for line in _remarks(masked, put, unit)]
     seen = {
-        "file": table.form,
-        **{OPTIONS[quantity]: str(choice) + scaled(quantity, options) for quantity, choice in chosen.items()},
-        "jitter": found.jitter,
+        "file": one.table.form,
+        **{OPTIONS[quantity]: one.words(quantity) for quantity in _QUANTITIES},
+        "jitter": put.jitter,
         "lost": lost,
         "outliers": masked.outliers,
         "clipped": masked.clipped,
         "remarks": remarks,
     }
-    many = len(found.pieces) > 1
     return [
         Record(
-            f"{name}.{k}" if many else name, piece.time, piece.voltage, piece.displacement,
-            "V" if options.input_scale is not None else chosen["voltage"].unit, unit, table.source,
-            {**seen, "lost": piece.lost, "remarks": remarks if k == 1 else []},
+            f"{name}.{k}" if many else name, piece.time, piece.voltage, piece.displacement, drive, unit,
+            os.fspath(path), {**seen, "lost": piece.lost, "remarks": remarks if k == 1 else []},
         )
-        for k, piece in enumerate(found.pieces, 1)
+        for k, piece in enumerate(put.pieces, 1)
     ]  # fmt: skip
 
 
-def scaled(quantity: str, options: ReadOptions) -> str:
-    scale = options.scale(quantity)
-    return "" if scale is None else f" times {scale:g}"
-
-
-def _faults(masked: Masked, unit: str) -> list[str]:
-    """What was masked, in words."""
-    lines = []
+def _remarks(masked: Masked, put: Gridded, unit: str) -> list[str]:
+    """What was done to a record, in words."""
+    lines, lost = [], sum(piece.lost for piece in put.pieces)
     if masked.outliers:
-        far = from_base(masked.largest, unit, "displacement")
-        lines.append(f"{masked.outliers} output samples far from their neighbours (such as {far:.4g} {unit}) masked")
+        far = from_base(masked.largest, unit)
+        lines.append(
+            f"{counted(masked.outliers, 'output sample')} far from the neighbours (such as {far:.4g} {unit}) masked"
+        )
     if masked.clipped:
-        limit = from_base(masked.limit, unit, "displacement")
-        lines.append(f"{masked.clipped} output samples stand at {limit:.4g} {unit} (clipped?), masked")
+        limit = from_base(masked.limit, unit)
+        lines.append(f"{counted(masked.clipped, 'output sample')} at {limit:.4g} {unit} (clipped?), masked")
+    lines += doubts(masked.displacement, base_unit(unit))
+    if put.jitter > TIME_TOLERANCE:
+        lines.append(f"time jitters by up to {put.jitter:.2g} of a sample, put on a uniform grid")
+    if lost:
+        lines.append(f"{counted(lost, 'lost sample')} filled in, their output missing")
+    if len(put.pieces) > 1 or put.dropped:
+        short = f", {put.dropped} samples of shorter stretches left out" if put.dropped else ""
+        lines.append(f"split at its gaps into {len(put.pieces)}{short}")
     return lines
 
 
-def _check_rate(time: np.ndarray, choice: Choice, options: ReadOptions, source: str) -> None:
-    """Refuse whole numbers without a unit (samples? milliseconds?), and a time that contradicts --rate."""
-    if choice.place is None:
-        return
-    step = float(np.median(np.diff(time)))
-    if choice.note.startswith("no unit") and step >= 1 and np.array_equal(time, np.round(time)):
-        raise BadInput(
-            f"{source}: column {choice.name!r} counts in whole numbers and has no unit; give --time-unit s|ms|us, or "
-            "--rate HZ for a counter"
-        )
-    if options.rate is not None and abs(step * options.rate - 1.0) > 0.01:
-        raise BadInput(
-            f"{source}: column {choice.name!r} has a sample every {step:.6g} s, --rate {options.rate:g} says "
-            f"{1 / options.rate:.6g} s; leave --rate to files without time"
-        )
+def counted(count: int, what: str) -> str:
+    """A count with its noun, singular or plural."""
+    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from .._table.units import from_base
 from .checks import check_samples
-from .units import from_base
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from os import PathLike
 import numpy as np
 
 from .._errors import BadInput
+from .._table.units import base_unit
 from .record import Record
-from .units import base_unit
 
 RATE_TOLERANCE = 1e-3  # relative difference of dt within one set
 ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the session

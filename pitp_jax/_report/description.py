@@ -8,7 +8,7 @@ import numpy as np
 from .._effects.physical import physical
 from .._model.encoder import ConstantEncoder, plain
 from .._model.model import Model
-from .._record.units import base_unit
+from .._table.units import base_unit
 from .numbers import number
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._effects.base import Instant
+from .._effects.effect import Instant
 from .._model.model import Model
 from .._model.programs import jit
 from .._model.rows import Rows
@@ -138,9 +138,10 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
         return state + runge_kutta(constant, state, held(tokens, offset, False), scaled_force(model, volts), h)
     films, parts = ports.films(model, ports.split(model, state[size:]), tuple(volts), h)
     forces = ports.coupled(model, tuple(scaled_force(model, v) for v in films), seen[0])
-    now = Instant(seen[:n], model.coefficients, jnp.asarray(model.scales.rates, state.dtype), forces[1], h)
-    tokens, offset = ports.acted(model, parts, now, jnp.stack(tokens), offset)
-    after = moved(core, 1.0, runge_kutta(constant, core, held(list(tokens), offset), forces, h))
+    rates = jnp.asarray(model.scales.rates, state.dtype)
+    now = Instant(seen[:n], model.coefficients, rates, forces[1], h, jnp.stack(tokens), offset)
+    now = ports.acted(model, parts, now)
+    after = moved(core, 1.0, runge_kutta(constant, core, held(list(now.tokens), now.offset), forces, h))
     return jnp.concatenate([jnp.stack(after), *ports.moved(model, parts, core[0], after[0], h)])
 
 

@@ -11,22 +11,23 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._effects.amplifier import Delay
-from .._effects.base import (
-    AbstractCouplingEffect,
-    AbstractDriveEffect,
-    AbstractForceEffect,
-    AbstractSensorEffect,
-    Instant,
-    Wanted,
-    states_of,
-)
-from .._effects.found_term import FoundTerm
+from .._effects.effect import Effect, Instant, solve
+from .._effects.kernels import advanced, shifted
 
 if TYPE_CHECKING:
     from .._model.model import Model
 
-_NEWTON, _STEEP = 4, 0.05  # steps to the force of a term that depends on it; least share of a newton that arrives
+_NEWTON = 4  # steps to the force of a term that depends on it
+
+
+def drives(model: "Model") -> list[Effect]:
+    """What acts on the voltage sample by sample, in its order."""
+    return [e for e in model.effects if e.port == "IN" and not e.delays]
+
+
+def sensors(model: "Model") -> list[Effect]:
+    """What acts on the reading, in its order."""
+    return [e for e in model.effects if e.port == "OUT"]
 
 
 def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, " own"]]:
@@ -40,25 +41,25 @@ def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, 
 
 def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " states"]:
     """All effects' states of an actuator held at X under `voltage` (0 where it rests); age and reach of the session."""
-    parts = [jnp.zeros((0,), jnp.result_type(x)), *(states_of(e, x, voltage, age, reached) for e in model.effects)]
-    return jnp.concatenate([p.astype(parts[0].dtype) for p in parts])
+    found = [jnp.zeros((0,), jnp.result_type(x))]
+    for effect in model.effects:
+        held = effect.start(voltage if effect.port == "IN" else x, age)
+        found.append(effect.resumed(held, reached))
+    return jnp.concatenate([p.astype(found[0].dtype) for p in found])
 
 
 def resumed(model: "Model", state: Float[Array, " state"], reached) -> Float[Array, " state"]:
     """A decoder state of an actuator that the session has stretched to |X| = `reached` before."""
     first = model.order + model.memory.size
-    parts = [
-        e.resumed(p, reached) if isinstance(e, AbstractForceEffect) else p
-        for e, p in zip(model.effects, split(model, state[first:]), strict=True)
-    ]
-    return jnp.concatenate([state[:first], *parts])
+    parts = zip(model.effects, split(model, state[first:]), strict=True)
+    return jnp.concatenate([state[:first], *(e.resumed(p, reached) for e, p in parts)])
 
 
 def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:
     """The voltage behind all delays."""
     for effect in model.effects:
-        if isinstance(effect, Delay):
-            voltage = effect.shifted(voltage, dt, jnp.where(rest, 0.0, voltage[0]))
+        if effect.delays:
+            voltage = shifted(voltage, effect.time / dt, jnp.where(rest, 0.0, voltage[0]))
     return voltage
 
 
@@ -66,11 +67,11 @@ def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, 
     """Film voltages at the three stages of a step of length h, and the parts with the drive's states moved on."""
     parts = list(parts)
     for k, effect in enumerate(model.effects):
-        if isinstance(effect, AbstractDriveEffect):
-            states, found = parts[k], [effect.film(parts[k], stages[0])]
+        if effect.port == "IN" and not effect.delays:
+            states, found = parts[k], [effect.apply(stages[0], parts[k])]
             for before, after in zip(stages[:-1], stages[1:], strict=True):
                 states = effect.advance(states, before, after, h / 2)
-                found.append(effect.film(states, after))
+                found.append(effect.apply(after, states))
             parts[k], stages = states, tuple(found)
     return stages, parts
 
@@ -78,23 +79,23 @@ def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, 
 def coupled(model: "Model", forces: tuple, x) -> tuple:
     """What the structure feels of the stages' forces at X."""
     for effect in model.effects:
-        if isinstance(effect, AbstractCouplingEffect):
-            forces = tuple(effect.couple(f, x) for f in forces)
+        if effect.port == "SQ":
+            forces = tuple(effect.apply(f, x) for f in forces)
     return forces
 
 
-def acted(model: "Model", parts: list, now: Instant, tokens, offset):
-    """Tokens and offset with every force effect in them."""
+def acted(model: "Model", parts: list, now: Instant) -> Instant:
+    """The frozen equation with every force effect in it."""
     for effect, states in zip(model.effects, parts, strict=True):
-        if isinstance(effect, AbstractForceEffect):
-            tokens, offset = effect.act(states, now, tokens, offset)
-    return tokens, offset
+        if effect.forces:
+            now = effect.act(states, now)
+    return now
 
 
 def moved(model: "Model", parts: list, x, after, h) -> list:
     """The states of force and sensor effects after X ran from `x` to `after`."""
     return [
-        e.advance(p, x, after, h) if isinstance(e, (AbstractForceEffect, AbstractSensorEffect)) else p
+        e.advance(p, x, after, h) if e.port not in ("IN", "SQ") else p
         for e, p in zip(model.effects, parts, strict=True)
     ]
 
@@ -104,8 +105,8 @@ def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
     y = state[0]
     parts = split(model, state[model.order + model.memory.size :])
     for effect, states in zip(model.effects, parts, strict=True):
-        if isinstance(effect, AbstractSensorEffect):
-            y = effect.reading(states, y)
+        if effect.port == "OUT":
+            y = effect.apply(y, states)
     return y
 
 
@@ -145,45 +146,41 @@ def needed(
     still, zero = model.tokens(features), jnp.zeros_like(row[0])
 
     def needs(force):
-        now = Wanted(row[:n], model.coefficients, rates, force, blunt, row[n])
-        tokens, offset = acted(model, parts, now, *still)
-        return tokens @ row + offset
+        now = Instant(row[:n], model.coefficients, rates, force, blunt, *still, last=row[n], wanted=True)
+        now = acted(model, parts, now)
+        return now.tokens @ row + now.offset
 
     force = needs(zero)
-    for _ in range(_NEWTON if any(isinstance(e, FoundTerm) and e.driven for e in model.effects) else 0):
-        value, slope = jax.jvp(needs, (force,), (jnp.ones_like(zero),))
-        force = force + (value - force) / jnp.maximum(1 - slope, _STEEP)
+    if any(e.spec.driven for e in model.effects):
+        force = solve(lambda f: f - needs(f), zero, force, _NEWTON)
     for effect in reversed(model.effects):
-        if isinstance(effect, AbstractCouplingEffect):
-            force = effect.uncouple(force, row[0])
+        if effect.port == "SQ":
+            force = effect.uncoupled(force, row[0])
     return force
 
 
 def played(model: "Model", film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
     """The drive u for a smooth film voltage, through all drive effects, the model's own lag and delays."""
-    for effect in reversed(model.effects):
-        if isinstance(effect, AbstractDriveEffect):
-            film = effect.undo(film, dt)
+    for effect in reversed(drives(model)):
+        film = effect.undo(film, dt)
     film = model.drive.lead(film, dt)
     for effect in model.effects:
-        if isinstance(effect, Delay):
-            film = effect.ahead(film, dt)
+        if effect.delays:
+            film = advanced(film, effect.time / dt)
     return film
 
 
 def moves(model: "Model", reading: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
     """The scaled motion behind a wanted reading."""
-    for effect in reversed(model.effects):
-        if isinstance(effect, AbstractSensorEffect):
-            reading = effect.undo(reading, dt)
+    for effect in reversed(sensors(model)):
+        reading = effect.undo(reading, dt)
     return reading
 
 
 def beyond(model: "Model", film: Float[Array, " time"], dt: float) -> Array:
     """True where a drive effect lets no such film voltage pass; each is asked about what leaves it."""
     out = ~jnp.isfinite(film)
-    for effect in reversed(model.effects):
-        if isinstance(effect, AbstractDriveEffect):
-            out = out | ~effect.passes(film, dt)
-            film = effect.undo(film, dt)
+    for effect in reversed(drives(model)):
+        out = out | ~effect.passes(film, dt)
+        film = effect.undo(film, dt)
     return out

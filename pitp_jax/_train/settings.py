@@ -13,9 +13,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._effects.amplifier import Delay
+from .._effects import lookup
 from .._effects.physical import in_scales
-from .._effects.sensor import SensorLag
 from .._errors import BadInput
 from .._model.drive import ElectrodeLag
 from .._model.encoder import CompactEncoder, PaperEncoder
@@ -35,7 +34,7 @@ _WORDS = {
 }
 
 
-PARTS = {"delay": Delay, "sensor_lag": SensorLag}
+PARTS = {name: lookup(name) for name in ("delay", "sensor_lag")}
 
 
 @dataclass(frozen=True)

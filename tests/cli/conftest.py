@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from cli_cases import DRIVES, TIME, motion, truth, write_record
 
+from pitp_jax import Record
 from pitp_jax._identify import identification
 from pitp_jax._invert import feedforward_plan
 from pitp_jax._model_file import model_file
 from pitp_jax._record import writing
-from pitp_jax._record.record import Record
 from pitp_jax.cli import main
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from cli_cases import TIME, motion, write_record
 
-from pitp_jax._model_file.model_file import digest, load
+from pitp_jax import load
+from pitp_jax._model_file import digest
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from cli_cases import refused, tree
 
 import pitp_jax
-from pitp_jax._commands import diagnose as diagnose_command
+from pitp_jax import diagnose as diagnose_command
 from pitp_jax._demo import files, protocol
 from pitp_jax.cli import main
 

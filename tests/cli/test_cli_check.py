@@ -7,7 +7,7 @@ import pytest
 from cli_cases import COEFFICIENTS, DRIVES, TIME, columns_of, motion, refused, tree, write_record
 from scipy.signal import lsim
 
-from pitp_jax._commands import simulate as command
+from pitp_jax import simulate as command
 
 KEYS = {
     "samples", "rate_hz", "recognised", "begins", "zero", "direction", "noise", "missing", "outliers", "jitter",

@@ -10,8 +10,8 @@ import pytest
 from cli_cases import COEFFICIENTS, columns_of, refused, tree
 from scipy.signal import lsim
 
+from pitp_jax import ComputationFailed
 from pitp_jax._demo import files, joint, protocol
-from pitp_jax._errors import ComputationFailed
 from pitp_jax._model_file import model_file
 from pitp_jax._train import settings
 

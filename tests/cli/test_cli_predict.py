@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cli_cases import DRIVES, SCORE_KEYS, TIME, columns_of, motion, refused, tree, write_record
 
-from pitp_jax._commands import predict as command
+from pitp_jax import predict as command
 from pitp_jax._commands.predict import median_e_rms
 
 

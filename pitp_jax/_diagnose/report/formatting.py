@@ -8,39 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..._effects import CATALOGUE
-from ..._effects.base import AbstractEffect
-from ..._record.units import OUTPUT_UNITS, base_unit
+from ..._effects.spec import EffectSpec
 from ..._report.numbers import figure, percent, shown_unit, with_error
+from ..._table.units import OUTPUT_UNITS, base_unit
 
-PLAIN = {
-    "stiffening": "the spring gets harder the further it is moved",
-    "softening": "the spring gets softer the further it is moved",
-    "end_stop": "beyond some displacement the motion runs into something stiff",
-    "slack": "the load is only pulled and flies freely where the actuator falls away faster",
-    "creep": "the actuator keeps yielding slowly under a held load",
-    "relaxation": "part of the spring gives way within a few periods, which also damps",
-    "hysteresis": "rubbing inside the material: a loop that is the same at every frequency",
-    "coulomb_friction": "dry friction holds the motion back by the same force at any speed",
-    "drag": "damping grows with speed",
-    "electrode_rc": "the electrodes' resistance delays the charging of the film",
-    "slew_limit": "the amplifier cannot change its voltage faster than a limit",
-    "voltage_clip": "the amplifier does not go above a voltage",
-    "voltage_offset": "a constant voltage is added to the commanded one",
-    "delay": "the voltage arrives late by a fixed time",
-    "charge_leak": "charge creeps into the film and takes away part of a held voltage",
-    "stretch_coupling": "the film's force depends on how far it is stretched",
-    "dielectric_saturation": "at high field more voltage no longer brings its full force",
-    "added_mass": "more (or less) mass moves than the model knows of",
-    "second_mode": "a second moving mass resonates beside the first one",
-    "stiffness_drift": "the actuator's stiffness changes as the session goes on",
-    "sensor_gain": "the sensor's scale factor is off",
-    "sensor_lag": "the sensor answers late",
-    "backlash": "there is play between what moves and what is measured",
-    "charge_retention": "charge stays in the film and goes on pulling when the voltage is gone",
-    "mullins": "what was stretched further before is softer since",
-    "sensor_nonlinearity": "the sensor's scale is curved",
-    "parameter_change": "nothing is missing: the model's own coefficients have moved",
-}
+PLAIN = {"parameter_change": "nothing is missing: the model's own coefficients have moved"} | {
+    spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
+}  # reversed: a name's first form speaks for it
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of what they are called here
 _COEFFICIENTS = ("stiffness", "damping", "inertia")
 _GATHERED, _OVER = 0.6, 2.0  # a share that counts as gathered, and how far it must exceed the time spent there
@@ -51,9 +25,9 @@ def plain_words(name: str) -> str:
     return PLAIN.get(name) or next((equation(c) for c in CATALOGUE if c.name == name), "")
 
 
-def equation(form: type[AbstractEffect]) -> str:
-    """What a form says of itself: mostly its equation."""
-    return (form.__doc__ or "").strip().splitlines()[0].rstrip(".")
+def equation(form: EffectSpec) -> str:
+    """A form's law in symbols."""
+    return form.equation
 
 
 def named(names: Sequence[str]) -> str:

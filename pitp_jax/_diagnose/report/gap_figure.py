@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..._record.units import OUTPUT_UNITS, base_unit
 from ..._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from ..._report.numbers import shown_unit
+from ..._table.units import OUTPUT_UNITS, base_unit
 from ..diagnosis import Diagnosis
 from ..result import Trace
 from ..steady_tone import steady_tone

@@ -76,14 +76,14 @@ def _effect(d: Diagnosis, name: str) -> str:
     if mine is None:
         return html.bullets(parameter_lines(d, row)) if row else ""
     told = {}
-    for p in mine.PARAMETERS:
+    for p in mine.spec.parameters:
         value, unit = physical(d.model, p, float(getattr(mine, p.name)))
         fitted = row.parameters.get(p.name) if row is not None and row.form == mine.form else None
         near = fitted is not None and np.isclose(fitted["value"], value, rtol=1e-2)
         told[p.name] = {"value": value, "unit": unit, "stderr": fitted["stderr"] if fitted and near else None}
     lines = [_line(d, key, number) for key, number in told.items()]
     title = f"{name}, form “{mine.form}”" if len(d.effects) > 1 else f"Form “{mine.form}”"
-    return tag("p", f"{title}: {equation(type(mine))}") + html.bullets(lines)
+    return tag("p", f"{title}: {equation(mine.spec)}") + html.bullets(lines)
 
 
 def _line(d: Diagnosis, name: str, told: dict) -> str:

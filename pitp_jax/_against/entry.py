@@ -1,0 +1,131 @@
+"""Diagnose recordings: against a model, or against recordings of a simulator."""
+
+from collections.abc import Callable, Sequence
+from typing import overload
+
+import numpy as np
+from jax.sharding import Mesh
+
+from .._compare import pair_records
+from .._compare.records import linear_model_of
+from .._diagnose import Diagnosis
+from .._diagnose import diagnose as diagnose_model
+from .._errors import BadInput
+from .._metrics import e_rms_percent
+from .._model.model import Model
+from .._model_file import descended
+from .._record.record import Record
+from .._record.sets import check_records
+from .._simulate import predict
+from .correction import corrections
+from .parameters import parameters
+from .result import SimToReal
+
+_PART = 0.1  # of the gap's rms, below which the model of the simulator is not at fault: 1 % of the energy
+
+
+@overload
+def diagnose(
+    model: Model, records: Sequence[Record], *, refit_nominal: bool = ..., exclude: Sequence[str] = ...,
+    seconds: float = ..., progress: Callable[[str], None] = ..., mesh: Mesh | None = ...,
+) -> Diagnosis: ...  # fmt: skip
+
+
+@overload
+def diagnose(
+    model: Sequence[Record], *, against: Sequence[Record], position_gain: float | None = ..., seconds: float = ...,
+    exclude: Sequence[str] = ..., progress: Callable[[str], None] = ..., mesh: Mesh | None = ...,
+) -> SimToReal: ...  # fmt: skip
+
+
+def diagnose(
+    model, records=None, *, against=None, position_gain=None, refit_nominal=False, exclude=(), seconds=np.inf,
+    progress=lambda line: None, mesh=None,
+):  # fmt: skip
+    """Find what is missing between a model, or a simulator, and real recordings.
+
+    `diagnose(model, records)`: the unmodelled effect behind the gap of a nominal model. `diagnose(records,
+    against=simulated)`: the same with a simulator in the place of the model, known by its recordings alone; what is
+    missing is then told as the simulator's number, the robot's and the difference.
+
+    Args:
+        model: an identified linear model or a trained one; with `against` the real recordings.
+        records: of one actuator, one sampling rate, best of several kinds of excitation.
+        against: recordings of a simulator, paired by their drives; another rate and another clock are fine.
+        position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
+        refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
+        exclude: names left out of the catalogue.
+        seconds: of computing; then the best so far is handed back, and `notes` lists what was not tried.
+        progress: called with one line per step.
+        mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
+
+    Returns:
+        verdict, effects, gap, ranking, and the model with the effects added; with `against` a `SimToReal`.
+
+    Raises:
+        BadInput: no records, of several rates, two of one name or none that moves; no drive common to both sets; a
+            nominal that diverges on one; a mesh over several processes.
+        ComputationFailed: no linear model of the simulator can be identified.
+
+    Examples:
+        >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
+        verdict: no_gap ...
+        >>> pitp.diagnose(robot, against=simulated, position_gain=20.0).frame()  # doctest: +SKIP
+    """
+    options = {"exclude": exclude, "seconds": seconds, "progress": progress, "mesh": mesh}
+    if against is None:
+        if position_gain is not None:
+            raise BadInput("position_gain is for against=: it is the simulator's")
+        if records is None:
+            raise BadInput("give diagnose(model, records), or diagnose(records, against=simulated)")
+        return diagnose_model(model, records, refit_nominal=refit_nominal, **options)
+    if records is not None or refit_nominal:
+        raise BadInput("with against= give the real recordings alone: no model and no refit_nominal")
+    return _against(model, against, position_gain, options)
+
+
+def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain: float | None, options) -> SimToReal:
+    check_records(real)
+    check_records(simulated)
+    pairs = pair_records(real, simulated)
+    if not pairs.pairs:
+        name, why = pairs.first_alone[0]
+        raise BadInput(f"no recording of the simulator has the drive of one of the robot's; {name}: {why}")
+    say = options["progress"]
+    say("identifying the simulator")
+    found = linear_model_of(simulated)
+    nominal = found.model
+    gap = max(_error(nominal, real), 1e-12)
+    own = _error(nominal, simulated)
+    simulator = None
+    if own > _PART * gap:
+        say("diagnosing the simulator's own recordings")
+        simulator = diagnose_model(nominal, simulated, **options)
+        nominal = simulator.model
+        own = simulator.gap.after
+    say("diagnosing the robot's recordings")
+    robot = diagnose_model(nominal, real, **options)
+    robot_gap = max(robot.gap.before, 1e-12)
+    share = min((own / robot_gap) ** 2, 1.0)
+    say("correction signals")
+    return SimToReal(
+        robot=robot, simulator=simulator, identification=found, nominal=nominal, pairs=pairs,
+        parameters=parameters(nominal, robot, real, position_gain),
+        simulator_share=(share, 0.5 * share, min(2.0 * share, 1.0)),
+        records=tuple(real), corrections=tuple(corrections(nominal, real)),
+    )  # fmt: skip
+
+
+def _error(model: Model, records: Sequence[Record]) -> float:
+    """Free-run error pooled over records, % of range; infinite where one diverges."""
+    squares = []
+    for record, run in zip(records, predict(model, records), strict=True):
+        squares.append(
+            np.inf if run.diverged else e_rms_percent(run.displacement, record.displacement, run.scored) ** 2
+        )
+    return float(np.sqrt(np.mean(squares)))
+
+
+def with_lineage(found: SimToReal) -> Model:
+    """The model handed back, with the robot's recordings in its line of descent."""
+    return descended(found.model, "diagnose against a simulator", found.records, found.nominal)

@@ -1,0 +1,93 @@
+"""The page of a robot beside its simulator: verdict, numbers to type in, where the gap goes, recordings overlaid."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .._compare.page import overlay
+from .._report import html
+from .._report.html import tag
+from .._report.lines import DRIVE, finish, line, own_axes
+from .._report.numbers import figure, percent, shown_unit, with_error
+from .._table.units import from_base
+from .result import SimToReal
+
+_DRAWN = 12  # recordings
+
+
+def page(found: SimToReal) -> str:
+    """A self-contained HTML page."""
+    pictures = [html.picture(name, drawn, caption) for name, (drawn, _, caption) in figures(found).items()]
+    parts = [*_first(found), tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>']
+    return html.page(_headline(found), parts)
+
+
+def first_screen(found: SimToReal) -> str:
+    """Headline and parameters, without the page around."""
+    return "".join(_first(found))
+
+
+def _headline(found: SimToReal) -> str:
+    if found.verdict == "no_gap":
+        return "The simulator does what the robot does"
+    names = " and ".join(e.replace("_", " ") for e in found.effects)
+    return f"The simulator lacks {names}" if names else "The simulator and the robot differ, by what cannot be said yet"
+
+
+def _first(found: SimToReal) -> list[str]:
+    lines = str(found.robot).splitlines()
+    return [
+        tag("p", "Robot beside simulator", "soft"),
+        tag("h1", _headline(found), "explained" if found.effects else "unknown"),
+        *(tag("p", text) for text in lines),
+        html.bullets(found.pairs.remarks("robot", "simulator")),
+        tag("h2", "Numbers to type into the simulator"),
+        _table(found),
+        *_budget(found),
+    ]
+
+
+def _table(found: SimToReal) -> str:
+    header = ("quantity", "simulator", "robot", "difference", "MuJoCo", "PhysX, Isaac Lab", "URDF")
+    rows = []
+    for p in found.parameters:
+        unit = shown_unit(p.unit)
+        values = (f"{figure(p.simulator)} {unit}", f"{figure(p.robot)} {unit}")
+        difference = with_error(p.difference, p.stderr, unit) if p.difference else "none"
+        cells = (p.words, *values, difference, p.mujoco, p.physx, p.urdf)
+        rows.append(("named" if p.difference and p.certain else "pale" if not p.difference else "", cells))
+    gain = any("Kp" in p.unit for p in found.parameters)
+    note = (
+        "Bold: said by the diagnosis. The damping includes the controller's own, the inertia the link's: add the "
+        "difference."
+    )
+    kp = " Kp is the gain of the position controller; give --position-gain to have torques." if gain else ""
+    return html.table(header, rows, dict.fromkeys((0, 4, 5, 6), "long")) + tag("p", note + kp, "soft")
+
+
+def _budget(found: SimToReal) -> list[str]:
+    budget = found.budget
+    words = {"nuisance": "zeros and starts", "parameters": "moved parameters", "simulator": "the simulator's own model",
+             "unnamed": "explainable, without a name", "unexplainable": "not explained by the input"}  # fmt: skip
+    parts = [(name, row["share"]) for name, row in budget.get("effects", {}).items()]
+    parts += [(text, budget[key]["share"]) for key, text in words.items() if key in budget]
+    rows = [("", (name, percent(share))) for name, share in parts]
+    return [tag("h2", "Where the gap goes"), html.table(("part", "of the gap's energy"), rows, {})]
+
+
+def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], str]]:
+    """Per recording the robot over the simulator and the correction: figure, its numbers, caption."""
+    made = {}
+    for pair in found.pairs.pairs[:_DRAWN]:
+        name = pair.first.name.replace("/", "_")
+        drawn, columns = overlay(pair, ("robot", "simulator"))
+        made[f"overlay_{name}"] = (drawn, columns, f"{pair.first.name}: the same command")
+    for record, added in list(zip(found.records, found.corrections, strict=True))[:_DRAWN]:
+        name, unit = record.name.replace("/", "_"), record.voltage_unit
+        time, shown = record.time - record.time[0], from_base(added, unit, "voltage")
+        ax = own_axes(None, 1, (5.6, 1.5))[0]
+        line(ax, time, shown, color=DRIVE, lw=0.9)
+        finish(np.array([ax]), "time from the start (s)", [f"added input ({shown_unit(unit)})"])
+        caption = f"{record.name}: added to the simulator's input, this gives the robot's output"
+        assert isinstance(ax.figure, Figure)
+        made[f"correction_{name}"] = (ax.figure, {"time_s": record.time, f"added_input_{unit}": shown}, caption)
+    return made

@@ -1,0 +1,127 @@
+"""What a diagnosis between a simulator and a robot says."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._compare import Pairing
+from .._diagnose import Diagnosis
+from .._identify import Identification
+from .._model.model import Model
+from .._record.record import Record
+from .._report.numbers import number
+from .._report.table import data_frame
+from .parameters import Parameter, as_rows
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class SimToReal:
+    """The gap between a simulator and a robot.
+
+    Attributes:
+        robot: diagnosis of the robot's records under the simulator's model.
+        simulator: diagnosis of the simulator's own records; None where its model's error is no part of the gap.
+        identification: the linear model of the simulator.
+        nominal: that model with the simulator's own effects.
+        pairs: which recordings share their drive, and the offset of the clocks.
+        parameters: the simulator's numbers, the robot's, and the difference.
+        simulator_share: part of the gap's energy that is the error of the simulator's model, with its 95 % interval.
+        records: the robot's.
+        corrections: added input of each, base unit.
+    """
+
+    robot: Diagnosis
+    simulator: Diagnosis | None
+    identification: Identification
+    nominal: Model
+    pairs: Pairing
+    parameters: tuple[Parameter, ...]
+    simulator_share: tuple[float, float, float]
+    records: tuple[Record, ...]
+    corrections: tuple[np.ndarray, ...]
+
+    @property
+    def verdict(self) -> str:
+        """Of the robot's diagnosis."""
+        return self.robot.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects that the robot has and the simulator lacks."""
+        return self.robot.effects
+
+    @property
+    def model(self) -> Model:
+        """The simulator's model with what the robot has beyond it."""
+        return self.robot.model
+
+    @property
+    def budget(self) -> dict[str, Any]:
+        """The robot's budget with the simulator's part, taken from what has no name."""
+        share, low, high = self.simulator_share
+        told = {k: dict(v) for k, v in (getattr(self.robot, "budget", None) or {}).items()}
+        left = share
+        for key in ("unexplainable", "unnamed"):
+            if key in told:
+                taken = min(left, max(told[key]["share"], 0.0))
+                told[key]["share"] -= taken
+                left -= taken
+        return told | {"simulator": {"share": share - left, "ci95": [low, high]}}
+
+    def lines(self) -> list[str]:
+        """The table of parameters that differ, and what a user should know, in sentences."""
+        found = []
+        for p in self.parameters:
+            if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
+                error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
+                names = ", ".join(n for n in (p.mujoco, p.physx) if n != "-")
+                found.append(
+                    f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
+                    f"{f' ({names})' if names else ''}"
+                )
+        if self.simulator_share[0] >= 0.05:
+            found.append(
+                f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the model of the simulator itself."
+            )
+        return [*found, *self.pairs.remarks("robot", "simulator")]
+
+    def __repr__(self) -> str:
+        """Verdict and parameters, at most ten lines."""
+        told = self.lines()
+        more = [f"  and {len(told) - 7} more"] if len(told) > 8 else []
+        head = f"SimToReal, {str(self.robot).splitlines()[0]}"
+        return "\n".join([head, *(f"  {line}" for line in told[: 7 if more else 8]), *more])
+
+    def __str__(self) -> str:
+        """For the terminal."""
+        return "\n".join([*str(self.robot).splitlines(), *self.lines()])
+
+    def _repr_html_(self) -> str:
+        """The first screen of its page."""
+        from .page import first_screen
+
+        return first_screen(self)
+
+    def frame(self) -> "pd.DataFrame":
+        """One row a parameter: the simulator's value, the robot's, the difference, and its names."""
+        return data_frame(as_rows(self.parameters))
+
+    def as_json(self, csv: str | None = None) -> dict[str, Any]:
+        """The JSON of the robot's diagnosis, with the simulator's part and the parameters."""
+        pairs = [
+            {
+                "robot": p.first.name,
+                "simulated": p.second.name,
+                "clock_offset_s": p.offset,
+                "correlation": p.correlation,
+            }
+            for p in self.pairs.pairs
+        ]
+        unmatched = {"robot": dict(self.pairs.first_alone), "simulated": dict(self.pairs.second_alone)}
+        told = {"budget": self.budget, "simulator": None if self.simulator is None else self.simulator.as_json(),
+                "parameters": as_rows(self.parameters), "pairs": pairs, "unmatched": unmatched}  # fmt: skip
+        return self.robot.as_json(csv) | told

@@ -1,0 +1,238 @@
+"""An effect: a row of the catalogue with its numbers. One `act` serves rollout, screening and inverse.
+
+    IN, SQ, OUT   apply: w -> law(p, w, z)            undo: closed form, else Newton on  law(p, w, z(w)) = wanted
+    K C M T       act:   sigma_2 += mass(p, now),  sigma_off += law(p, now)
+
+Where the law has a memory, Newton solves sample by sample for the w whose advanced state gives what is wanted.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+from jax.tree_util import GetAttrKey
+from jaxtyping import Array, Float
+
+from .kernels import DELAY
+
+if TYPE_CHECKING:
+    from .spec import EffectSpec, Parameter
+
+_STEPS, _FLATTEST = 8, 0.05  # of Newton's method, and the least slope that it divides by
+_ROUNDING = 3e-6  # relative, in float32: how exactly a law must give back what was solved for
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What a force may depend on: the frozen step so far, or an instant of a motion that is given.
+
+    Attributes:
+        state: scaled S at the drifted midpoint (x^(n-1) as at the step's beginning), shape (n,).
+        coefficients: the nominal's scaled coefficients, shape (n + 1,).
+        rates: dX_i/dt = rates_i X_(i+1), 1/s, shape (n,).
+        force: scaled force of the film at the middle of the step.
+        h: length of the step, s; along a given motion it only says how sharply friction sets in.
+        tokens, offset: of the frozen equation, with the effects before this one in them.
+        last: scaled x^(n) of a motion that is given (measured, or wanted); None within a step.
+        wanted: the force is what is asked for, so that x^(n) is not the force's to decide.
+        z: the effect's own states at this instant.
+    """
+
+    state: Any
+    coefficients: Any
+    rates: Any
+    force: Any
+    h: Any
+    tokens: Any
+    offset: Any
+    last: Any = None
+    wanted: bool = False
+    z: Any = None
+
+    @property
+    def order(self) -> int:
+        """Order n of the equation."""
+        return self.state.shape[0]
+
+    @property
+    def x(self):
+        """Scaled displacement."""
+        return self.state[0]
+
+    @property
+    def k(self):
+        """Scaled stiffness of the nominal."""
+        return self.coefficients[0]
+
+    @property
+    def v(self):
+        """Scaled x' half a step on (order 2: by the acceleration the step begins with)."""
+        if self.order == 1:
+            return self.highest if self.last is None else self.last
+        if self.order > 2 or self.last is not None:
+            return self.state[1]
+        return self.state[1] + self.h / 2 * self.rates[1] * self.highest
+
+    @property
+    def highest(self):
+        """Scaled x^(n) of the frozen step."""
+        if self.wanted:
+            return self.last
+        n = self.order
+        return (self.force - self.offset - self.tokens[:n] @ self.state) / self.tokens[n]
+
+    @property
+    def inertial(self):
+        """Scaled a_2 x'' of the frozen step; none below order 2."""
+        if self.order < 2:
+            return 0.0 * self.x
+        return self.tokens[2] * (self.highest if self.order == 2 else self.state[2])
+
+    def pulled(self, force) -> "Instant":
+        """The same with one more force in the frozen equation."""
+        return replace(self, offset=self.offset + force)
+
+    def heavier(self, mass) -> "Instant":
+        """The same with more in front of x'', or of x^(n) below order 2."""
+        return replace(self, tokens=self.tokens.at[min(2, self.order)].add(mass))
+
+
+@jax.tree_util.register_pytree_with_keys_class
+class Effect:
+    """A row of the catalogue (`spec`, static) with its numbers (`theta`, arrays); both are attributes by name."""
+
+    spec: "EffectSpec"
+    theta: tuple
+
+    def __init__(self, spec: "EffectSpec", theta: tuple):
+        self.spec, self.theta = spec, tuple(theta)
+
+    def __getattr__(self, name: str) -> Any:
+        """A number by its name, else what its row says."""
+        if name in ("spec", "theta") or name.startswith("__"):
+            raise AttributeError(name)
+        names = self.spec.names
+        return self.theta[names.index(name)] if name in names else getattr(self.spec, name)
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(f"{k}={v}" for k, v in vars(self.p).items())
+        return f"effect({self.name!r}, form={self.form!r}, {numbers})"
+
+    def tree_flatten_with_keys(self):
+        """Leaves by name, so that files and messages name them."""
+        return [(GetAttrKey(k), v) for k, v in zip(self.spec.names, self.theta, strict=True)], self.spec
+
+    @classmethod
+    def tree_unflatten(cls, spec, theta):
+        """An effect of other leaves."""
+        return cls(spec, theta)
+
+    @property
+    def states(self) -> int:
+        """How many numbers it remembers."""
+        return self.spec.kernel.size
+
+    @property
+    def forces(self) -> bool:
+        """Whether it is a force beside the nominal's."""
+        return self.port in ("K", "C", "M", "T")
+
+    @property
+    def delays(self) -> bool:
+        """Whether it shifts the whole record."""
+        return self.kernel is DELAY
+
+    @property
+    def p(self) -> SimpleNamespace:
+        """Its numbers by name, as laws and kernels read them."""
+        return SimpleNamespace(**dict(zip(self.spec.names, self.theta, strict=True)))
+
+    def numbers(self) -> list[tuple["Parameter", Array]]:
+        """Its numbers one by one, and what each of them is."""
+        flat = [v[k] if v.ndim else v for v in self.theta for k in (range(v.shape[0]) if v.ndim else (0,))]
+        return list(zip(self.spec.parameters, flat, strict=True))
+
+    def times(self, factors) -> "Effect":
+        """The effect with each of its numbers times a factor."""
+        return self.spec(*(v * f for (_, v), f in zip(self.numbers(), factors, strict=True)))
+
+    def start(self, w, age=0.0) -> Float[Array, " states"]:
+        """States of what has been held at w, at that age of the session in s."""
+        return self.kernel.start(self.p, w, age)
+
+    def resumed(self, z, reached) -> Float[Array, " states"]:
+        """States where the session has gone to |X| = `reached` before."""
+        return self.kernel.resumed(self.p, z, reached)
+
+    def advance(self, z, before, after, h) -> Float[Array, " states"]:
+        """States after w ran linearly from `before` to `after` in h seconds."""
+        return self.kernel.advance(self.p, z, before, after, h)
+
+    def apply(self, w, beside):
+        """What leaves the port where w enters; `beside`: the states (IN, OUT), the displacement (SQ)."""
+        return self.spec.law(self.p, w, beside)
+
+    def act(self, z, now: Instant) -> Instant:
+        """The frozen equation with the effect's force in it."""
+        p, spec = self.p, self.spec
+        # along a given motion the states are those of the instant; a step's force is read half a step on
+        now = replace(now, z=z if now.last is not None else self.kernel.ahead(p, z, now))
+        if spec.mass:
+            now = now.heavier(spec.mass(p, now))
+        return now.pulled(spec.law(p, now))
+
+    def uncoupled(self, force, x):
+        """The film's force behind a force on the structure (SQ)."""
+        if self.spec.inverse:
+            return self.spec.inverse(self.p, force, x)
+        return solve(lambda f: self.apply(f, x), force)
+
+    def undo(self, values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
+        """What must enter for these smooth values to leave, for a record that starts at rest (IN, OUT)."""
+        if self.spec.inverse:
+            return self.spec.inverse(self.p, values, dt)
+        if not self.states:
+            return solve(lambda w: self.apply(w, jnp.zeros((0,))), values)
+        begun = self.start(jnp.zeros_like(values[0]) if self.port == "IN" else values[0])
+        first = solve(lambda w: self.apply(w, begun), values[0])
+
+        def sample(carry, wanted):
+            carry = self.undo_sample(carry[0], carry[1], wanted, dt)
+            return carry, carry[1]
+
+        return jnp.append(first, jax.lax.scan(sample, (begun, first), values[1:])[1])
+
+    def undo_sample(self, z, before, wanted, dt: float) -> tuple:
+        """(states, w) a sample on, w such that `wanted` leaves."""
+
+        def advanced(w):
+            return self.advance(z, before, w, dt)
+
+        # from the sample before: with memory a law is nearly linear over one
+        w = solve(lambda w: self.apply(w, advanced(w)), wanted, before, _STEPS // 2)
+        return advanced(w), w
+
+    def passes(self, values: Float[Array, " time"], dt: float) -> Array:
+        """True where something that enters makes these values leave (IN)."""
+        if self.spec.passes:
+            return self.spec.passes(self.p, values, dt)
+        if self.states:
+            return jnp.ones(values.shape, bool)
+        w = self.undo(values, dt)
+        return jnp.abs(self.apply(w, jnp.zeros((0,))) - values) <= _ROUNDING * (jnp.abs(values) + jnp.abs(w))
+
+
+def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: int = _STEPS) -> Array:
+    """W with function(w) = wanted, element by element, by Newton's method from `begin` (from what is wanted).
+
+    A step is taken only where it comes nearer: at a flat piece (a clip) w stays where it is.
+    """
+    w = wanted if begin is None else begin
+    for _ in range(steps):
+        value, rise = jax.jvp(function, (w,), (jnp.ones_like(w),))
+        tried = w + (wanted - value) / jnp.where(jnp.abs(rise) < _FLATTEST, _FLATTEST, rise)
+        w = jnp.where(jnp.abs(function(tried) - wanted) < jnp.abs(value - wanted), tried, w)
+    return w

@@ -1,0 +1,189 @@
+"""Kernels: the few memories that all forms of the catalogue need, each advanced by an exact rule where one is known.
+
+    lags         tau_i z_i' = w - z_i, side by side, or each behind the one before         (exact for w linear)
+    oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
+    play         z stays within w - r <= z <= w + r                                        (exact for w monotonic)
+    dahl         dz = dw - |dw| z / r                                                      (exact for w monotonic)
+    wen          dz = dw (1 - |z / r|^n) on loading, dz = dw on unloading                  (midpoint rule)
+    farthest     z = max |w| so far,                clock   z' = 1                         (exact)
+    slew         |z'| <= s towards u, or towards a lag of u                                (exact for one step's goal)
+    delay        a shift of the whole record: no state of a step
+
+w is what enters: u at the drive, x for forces and sensors. A kernel reads its numbers by name from `p`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._model.drive import slope
+from .._numerics.linear_recurrence import lag_after
+
+
+def _same(p, z, *rest):
+    return z
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A memory of fixed size.
+
+    Attributes:
+        size: how many states.
+        start: fn(p, w, age), the states of what has been held at w; `age` of the session in s.
+        advance: fn(p, z, before, after, h), the states after w ran linearly from `before` to `after` in h seconds.
+        ahead: fn(p, z, now), the states half a step on, which a frozen step's force reads.
+        resumed: fn(p, z, reached), the states where the session has gone to |x| = `reached` before; most forget.
+    """
+
+    size: int
+    start: Callable[..., Any]
+    advance: Callable[..., Any] = _same
+    ahead: Callable[..., Any] = _same
+    resumed: Callable[..., Any] = _same
+
+
+NOTHING = Kernel(0, lambda p, w, age: jnp.zeros((0,)))
+DELAY = Kernel(0, NOTHING.start)  # told from NOTHING by identity: the shift acts on records, see `shifted`
+
+
+def lags(*ratios: float, in_a_row: bool = False, of: Callable = lambda p, w: w) -> Kernel:
+    """Lags with the time constants ratio * tau; `of` is what they follow of w."""
+
+    def taus(p):
+        return [jnp.maximum(r * p.tau, 1e-9) for r in ratios]
+
+    def advance(p, z, before, after, h):
+        before, after = of(p, before), of(p, after)
+        if not in_a_row:
+            return lag_after(z, before, after, jnp.stack(taus(p)), h)
+        found = []
+        for state, tau in zip(z, taus(p), strict=True):
+            found.append(lag_after(state, before, after, tau, h))
+            # the first is exact; the next takes its output as linear over the step
+            before, after = state, found[-1]
+        return jnp.stack(found)
+
+    def ahead(p, z, now):
+        return z + (now.x - z) * -jnp.expm1(-now.h / 2 / jnp.stack(taus(p)))
+
+    return Kernel(len(ratios), lambda p, w, age: jnp.full((len(ratios),), of(p, w)), advance, ahead)
+
+
+def lead(values: Float[Array, " time"], dt: float, *taus) -> Float[Array, " time"]:
+    """What lags in a row made these smooth values of: v + tau v', lag by lag."""
+    for tau in taus:
+        values = values + tau * slope(values, dt)
+    return values
+
+
+def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
+    """(z, z' in 1/s) of a mass carried along by a spring, at rest beside w at first."""
+
+    def advance(p, z, before, after, h):
+        w = frequency(p)
+        # by the mean of w over the step: unconditionally stable, so a resonance near the sampling rate stays bounded
+        middle = (z[1] + h / 2 * w**2 * ((before + after) / 2 - z[0])) / (1 + (h * w / 2) ** 2 + h * p.zeta * w)
+        return jnp.stack([z[0] + h * middle, 2 * middle - z[1]])
+
+    def start(p, w, age):
+        return jnp.stack([jnp.asarray(w), jnp.zeros_like(w)])
+
+    return Kernel(2, start, advance, lambda p, z, now: jnp.stack([z[0] + now.h / 2 * z[1], z[1]]))
+
+
+def play(*ratios: float) -> Kernel:
+    """Plays of the half widths ratio * width, in their middle at first."""
+
+    def inside(p, z, w):
+        r = p.width * jnp.asarray(ratios, jnp.result_type(p.width))
+        return jnp.clip(z, w - r, w + r)
+
+    return Kernel(
+        len(ratios),
+        lambda p, w, age: jnp.full((len(ratios),), w),
+        lambda p, z, before, after, h: inside(p, z, after),
+        lambda p, z, now: inside(p, z, now.x),
+    )
+
+
+def _travelled(advance: Callable) -> Kernel:
+    """A state that begins relaxed and depends on the way alone, not on the time it took."""
+
+    def ahead(p, z, now):
+        way = now.h / 2 * now.rates[0] * now.state[1] if len(now.state) > 1 else 0.0 * now.x
+        return advance(p, z, 0.0 * way, way, 0.0)
+
+    return Kernel(1, lambda p, w, age: jnp.zeros((1,)), advance, ahead)
+
+
+def dahl(width: str = "width") -> Kernel:
+    """A state that saturates at the yield displacement r, the number of that name."""
+
+    def advance(p, z, before, after, h):
+        r = getattr(p, width)
+        end = jnp.sign(after - before) * r
+        return end + (z - end) * jnp.exp(-jnp.abs(after - before) / r)
+
+    return _travelled(advance)
+
+
+def _wen(p, z, before, after, h):
+    way = after - before
+
+    def slope_at(z):
+        # the small number keeps the power's slope finite at z = 0 for exponents below one
+        return 1 - (z * way > 0) * (jnp.abs(z) / p.width + 1e-9) ** p.sharpness
+
+    middle = z + way / 2 * slope_at(z)
+    return jnp.clip(z + way * slope_at(middle), -p.width, p.width)
+
+
+WEN = _travelled(_wen)
+FARTHEST = Kernel(
+    1,
+    lambda p, w, age: jnp.reshape(jnp.abs(w), (1,)),
+    lambda p, z, before, after, h: jnp.maximum(z, jnp.abs(after)),
+    lambda p, z, now: jnp.maximum(z, jnp.abs(now.x)),
+    lambda p, z, reached: jnp.maximum(z, reached),
+)
+CLOCK = Kernel(
+    1,
+    lambda p, w, age: jnp.reshape(jnp.asarray(age, jnp.result_type(w)), (1,)),
+    lambda p, z, before, after, h: z + h,
+)
+
+
+def slew(goal: Callable = lambda p, z, before, after, h: after) -> Kernel:
+    """Towards a goal, no faster than 1 / inverse."""
+
+    def advance(p, z, before, after, h):
+        most = h / jnp.maximum(p.inverse, 1e-30)
+        return z + jnp.clip(goal(p, z, before, after, h) - z, -most, most)
+
+    return Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), advance)
+
+
+def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " time"]:
+    """A series a number of samples earlier, linear between them; `before` stands ahead of the first one."""
+    at = jnp.arange(values.shape[0]) - samples
+    index = jnp.floor(at)
+    weight = (at - index).astype(values.dtype)
+    index = index.astype(int)
+    padded = jnp.concatenate([jnp.reshape(before, (1,)), values])
+    earlier, later = (padded[jnp.clip(index + k, 0, values.shape[0])] for k in (1, 2))
+    return earlier + weight * (later - earlier)
+
+
+def advanced(values: Float[Array, " time"], samples) -> Float[Array, " time"]:
+    """A series a number of samples later: what a delay must be given now. The last value is repeated."""
+    place = jnp.arange(values.shape[0], dtype=values.dtype)
+    return jnp.interp(place + samples, place, values)
+
+
+def total_delay(effects: Sequence) -> float:
+    """What a model's delays take together, s."""
+    return sum(float(e.time) for e in effects if e.spec.kernel is DELAY)

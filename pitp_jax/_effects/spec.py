@@ -1,0 +1,188 @@
+"""One row of the catalogue: what an effect is called, where it enters, its numbers, its law and its memory.
+
+    sum_i sigma_i x^(i) + sigma_off + f(x, x', z) = coupling(V, x),    V = drive(u),    y = sensor(x)
+
+Ports: IN u to V, SQ the film's force at a displacement, K C M T forces beside the nominal's, OUT x to the reading; z
+are the kernel's states. All is in the model's scaled coordinates: X_i = x^(i) / scale_i, force over force_scale,
+stiffness in units of the nominal's; voltages in V, times in s. `Parameter` says how a number returns to physical units.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .effect import Effect
+from .kernels import NOTHING, Kernel
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes:
+        name: how the law reads it.
+        unit: physical unit; "x" stands for the displacement's unit.
+        length, speed, acceleration, force: powers of the scales of x, x', x'' and of the force that take the stored
+            value to physical units.
+        positive: fitted by its logarithm (else as it is).
+        off: where the effect vanishes; None: the number does not matter where another one is off.
+        linear: the effect is proportional to it (asked of the first parameter only).
+    """
+
+    name: str
+    unit: str = "1"
+    length: float = 0
+    speed: int = 0
+    acceleration: int = 0
+    force: float = 0
+    positive: bool = True
+    off: float | None = None
+    linear: bool = True
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What starts and bounds are taken from: the nominal's dynamics and the ranges the records cover.
+
+    Attributes:
+        omega: natural frequency of the nominal, rad/s.
+        dt: sampling interval, s.
+        duration, session: longest record and whole session, s.
+        top, bottom: highest and lowest scaled displacement measured.
+        speed: rms of the scaled velocity X_1.
+        acceleration: highest scaled X_2 the nominal reaches.
+        voltage: largest absolute drive voltage, V.
+        slew: largest absolute voltage slew, V/s.
+        stiffness, inertia: scaled nominal coefficients of x and (order 2 and up) x''.
+        damping: scaled nominal coefficient of x'.
+    """
+
+    omega: float
+    dt: float
+    duration: float
+    session: float
+    top: float
+    bottom: float
+    speed: float
+    acceleration: float
+    voltage: float
+    slew: float
+    stiffness: float
+    inertia: float
+    damping: float
+
+    @property
+    def reach(self) -> float:
+        """Largest absolute scaled displacement."""
+        return max(self.top, -self.bottom)
+
+    @property
+    def pull(self) -> float:
+        """Largest scaled restoring force."""
+        return self.stiffness * self.reach
+
+
+@dataclass(frozen=True)
+class Start:
+    """One active start: a value and bounds (low, high) for every parameter, in their order."""
+
+    values: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+def starts(unit, values: Sequence, low, high) -> list[Start]:
+    """Starts in units of the surroundings: one number or one per parameter in each place.
+
+    Args:
+        unit: what values and bounds are multiples of.
+        values: one row per start.
+        low, high: bounds of all of them.
+    """
+    scale, bottom, top = (np.atleast_1d(np.asarray(v, float)) for v in (unit, low, high))
+
+    def numbers(row) -> tuple[float, ...]:
+        return tuple(map(float, scale * np.atleast_1d(row)))
+
+    return [Start(numbers(row), numbers(bottom), numbers(top)) for row in values]
+
+
+@dataclass(frozen=True)
+class EffectSpec:
+    """One form of one effect, as data; two rows are equal where name, form and parameters are.
+
+    Attributes:
+        name: the effect, as a diagnosis prints it; form: one way to write it down.
+        title: what it does, one plain sentence.
+        equation: its law in symbols.
+        family, port: see above.
+        parameters: its numbers.
+        start: active starts with bounds; empty where the effect cannot be at work on such records.
+        law: p are the numbers by name.
+            IN, OUT: fn(p, w, z), what leaves where w enters, z the states at that instant.
+            SQ: fn(p, force, x), the force on the structure.
+            K, C, M, T: fn(p, now), the extra force at an `Instant`.
+        kernel: its memory.
+        mass: fn(p, now) of a force: what it adds to the coefficient of x'' (of x^(n) below order 2).
+        inverse: in closed form; without one, a guarded Newton solves the law.
+            IN, OUT: fn(p, series, dt) for a smooth series that begins at rest.
+            SQ: fn(p, force, x), infinite where no field makes it.
+        passes: fn(p, series, dt), true where some drive gives this film voltage (IN).
+        only: there is no other way to write it down, so where it is the cause, it leaves noise.
+        driven: its force depends on that of the film, for which an inverse then solves.
+        arrays: of a found term: names and sizes of the arrays its numbers are stored in.
+        functions: of a found term: what it sums.
+    """
+
+    name: str
+    form: str
+    parameters: tuple[Parameter, ...]
+    title: str = field(compare=False)
+    equation: str = field(compare=False)
+    family: str = field(compare=False)
+    port: str = field(compare=False)
+    start: Callable[[Surroundings], list[Start]] = field(compare=False)
+    law: Callable[..., Any] = field(compare=False)
+    kernel: Kernel = field(default=NOTHING, compare=False)
+    mass: Callable[..., Any] | None = field(default=None, compare=False)
+    inverse: Callable[..., Any] | None = field(default=None, compare=False)
+    passes: Callable[..., Any] | None = field(default=None, compare=False)
+    only: bool = field(default=False, compare=False)
+    driven: bool = field(default=False, compare=False)
+    arrays: tuple[tuple[str, int], ...] = field(default=(), compare=False)
+    functions: tuple[str, ...] = field(default=(), compare=False)
+
+    @property
+    def key(self) -> str:
+        """How it is named in files and tables: name, then form."""
+        return f"{self.name}: {self.form}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the arrays that hold its numbers."""
+        return tuple(name for name, _ in self.arrays) or tuple(p.name for p in self.parameters)
+
+    @property
+    def off(self) -> tuple[float, ...]:
+        """Numbers at which it does nothing."""
+        return tuple(1.0 if p.off is None else p.off for p in self.parameters)
+
+    def __call__(self, *values) -> Effect:
+        """The effect with these numbers, in the order of `parameters`."""
+        if len(values) != len(self.parameters):
+            raise TypeError(f"{self.key} has {len(self.parameters)} numbers, not {len(values)}")
+        # an array keeps its precision, a plain number has that of training and rollout
+        numbers = [v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values]
+        if not self.arrays:
+            return Effect(self, tuple(numbers))
+        ends = np.cumsum([0, *(size for _, size in self.arrays)])
+        flat = jnp.stack(numbers)
+        return Effect(self, tuple(flat[a:b] for a, b in zip(ends, ends[1:], strict=False)))
+
+    def neutral(self) -> Effect:
+        """The effect that is not there."""
+        return self(*self.off)

@@ -1,0 +1,392 @@
+"""Which column of a table is the time, the input, the output, and in which unit.
+
+exact name (voltage_V)  >  unit of its kind (V with a length)  >  units of other machines  >  by name  >  ask
+
+The first of these with a column decides; with more than one column it asks. A named column without a unit competes
+with one that has a unit and no name. Two statements of a unit that disagree are asked about.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._errors import BadInput
+from .names import Header, read_header
+from .options import OPTIONS, ReadOptions
+from .refusal import Refused
+from .table import Column, Table
+from .units import column_names, kind_of, spelt, units_of
+
+_EFFORTS = (("voltage",), ("current", "force", "torque", "pressure"))  # what drives, the likelier first
+_MOTIONS = (("length", "angle"), ("angular speed", "speed", "acceleration"), ("force", "torque", "pressure"))
+_ROLE = {"time": "time", "voltage": "input", "displacement": "output"}
+_WORD = {
+    "time": "time (time_s, ...)",
+    "voltage": "input (voltage_V, input_rad, ...)",
+    "displacement": "output (displacement_mm, output_deg, ...)",
+}
+_DAQ = frozenset("monitor mon adc ai analog channel ch daq".split())
+_COUNTERS = frozenset("sample samples index scan nr no row point".split())
+_MONITOR = 10.0  # V: the range of a DAQ
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A column that was chosen.
+
+    Attributes:
+        place: among the table's columns; None for a time that --rate or the channels' own clock makes.
+        name: its header.
+        unit: of its values.
+        note: what else the summary should say of it, or empty.
+        clock: (first time, step) of the channels' own clock.
+    """
+
+    place: int | None
+    name: str
+    unit: str
+    note: str = ""
+    clock: tuple[float, float] | None = None
+
+    def __str__(self):
+        return f"{self.name!r} in {self.unit}{f' ({self.note})' if self.note else ''}"
+
+    @property
+    def reading(self) -> tuple:
+        """What makes two readings of a file the same: the column and its unit."""
+        return self.place, self.unit
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A column as its header reads: where it is, its unit, the units that disagree, what is no unit that we know."""
+
+    place: int
+    column: Column
+    header: Header
+    unit: str | None
+    conflict: tuple[str, ...] = ()
+    unknown: str | None = None
+
+    @property
+    def kind(self) -> str | None:
+        return None if self.conflict else kind_of(self.unit)
+
+    @property
+    def role(self) -> str | None:
+        return self.header.role
+
+
+class _Ask(Exception):
+    """What must be asked about one quantity, and the options to suggest."""
+
+    def __init__(self, why: str, options: Sequence[str] = ()):
+        super().__init__(why)
+        self.options = list(options)
+
+
+def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]) -> dict[str, Choice]:
+    """The columns that hold these quantities.
+
+    Args:
+        table: the opened file.
+        options: what the caller says about them.
+        quantities: of `time`, `voltage`, `displacement`.
+
+    Returns:
+        a choice per quantity.
+
+    Raises:
+        Refused: with all that is missing, the columns here and the command to try.
+    """
+    seen = [_seen(place, column) for place, column in enumerate(table.columns) if column.name]
+    chosen, problems, pools = {}, {}, _pools(seen, options, quantities)
+    for quantity in quantities:
+        try:
+            chosen[quantity] = _choose(seen, pools[quantity], quantity, options)
+        except _Ask as ask:
+            problems[quantity] = ask
+    ports = [s for q in ("voltage", "displacement") for s in seen if q in chosen and s.place == chosen[q].place]
+    if "time" in problems and options.time_column is None and len(ports) == len(quantities) - 1 and not pools["time"]:
+        try:
+            chosen["time"] = _own_clock(ports)
+            del problems["time"]
+        except _Ask as ask:
+            problems["time"] = ask
+    places = [choice.place for choice in chosen.values() if choice.place is not None]
+    if len(set(places)) < len(places):
+        problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
+    elif len(ports) == 2 and all(s.kind == "voltage" and s.header.port_only for s in ports) and not _told(options):
+        names = [s.column.name for s in ports]
+        why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
+        problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
+    if problems:
+        why = "; ".join(str(ask) for ask in problems.values())
+        words = _suggested(table, seen, pools, chosen, problems, options, quantities)
+        stems = [f"--{OPTIONS[q]}-column{' or --rate HZ' if q == 'time' else ''}" for q in problems]
+        hint = f"; the file says {table.hint}" if table.hint else "" if words else f"; give {', '.join(stems)}"
+        raise Refused(table.source, why + hint, words, f"columns here: {listed(table.columns)}")
+    return chosen
+
+
+def _told(options: ReadOptions) -> bool:
+    return options.input_column is not None or options.output_column is not None
+
+
+def _seen(place: int, column: Column) -> _Seen:
+    header = read_header(column.name)
+    beside = spelt(column.beside) if column.beside else None
+    stated = tuple(dict.fromkeys(unit for unit in (header.unit, beside) if unit))
+    unknown = column.beside if column.beside and not beside else header.unknown
+    counted = header.unknown is not None and header.unknown[:1].isdigit()  # `(100us)` is no microsecond
+    if stated and not counted:
+        return _Seen(place, column, header, stated[0], stated if len(stated) > 1 else ())
+    if unknown:
+        return _Seen(place, column, header, None, (), unknown)
+    return _Seen(place, column, header, spelt(column.spoken) if column.spoken else None)
+
+
+def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str]) -> dict[str, list[_Seen]]:
+    """The columns that could hold each quantity by the surest rule that has any."""
+    pools: dict[str, list[_Seen]] = {}
+    for quantity in quantities:
+        wanted = options.column(quantity)
+        if wanted is not None:
+            named = [s for s in seen if s.column.name == wanted]
+            pools[quantity] = named or [s for s in seen if str(wanted).isdecimal() and s.place + 1 == int(wanted)]
+    taken = {s.place for pool in pools.values() for s in pool}
+    open_ = [s for s in seen if s.place not in taken and s.column.form != "text"]
+    for quantity in quantities:
+        if quantity not in pools:
+            exact = [s for s in open_ if s.column.name in column_names(quantity)]
+            if exact:
+                pools[quantity] = exact
+    if "time" in quantities and "time" not in pools:
+        pools["time"] = _clocks(open_)
+    clocks = pools.get("time", [])
+    data = [s for s in open_ if s.kind != "time" and s.role != "time" and s.column.form != "stamp" and s not in clocks]
+    volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
+    sensed = [s for s in volts if s.role == "output"]
+    driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
+    moving = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
+    if "voltage" in quantities and "voltage" not in pools:
+        alone = "displacement" not in quantities and driving
+        pools["voltage"] = (
+            _competing(driving, data, "input") if (driving and moving) or alone else _machine(data, "input")
+        )
+    if "displacement" in quantities and "displacement" not in pools:
+        drive = pools.get("voltage", [])
+        data = [s for s in data if len(drive) != 1 or s is not drive[0]]
+        first, second = (sensed, lengths) if options.output_scale is not None else (lengths, sensed)
+        pair = [s for s in first if s in data] or [s for s in second if s in data]
+        usual = bool(driving) or "voltage" not in quantities or not pair
+        single = pair and (usual or not _machine(data, "output"))
+        pools["displacement"] = _competing(pair, data, "output") if single else _machine(data, "output")
+    return pools
+
+
+def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
+    """Columns that could be the time: named ones with a unit, else all that have one or are named so."""
+    clocks = [s for s in seen if s.column.form == "stamp" or s.kind == "time"]
+    named = [s for s in clocks if s.role == "time"]
+    counting = [s for s in named if s.column.form != "stamp"]  # beside dates, which are often coarser
+    if counting or named:
+        return counting or named
+    return [s for s in seen if s in clocks or (s.role == "time" and s.unit is None)]
+
+
+def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
+    """Columns of the usual unit; where none of them is named so, also those that are, without a unit."""
+    bare = [s for s in data if s.role == role and s.kind is None]
+    return [*united] if any(s.role == role for s in united) else [*united, *bare]
+
+
+def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
+    """Columns of a machine's units: named so, else by kind (efforts drive, motions answer), beside bare named ones."""
+    named = [s for s in data if s.role == role and s.kind is not None]
+    if named:
+        return named
+    bare = [s for s in data if s.role == role]
+    free = [s for s in data if s.role is None]
+    for kinds in _EFFORTS if role == "input" else _MOTIONS:
+        some = [s for s in free if s.kind in kinds]
+        if some:
+            return some + bare
+    return bare
+
+
+def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options: ReadOptions) -> Choice:
+    """The one column of a pool, with its unit."""
+    stem, wanted = OPTIONS[quantity], options.column(quantity)
+    if not pool and wanted is not None:
+        raise _Ask(f"column {wanted!r} is missing; give --{stem}-column one of those here")
+    if not pool and quantity == "time" and options.rate is not None:
+        return Choice(None, "--rate", "s")
+    if not pool:
+        raise _Ask(f"the {_WORD[quantity]} is missing")
+    if len(pool) > 1:
+        names = [s.column.name for s in pool]
+        remedy = "rename or delete one" if len(set(names)) < len(names) else f"choose one with --{stem}-column NAME"
+        raise _Ask(
+            f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} matches for the {_WORD[quantity]}; {remedy}"
+        )
+    return _with_unit(pool[0], quantity, options, _beside(seen, pool[0], quantity) if wanted is None else "")
+
+
+def _beside(seen: Sequence[_Seen], chosen: _Seen, quantity: str) -> str:
+    """What an exact name won over."""
+    if chosen.column.name not in column_names(quantity):
+        return ""
+    others = [
+        s.column.name for s in seen if s is not chosen and s.kind == chosen.kind and s.role in (chosen.role, None)
+    ]
+    return f"by its exact name, beside {_names(others)}" if others else ""
+
+
+def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> Choice:
+    """The column's unit: the option's, the file's, V before a scale, s for a time that counts in fractions."""
+    stem, name, given = OPTIONS[quantity], seen.column.name, options.unit(quantity)
+    if seen.column.form == "stamp" and quantity == "time":
+        return Choice(seen.place, name, "s", "dates and hours")
+    fits = seen.unit if seen.unit in units_of(quantity) else None
+    said = seen.conflict or tuple(u for u in (seen.unit or seen.unknown,) if u)
+    if given is not None:
+        over = f"by --{stem}-unit, over {' and '.join(said)} in the file" if said not in ((), (given,)) else note
+        return Choice(seen.place, name, given, over)
+    if seen.conflict:
+        first, second = seen.conflict[:2]
+        raise _Ask(
+            f"column {name!r}: its name says {first}, the units beside it say {second}; give --{stem}-unit",
+            [f"--{stem}-unit", first],
+        )
+    if seen.unknown:
+        raise _Ask(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_few(quantity)}")
+    if fits:
+        return Choice(seen.place, name, fits, note)
+    if seen.unit is None and options.scale(quantity) is not None:
+        return Choice(seen.place, name, "V", "no unit in the file, volts before the scale")
+    if quantity == "time" and options.rate is not None:
+        return Choice(None, "--rate", "s", f"{name!r} has no unit")
+    if quantity == "time" and seen.unit is None:
+        return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
+    why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is none"
+    raise _Ask(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_few(quantity)}")
+
+
+def _few(quantity: str) -> str:
+    return {"time": "s|ms|us|ns|min", "voltage": "V|kV|mV|A|N|bar|rad|...", "displacement": "m|mm|um|V|rad|deg|..."}[
+        quantity
+    ]
+
+
+def _own_clock(ports: Sequence[_Seen]) -> Choice:
+    """The clock that the channels themselves carry.
+
+    Raises:
+        _Ask: they have none, or differ.
+    """
+    clocks = [s.column.clock for s in ports if s.column.clock is not None]
+    if len(clocks) < len(ports) or not clocks:
+        raise _Ask("time column time_{s,ms,us,...} is missing; give --time-column NAME or --rate HZ")
+    if any(not np.allclose(clock, clocks[0], rtol=1e-9, atol=1e-9) for clock in clocks):
+        steps = ", ".join(f"{step:g} s" for _, step in clocks)
+        raise _Ask(f"{_names([s.column.name for s in ports])} have clocks that differ (steps {steps}); give --rate HZ")
+    return Choice(None, "the channels' own clock", "s", clock=clocks[0])
+
+
+def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:
+    """Options that would answer: what no file holds (a scale, a rate, a unit) in capitals."""
+    words = options.words()
+    taken = {choice.place for choice in chosen.values()}
+    free = [s for s in seen if s.place not in taken and s.column.form == "number"]
+    if "time" in problems and not problems["time"].options:
+        words += _time_words(table, pools["time"], free, taken)
+    elif "time" in problems:
+        words += problems["time"].options
+    ports = {}
+    for quantity in ("voltage", "displacement"):
+        if quantity in chosen:
+            ports[quantity] = next(s for s in seen if s.place == chosen[quantity].place)
+        elif quantity in quantities:
+            others = [s for s in free if s.role != "time" and s.kind != "time"]
+            pool = [s for s in pools[quantity] if s.place not in taken] or [s for s in others if s.place not in taken]
+            if pool:
+                named = [s for s in pool if s.role == "output"]
+                ports[quantity] = (named or pool)[0] if quantity == "displacement" else pool[0]
+                taken.add(ports[quantity].place)
+    daq = "voltage" in ports and _is_monitor(table, ports["voltage"])
+    for quantity, port in ports.items():
+        words += _port_words(quantity, port, problems, options, daq, len(pools[quantity]) != 1)
+    return _once(words) if set(ports) | {"time"} >= set(quantities) else []
+
+
+def _once(words: Sequence[str]) -> list[str]:
+    """Options and values, each option once: the first stands."""
+    pairs: dict[str, str] = {}
+    for option, value in zip(words[::2], words[1::2], strict=True):
+        pairs.setdefault(option, value)
+    return [word for pair in pairs.items() for word in pair]
+
+
+def _time_words(table: Table, pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
+    """How the time could be said: a column that rises, or a rate."""
+    pool = pool or [
+        s for s in free if s.role is None and s.unit is None and not s.header.words & _COUNTERS and _rises(table, s)
+    ]
+    if not pool:
+        return ["--rate", "RATE"]
+    taken.add(pool[0].place)
+    first = pool[0]
+    named = ["--time-column", first.column.name] if len(pool) > 1 or first.role != "time" else []
+    return named + (["--time-unit", "UNIT"] if first.kind != "time" else [])
+
+
+def _rises(table: Table, seen: _Seen) -> bool:
+    values = _values(table, seen)
+    return len(values) > 2 and bool(np.all(np.diff(values) > 0))
+
+
+def _values(table: Table, seen: _Seen) -> np.ndarray:
+    try:
+        return table.load([seen.place])[0]
+    except BadInput:
+        return np.zeros(0)
+
+
+def _is_monitor(table: Table, seen: _Seen) -> bool:
+    """Whether a drive is what a DAQ recorded of an amplifier: volts within its range, or counts."""
+    values = _values(table, seen)
+    values = values[np.isfinite(values)]
+    if not len(values) or seen.kind not in (None, "voltage") or seen.unit == "kV":
+        return False
+    if seen.unit is not None:
+        return float(np.abs(values).max()) <= _MONITOR
+    return bool(seen.header.words & _DAQ) or bool(np.all(values == np.round(values)))
+
+
+def _port_words(quantity: str, port: _Seen, problems, options: ReadOptions, daq: bool, many: bool) -> list[str]:
+    stem, words = OPTIONS[quantity], []
+    if quantity in problems:
+        if problems[quantity].options:
+            words += problems[quantity].options
+        elif many:
+            words += [f"--{stem}-column", port.column.name]
+    if options.scale(quantity) is None:
+        volts = port.kind == "voltage" or (port.kind is None and not port.conflict and not port.unknown and daq)
+        if port.kind is None and not port.conflict and options.unit(quantity) is None:
+            words += [f"--{stem}-unit", "V" if volts else "UNIT"]
+        if volts and (daq if quantity == "voltage" else daq or quantity in problems):
+            words += [f"--{stem}-scale", "SCALE"]
+    return words
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(repr(name if len(name) <= 40 else name[:40] + "...") for name in dict.fromkeys(names))
+
+
+def listed(columns: Sequence[Column], most: int = 8) -> str:
+    """The first columns of a table, for messages."""
+    names = [column.name for column in columns if column.name]
+    beyond = len(dict.fromkeys(names[most:]))
+    return (_names(names[:most]) or "none") + (f" and {beyond} more" if beyond else "")

@@ -1,0 +1,284 @@
+"""Columns of a file: opened, chosen, loaded in base units; readings of one file that disagree are asked about.
+
+parts -> tables that each may be -> choices; all that succeed must agree -> (time, input, output), float64
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from .._errors import BadInput
+from .choice import Choice, choose_columns
+from .formats import Parts, open_parts
+from .options import OPTIONS, ReadOptions, with_folder
+from .refusal import Refused
+from .table import Column, Table
+from .units import column_names, kind_of, to_base
+
+_MOST_PARTS = 1000
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Columns of one part of a file, in base units.
+
+    Attributes:
+        table: where they come from.
+        chosen: a choice per quantity.
+        values: per quantity, shape (T,) each.
+        options: what was said, by the caller and in the folder.
+        label: of this part of the file, or empty.
+        rows: which rows of the table they are, or None for all.
+    """
+
+    table: Table
+    chosen: dict[str, Choice]
+    values: dict[str, np.ndarray]
+    options: ReadOptions
+    label: str = ""
+    rows: np.ndarray | None = None
+
+    def place(self, sample: int) -> str:
+        """Words for a sample."""
+        return self.table.place(sample if self.rows is None else int(self.rows[sample]))
+
+    def words(self, quantity: str) -> str:
+        """What a quantity was read as: `'U [V]' in V times 1000`."""
+        scale = self.options.scale(quantity)
+        return str(self.chosen[quantity]) + ("" if scale is None else f" times {scale:g}")
+
+    def unit(self, quantity: str) -> str:
+        """The unit a quantity is shown in: its own; mm or V where a scale made it of a DAQ's volts."""
+        unit = self.chosen[quantity].unit
+        if self.options.scale(quantity) is None or kind_of(unit) != "voltage":
+            return unit
+        return "mm" if quantity == "displacement" else "V"
+
+
+def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) -> list[Loaded]:
+    """The columns of a file, one entry for each part that `split_by` asks for.
+
+    Args:
+        path: the file.
+        options: what the caller says.
+        quantities: of `time`, `voltage`, `displacement`.
+
+    Raises:
+        BadInput: nothing readable, or something must be asked.
+    """
+    said = with_folder(options, path)
+    parts = open_parts(path, said)
+    if said != options and any(_ours(table) for tables in parts for table in tables):
+        said, parts = options, open_parts(path, options)  # pitp.toml is for what pitp did not write
+    if said.split_by in ("sheet", "group"):
+        chosen = [_agreed(tables, said, quantities) for tables in parts]
+        return [replace(_load(*one, said), label=one[0].part) for one in chosen]
+    table, choices = _first(parts, said, quantities)
+    if said.split_by is None:
+        return [_load(table, choices, said)]
+    return _by_column(table, choices, said, said.split_by)
+
+
+def _ours(table: Table) -> bool:
+    """Whether a table has the columns of the files that we write, and no other."""
+    ours = [frozenset(column_names(q)) for q in ("time", "voltage", "displacement")]
+    names = [c.name for c in table.columns]
+    return len(names) == 3 and all(name in known for name, known in zip(names, ours, strict=True))
+
+
+def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
+    """The first part that holds the columns."""
+    refusals = []
+    for tables in parts:
+        try:
+            return _agreed(tables, options, quantities)
+        except BadInput as error:
+            refusals.append(error)
+    raise (
+        refusals[0]
+        if len(refusals) == 1
+        else max(refusals, key=lambda error: isinstance(error, Refused) and bool(error.options))
+    )
+
+
+def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
+    """The reading that all tables agree on which can be read at all.
+
+    Raises:
+        BadInput: none can, or two differ.
+    """
+    good, refusals = [], []
+    for table in tables:
+        try:
+            good.append((table, choose_columns(table, options, quantities)))
+        except BadInput as error:
+            refusals.append(error)
+    if not good:
+        raise refusals[0]
+    table, chosen = max(good, key=lambda one: _legible(one[0].columns))
+    for other, choices in good:
+        if {q: c.reading for q, c in choices.items()} != {q: c.reading for q, c in chosen.items()}:
+            two = [", ".join(f"{OPTIONS[q]} {c}" for q, c in one.items()) for one in (chosen, choices)]
+            words = [
+                word
+                for q, c in chosen.items()
+                if c.place is not None
+                for word in (f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit)
+            ]
+            raise Refused(
+                table.source, f"may be read in two ways ({table.form}): {two[0]}; or ({other.form}): {two[1]}", words
+            )
+    return table, chosen
+
+
+def _legible(columns: Sequence[Column]) -> int:
+    """How far the names of columns look like names: letters, and words that we know."""
+    from .names import read_header
+
+    names = [c.name for c in columns]
+    strange = sum(not (c.isalnum() or ord(c) < 128) for name in names for c in name)
+    return sum(read_header(name).role is not None for name in names) - strange
+
+
+def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Loaded:
+    """The chosen columns in base units, scaled; a time of --rate where there is none or its clock repeats."""
+    places = [choice.place for choice in chosen.values() if choice.place is not None]
+    values, lost = _values(table, chosen, places, options)
+    chosen = chosen | lost
+    count = len(next(iter(values.values()))) if values else 0
+    loaded = {}
+    with np.errstate(over="ignore"):  # infinite values are refused later
+        for quantity, choice in chosen.items():
+            if choice.clock is not None and choice.place is None:
+                loaded[quantity] = choice.clock[0] + choice.clock[1] * np.arange(count)
+            elif choice.place is not None:
+                base = to_base(values[choice.place], choice.unit)
+                scale = options.scale(quantity)
+                loaded[quantity] = base if scale is None else base * scale
+    if "time" in chosen:
+        chosen = chosen | {"time": _timed(table, chosen["time"], loaded, count, options)}
+        if loaded["time"] is not None and chosen["time"].place is not None:
+            loaded = _without_empty_rows(loaded)
+    return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options)
+
+
+def _values(table: Table, chosen, places, options) -> tuple[dict[int, np.ndarray], dict[str, Choice]]:
+    """The columns at these places; with --rate a clock that cannot be read is done without."""
+    try:
+        return dict(zip(places, table.load(places), strict=True)), {}
+    except BadInput as error:
+        clock = chosen.get("time")
+        rest = [place for place in places if clock is None or place != clock.place]
+        if clock is None or clock.place is None or len(rest) == len(places):
+            raise
+        if options.rate is None:
+            try:
+                table.load(rest)
+            except BadInput:
+                raise error from None
+            raise Refused(
+                table.source, str(error).removeprefix(f"{table.source}: "), _once_more(table, options, chosen)
+            ) from None
+        return dict(zip(rest, table.load(rest), strict=True)), {
+            "time": Choice(None, "--rate", "s", f"{clock.name!r} is not readable")
+        }
+
+
+def _once_more(table: Table, options: ReadOptions, chosen: dict[str, Choice]) -> list[str]:
+    """Options that do without the clock."""
+    try:
+        choose_columns(
+            replace(
+                table,
+                columns=tuple(
+                    c if k != chosen["time"].place else replace(c, name="", form="text")
+                    for k, c in enumerate(table.columns)
+                ),
+            ),
+            options,
+            tuple(chosen),
+        )
+    except Refused as error:
+        return list(error.options)
+    return []
+
+
+def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: ReadOptions) -> Choice:
+    """The time, checked against --rate; where its clock repeats or is empty, --rate makes it.
+
+    Raises:
+        BadInput: whole numbers without a unit, a clock that repeats, a rate that contradicts it.
+    """
+    source, name, rate = table.source, choice.name, options.rate
+    time = loaded.get("time")
+    if time is None:
+        assert rate is not None
+        if 0 < table.blanks < count / 2:
+            raise BadInput(
+                f"{source}: {table.blanks} empty lines among the rows of a file without a clock: were samples lost "
+                "there? split it"
+            )
+        loaded["time"] = np.arange(count) / rate
+        return choice
+    seen = time[np.isfinite(time)]
+    steps = np.diff(seen)
+    still = len(seen) < 2 or (bool((steps >= 0).all()) and bool((steps == 0).any()))
+    if rate is not None and still:
+        loaded["time"] = np.arange(count) / rate
+        return Choice(None, "--rate", "s", f"the clock {name!r} {'is empty' if len(seen) < 2 else 'repeats'}")
+    if choice.clock is not None or not len(steps):
+        return choice
+    step = float(np.median(steps))
+    if choice.note.startswith("no unit") and step >= 1 and np.array_equal(seen, np.round(seen)):
+        raise Refused(
+            source,
+            f"column {name!r} counts in whole numbers and has no unit; give --time-unit s|ms|us, or --rate HZ for a "
+            "counter",
+            [*options.words(), "--time-unit", "UNIT"],
+        )
+    if rate is not None and abs(step * rate - 1.0) > 0.01:
+        raise BadInput(
+            f"{source}: column {name!r} has a sample every {step:.6g} s, --rate {rate:g} says {1 / rate:.6g} s; leave "
+            "--rate to files without time, or whose clock repeats"
+        )
+    return choice
+
+
+def _without_empty_rows(loaded: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Rows without a filled cell taken out: the clock shows the gap."""
+    if len({len(v) for v in loaded.values()}) > 1:
+        return loaded
+    empty = np.all([np.isnan(v) for v in loaded.values()], axis=0)
+    return {q: v[~empty] for q, v in loaded.items()} if empty.any() else loaded
+
+
+def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, name: str) -> list[Loaded]:
+    """A part for every value of a column, in the order in which they appear."""
+    places = [k for k, c in enumerate(table.columns) if c.name == name]
+    if not places:
+        words = "; sheet and group split a file by those" if name in ("sheets", "groups") else ""
+        raise BadInput(f"{table.source}: column {name!r} of --split-by is missing{words}; give one of {_listed(table)}")
+    whole = _load(table, chosen, options)
+    count = len(whole.values["voltage"] if "voltage" in whole.values else next(iter(whole.values.values())))
+    keys = table.texts(places[0]) if table.texts is not None else table.load(places)[0]
+    if len(keys) != count:
+        raise BadInput(f"{table.source}: column {name!r} of --split-by has {len(keys)} values for {count} samples")
+    labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
+    first = list(dict.fromkeys(labels))
+    if len(first) > _MOST_PARTS:
+        raise BadInput(
+            f"{table.source}: column {name!r} of --split-by has {len(first)} values; choose one that counts runs"
+        )
+    parts = []
+    for label in first:
+        rows = np.flatnonzero(np.array(labels) == label)
+        parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=rows))
+    return parts
+
+
+def _listed(table: Table) -> str:
+    from .choice import listed
+
+    return listed(table.columns)

@@ -1,0 +1,324 @@
+"""File formats: from a suffix to the function that opens such a file as tables, a part (sheet, group) each.
+
+.csv .txt .dat .tsv .lvm   text, each also .gz
+.xlsx  .tdms               spreadsheets, LabVIEW (extras)
+.mat                       MATLAB v5 to v7 (SciPy) or v7.3 (an HDF5 file)
+.npz                       NumPy archive, never unpickled
+.h5 .hdf5                  HDF5, datasets at the root or in its groups
+.parquet  .mcap            pandas, ROS (extra robot)
+"""
+
+import io
+import re
+import zipfile
+from collections.abc import Callable, Sequence
+from datetime import datetime, time, timedelta
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy
+
+from .._errors import BadInput
+from .guard import check_archive, check_columns, check_unfolded, cleaned, file_bytes, guarded
+from .header import Rows, layouts
+from .matlab import flat
+from .options import ReadOptions
+from .stamps import over_midnight
+from .table import Table, array_table
+from .text import text_tables
+
+_TEXT = (".csv", ".txt", ".dat", ".tsv", ".lvm")
+_HEAD, _ROWS = 200, 1 << 20  # rows looked at; the most a sheet has
+Parts = list[list[Table]]  # of a file: every part, and every table that it may be
+
+
+def _signed(path: Path, sign: bytes, what: str, remedy: str) -> None:
+    """Refuse a file that does not begin as its suffix says."""
+    if not file_bytes(path, max(len(sign), 4)).startswith(sign):
+        raise BadInput(f"{cleaned(path)}: is not {what} as its suffix says; {remedy}")
+
+
+def xlsx(path: Path, options: ReadOptions) -> Parts:
+    """A workbook: every sheet that holds a table of numbers."""
+    _signed(path, b"PK", "an Excel workbook", "save it as .xlsx or CSV")
+    check_archive(path)
+    import openpyxl
+
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+    parts, refusals = [], []
+    try:
+        titles = [cleaned(sheet.title) for sheet in book.worksheets]
+        if options.sheet is not None and options.sheet not in titles:
+            raise BadInput(f"{cleaned(path)}: has no sheet {options.sheet!r}; give --sheet one of {', '.join(titles)}")
+        for sheet in book.worksheets:
+            if options.sheet in (None, cleaned(sheet.title)):
+                sheet.reset_dimensions()
+                rows = list(enumerate(islice(sheet.iter_rows(values_only=True), _ROWS), 1))
+                try:
+                    parts.append(_sheet(path, rows, cleaned(sheet.title), options))
+                except BadInput as error:
+                    refusals.append(error)
+    finally:
+        book.close()
+    if not parts:
+        raise refusals[0] if refusals else BadInput(f"{cleaned(path)}: has no sheet; save it as CSV")
+    return parts
+
+
+def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadOptions) -> list[Table]:
+    """Numbered rows of one sheet as tables."""
+    source, filled = cleaned(path), [(k, row) for k, row in rows if any(cell is not None for cell in row)]
+    check_columns(max((len(row) for _, row in filled), default=0), source)
+    width = max((len(row) for _, row in filled[:_HEAD]), default=0)
+    cells = [[*map(_shown, row), *[""] * (width - len(row))] for _, row in filled[:_HEAD]]
+    head = Rows(cells, [k for k, _ in filled[:_HEAD]], [False] * len(cells))
+    made = layouts(head, "\t", ".", source, options.header_line, options.units_line)
+    start = filled[made[0].first][0]
+    body = [(k, row) for k, row in rows if start <= k <= filled[-1][0]]
+
+    def place(sample: int) -> str:
+        return f"sample {sample} (row {body[sample][0]})" if sample < len(body) else f"sample {sample}"
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        return [_numbers(body, k, made[0].columns[k].name, source, place) for k in places]
+
+    def texts(k: int) -> np.ndarray:
+        return np.array([_shown(row[k]) if k < len(row) else "" for _, row in body])
+
+    return [
+        Table(
+            path, m.columns, load, place, ", ".join((f"Excel workbook, sheet {title!r}", *m.notes)), title, texts=texts
+        )
+        for m in made
+    ]
+
+
+def _shown(value: Any) -> str:
+    """A cell as text for the search of the header; a span of time as an hour."""
+    return "" if value is None else "00:00:00" if isinstance(value, timedelta) else cleaned(value).strip()
+
+
+def _numbers(body, k: int, column: str, source: str, place) -> np.ndarray:
+    """One column of a sheet; dates and hours become seconds."""
+    values, daily = np.full(len(body), np.nan), False
+    for sample, (_, row) in enumerate(body):
+        cell = row[k] if k < len(row) else None
+        if cell is None or (isinstance(cell, str) and cell.strip().lower() in ("", "nan", "na", "n/a")):
+            continue
+        if isinstance(cell, datetime):
+            cell = (cell.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds()
+        elif isinstance(cell, timedelta):
+            cell = cell.total_seconds()
+        elif isinstance(cell, time):
+            cell, daily = cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond * 1e-6, True
+        try:
+            values[sample] = float(cell)
+        except (TypeError, ValueError, OverflowError):
+            raise BadInput(
+                f"{source}: column {column!r}, {place(sample)}: text {cleaned(cell)[:20]!r} where a number "
+                "belongs; write a number (leave a missing output empty)"
+            ) from None
+    return over_midnight(values) if daily else values
+
+
+def tdms(path: Path, options: ReadOptions) -> Parts:
+    """A LabVIEW file: the channels of its groups, each with the clock of its waveform."""
+    _signed(path, b"TDSm", "a TDMS file", "export it from LabVIEW again")
+    from nptdms import TdmsFile
+
+    groups = [group for group in TdmsFile.read(path).groups() if group.channels()]
+    split, parts = options.split_by == "group" or len(groups) == 1, []
+    check_columns(sum(len(group.channels()) for group in groups), cleaned(path))
+    for chosen in [[group] for group in groups] if split else [groups]:
+        named = {c.name if split else f"{c.group_name}/{c.name}": c for group in chosen for c in group.channels()}
+        clocks = {name: _waveform(c.properties) for name, c in named.items() if c.properties.get("wf_increment")}
+        beside = {name: str(c.properties.get("unit_string") or "") for name, c in named.items()}
+        stored = {name: (lambda c=c: c[:]) for name, c in named.items()}
+        parts.append([array_table(path, stored, "TDMS file", beside=beside, clocks=clocks, part=chosen[0].name)])
+    return parts
+
+
+def _waveform(properties: Any) -> tuple[float, float]:
+    start = properties.get("wf_start_time")
+    begin = 0.0 if start is None else float((np.datetime64(start) - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
+    return begin + float(properties.get("wf_start_offset") or 0), float(properties["wf_increment"])
+
+
+def npz(path: Path, options: ReadOptions) -> Parts:
+    """A NumPy archive; object arrays are refused, so nothing stored in it is ever executed."""
+    _signed(path, b"PK", "a NumPy archive", "save it with numpy.savez")
+    check_archive(path)
+    with zipfile.ZipFile(path) as archive:
+        members = [name for name in archive.namelist() if name.endswith(".npy")]
+    stored = {name.removesuffix(".npy"): (lambda name=name: _npy(path, name)) for name in members}
+    return [[array_table(path, stored, "NumPy archive")]]
+
+
+def _npy(path: Path, name: str) -> np.ndarray:
+    """One array of an archive, whose header may not promise more than the member holds."""
+    with zipfile.ZipFile(path) as archive, archive.open(name) as file:
+        data = io.BytesIO(file.read())
+    version = np.lib.format.read_magic(data)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(data)
+    if dtype.hasobject:
+        return np.empty(0, dtype=object)  # refused as "not plain numbers"
+    if int(np.prod(shape, dtype=object)) * dtype.itemsize > len(data.getbuffer()) - data.tell():
+        raise ValueError(f"{name} ends too early")
+    data.seek(0)
+    return np.lib.format.read_array(data, allow_pickle=False)
+
+
+def mat(path: Path, options: ReadOptions) -> Parts:
+    """A MATLAB file: its variables, and the fields of its structs that hold vectors."""
+    if h5py.is_hdf5(path):
+        return hdf5(path, options, "MATLAB file v7.3")
+    _signed(path, b"MATLAB", "a MATLAB file", "save it from MATLAB with -v7 or -v7.3")
+    source = cleaned(path)
+    stored = {n: v for n, v in scipy.io.loadmat(flat(file_bytes(path), source)).items() if not n.startswith("__")}
+    objects = [n for n, v in stored.items() if type(v).__name__ == "MatlabOpaque"]
+    structs = {n: v.reshape(-1)[0] for n, v in stored.items() if v.dtype.names and v.size == 1 and n not in objects}
+    groups = {n: {f: np.asarray(s[f]) for f in s.dtype.names} for n, s in structs.items()}
+    groups = {n: fields for n, fields in groups.items() if _vectors(fields)}
+    plain = {n: v for n, v in stored.items() if not v.dtype.names and n not in objects}
+    if objects and not groups and not _vectors(plain):
+        raise BadInput(
+            f"{source}: holds a MATLAB object (string, table, timetable, datetime), which no other program reads; save "
+            "vectors, or S = table2struct(T, 'ToScalar', true)"
+        )
+    nested = [f for fields in groups.values() for f, v in fields.items() if v.dtype.names]
+    if nested and sum(map(len, map(_vectors, groups.values()))) < 2:
+        raise BadInput(f"{source}: {cleaned(nested[0])!r} is a struct within a struct; save its vectors by themselves")
+    if options.split_by == "group" and groups:
+        return [[_variables(path, fields, ", fields of a struct", n)] for n, fields in groups.items()]
+    if len(groups) == 1:
+        return [[_variables(path, plain | next(iter(groups.values())), ", fields of a struct")]]
+    return [[_variables(path, plain | {f"{n}/{f}": v for n, fields in groups.items() for f, v in fields.items()}, "")]]
+
+
+def _vectors(variables: dict[str, np.ndarray]) -> list[str]:
+    return [name for name, v in variables.items() if v.dtype.kind in "fiubc" and v.size > 1]
+
+
+def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: str = "") -> Table:
+    """Variables as a table; a list of units is dealt out where each suits the name of its variable."""
+    text = next((v for n, v in variables.items() if n.lower() in ("unit", "units", "einheiten")), None)
+    words = " ".join(map(str, text.reshape(-1))) if text is not None and text.dtype.kind == "U" else ""
+    said = re.split(r"[\s,;]+", words.strip())
+    names = _vectors(variables)
+    beside = dict(zip(names, said, strict=True)) if len(said) == len(names) else {}
+    return array_table(path, variables, f"MATLAB file{more}", beside=beside, part=part)
+
+
+def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
+    """An HDF5 file: datasets at the root and in its groups; links are followed only where they are hard ones."""
+    source = cleaned(path)
+    with h5py.File(path, "r") as file:
+        groups = _datasets(file, source)
+        beside = {where: _attribute(file[where]) for places in groups.values() for where in places}
+    split = options.split_by == "group" and len(groups) > 1
+    parts = [{n: p} for n, p in groups.items()] if split else [groups]
+    made = []
+    for chosen in parts:
+        full = len(chosen) > 1
+        names = {where if full else where.rpartition("/")[2]: where for places in chosen.values() for where in places}
+        stored = {name: (lambda where=where: _dataset(path, where, source)) for name, where in names.items()}
+        units = {name: beside[where] for name, where in names.items()}
+        made.append([array_table(path, stored, kind, beside=units, part=next(iter(chosen), "") if split else "")])
+    return made
+
+
+def _datasets(file: Any, source: str) -> dict[str, list[str]]:
+    """Paths of the datasets at the root and in its groups, by group."""
+    check_columns(len(file), source)
+    groups: dict[str, list[str]] = {"": []}
+    for name in file:
+        if name.startswith("#"):  # what MATLAB keeps for itself
+            continue
+        kind = _kind(file, name, source)
+        if kind is h5py.Dataset:
+            groups[""].append(name)
+        elif kind is h5py.Group:
+            check_columns(len(file[name]), source)
+            groups[name] = [f"{name}/{m}" for m in file[name] if _kind(file[name], m, source) is h5py.Dataset]
+    check_columns(sum(map(len, groups.values())), source)
+    return {name: places for name, places in groups.items() if places}
+
+
+def _kind(group: Any, name: str, source: str):
+    """Dataset or Group, of a hard link; refuses one that leads elsewhere."""
+    link = group.get(name, getlink=True)
+    if not isinstance(link, h5py.HardLink):
+        raise BadInput(
+            f"{source}: {cleaned(name)!r} is a link to {cleaned(getattr(link, 'filename', 'another place'))}, which is "
+            "not followed; store the data themselves"
+        )
+    kind = group.get(name, getclass=True)
+    if kind is h5py.Dataset and (group[name].external or group[name].is_virtual):
+        raise BadInput(
+            f"{source}: {cleaned(name)!r} keeps its data in another file, which is not read; store them here"
+        )
+    return kind
+
+
+def _attribute(dataset: Any) -> Any:
+    return next((dataset.attrs[n] for n in ("unit", "units", "Unit", "Units") if n in dataset.attrs), None)
+
+
+def _dataset(path: Path, where: str, source: str) -> np.ndarray:
+    """A dataset as stored, minding that MATLAB v7.3 writes text as codes and empty arrays as their shape."""
+    with h5py.File(path, "r") as file:
+        dataset: Any = file[where]
+        kind = dataset.attrs.get("MATLAB_class", b"")
+        kind = kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
+        if kind == "char":
+            return np.empty(0, dtype="S1")
+        if kind in ("cell", "string", "table") or dataset.dtype.kind == "O":
+            return np.empty(0, dtype=object)
+        if dataset.attrs.get("MATLAB_empty", 0) or dataset.shape is None:
+            return np.empty(0)
+        check_unfolded(dataset.size * dataset.dtype.itemsize, path.stat().st_size, source)
+        return dataset[()]
+
+
+_STORED: dict[str, tuple[Callable[[Path, ReadOptions], Parts], str]] = {
+    ".xlsx": (xlsx, "Excel workbook"),
+    ".tdms": (tdms, "TDMS file"),
+    ".mat": (mat, "MATLAB file"),
+    ".npz": (npz, "NumPy archive"),
+    ".h5": (hdf5, "HDF5 file"),
+    ".hdf5": (hdf5, "HDF5 file"),
+}
+SUFFIXES = (*(f"{suffix}.gz" for suffix in _TEXT), *_TEXT, *_STORED)
+
+
+def split_suffix(name: str) -> tuple[str, str]:
+    """A file name as (stem, known suffix); the suffix is empty where it is not one of a record file.
+
+    Capital suffixes (`.CSV`, `.MAT`) count too.
+    """
+    for suffix in SUFFIXES:
+        if name.lower().endswith(suffix) and len(name) > len(suffix):
+            return name[: -len(suffix)], name[-len(suffix) :]
+    return name, ""
+
+
+def open_parts(path: Path, options: ReadOptions) -> Parts:
+    """Every part of a file, and every table that a part may be; what a library raises becomes BadInput.
+
+    Raises:
+        BadInput: unknown suffix, or the file is not what its suffix says.
+    """
+    source, suffix = cleaned(path), split_suffix(path.name)[1].lower()
+    if not suffix:
+        raise BadInput(
+            f"{source}: not a record file (known suffixes: {', '.join(sorted(SUFFIXES))}); convert or rename it"
+        )
+    if suffix not in _STORED:
+        return [text_tables(path, options)]
+    file_bytes(path, 1)
+    opens, kind = _STORED[suffix]
+    return guarded(source, kind, opens, path, options)

@@ -1,0 +1,194 @@
+"""One guard against hostile files: what is read is bounded before it is read, and what libraries raise is one line.
+
+regular file of at most 1 GiB,    unfolded bytes <= min(200 size, max(256 MiB, 20 size)),    4096 columns, 1e7 rows
+"""
+
+import gzip
+import io
+import os
+import stat
+import unicodedata
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._errors import BadInput
+
+MAX_COLUMNS = 4096
+MAX_SAMPLES = 10_000_000
+MAX_BYTES = 1 << 30
+_UNFOLDED, _PLAIN = 200, 1 << 20  # times its size an archive may unfold to; below a mebibyte nobody is hurt
+_UNFOLDED_BYTES = 256 << 20
+_PIECE = 1 << 20
+
+
+def cleaned(text: object) -> str:
+    """A name from outside without what a terminal or a page would obey: control and format characters become `_`."""
+    return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))
+
+
+def check_columns(count: int, source: str) -> None:
+    """Refuse a header of unreasonable size.
+
+    Raises:
+        BadInput: with the count.
+    """
+    if count > MAX_COLUMNS:
+        raise BadInput(f"{source}: {count} columns, more than {MAX_COLUMNS}; keep those of one actuator")
+
+
+def check_count(count: int, source: str) -> None:
+    """Refuse more samples than anything here could use.
+
+    Raises:
+        BadInput: with the count.
+    """
+    if count > MAX_SAMPLES:
+        raise BadInput(f"{source}: {count} samples, more than {MAX_SAMPLES}; split the record or sample it coarser")
+
+
+def check_unfolded(unfolded: int, size: int, source: str) -> None:
+    """Refuse an archive that unfolds to more than it may.
+
+    Raises:
+        BadInput: with both sizes.
+    """
+    if unfolded > min(max(_UNFOLDED * size, _PLAIN), max(_UNFOLDED_BYTES, 20 * size)):
+        raise BadInput(
+            f"{source}: unfolds from {size} to {unfolded} bytes or more; an archive may unfold to {_UNFOLDED} "
+            f"times its size and {_UNFOLDED_BYTES >> 20} MiB: save it plain, or split the record"
+        )
+
+
+def file_bytes(path: Path, count: int = -1) -> bytes:
+    """The content of a regular file, or its first `count` bytes.
+
+    Raises:
+        BadInput: it cannot be read, is a device or a pipe, is empty, or of unreasonable size.
+    """
+    source = cleaned(path)
+    try:
+        state = os.stat(path)
+        if not stat.S_ISREG(state.st_mode):
+            raise BadInput(f"{source}: is not a regular file; copy the record into one")
+        if count < 0 and state.st_size > MAX_BYTES:
+            raise BadInput(f"{source}: {state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split the record")
+        with open(path, "rb") as file:
+            data = file.read(count)
+    except OSError as error:
+        raise BadInput(f"{source}: cannot read: {error.strerror or error}; check the path and its rights") from None
+    if not data:
+        raise BadInput(f"{source}: the file is empty (0 bytes); record it again or leave it out")
+    return data
+
+
+def as_column(values: Any, column: str, source: str) -> np.ndarray:
+    """One stored variable as a float64 column; row and column vectors are both taken.
+
+    Args:
+        values: array as stored, shape (T,), (T, 1), (1, T) or any with one axis longer than 1.
+        column: its name, for messages.
+        source: the file, for messages.
+
+    Raises:
+        BadInput: text, objects or complex numbers where real numbers belong, a matrix, too many samples.
+    """
+    values = np.asarray(values)
+    if values.dtype.kind not in "fiub":
+        kind = {"c": "complex numbers", "S": "text", "U": "text"}.get(values.dtype.kind, "not plain numbers")
+        raise BadInput(f"{source}: column {column!r}, sample 0: {kind} where real numbers belong; store it as float64")
+    if values.ndim > 1 and values.size != max(values.shape):
+        raise BadInput(
+            f"{source}: column {column!r}, sample 0: a matrix of shape {values.shape} where a vector "
+            "belongs; store one column per variable"
+        )
+    check_count(values.size, source)
+    with np.errstate(over="ignore", invalid="ignore"):  # extended precision may overflow to infinity, refused later
+        return values.astype(np.float64).reshape(-1)
+
+
+def gunzip(data: bytes, source: str) -> bytes:
+    """Decompress gzip data piece by piece.
+
+    Raises:
+        BadInput: damaged, truncated, or unfolding to too much.
+    """
+    pieces, total = [], 0
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+            while piece := file.read(_PIECE):
+                total += len(piece)
+                check_unfolded(total, len(data), source)
+                pieces.append(piece)
+    except EOFError:
+        raise BadInput(f"{source}: the gzip data end too early (truncated); copy the file again") from None
+    except (OSError, zlib.error) as error:
+        raise BadInput(f"{source}: damaged gzip data ({error}); copy the file again") from None
+    return b"".join(pieces)
+
+
+def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
+    """Decompress one zlib stream, an element of a MATLAB file.
+
+    Args:
+        data: the compressed bytes.
+        source: the file, for messages.
+        size: of the whole file, which the limit is counted from.
+        begun: bytes of this file unfolded before.
+
+    Raises:
+        BadInput: unfolding to too much.
+        zlib.error: damaged or truncated.
+    """
+    engine, pieces, total = zlib.decompressobj(), [], begun
+    while not engine.eof:
+        piece = engine.decompress(data, _PIECE)
+        data = engine.unconsumed_tail
+        if not piece and not data and not engine.eof:
+            raise zlib.error("truncated")
+        total += len(piece)
+        check_unfolded(total, size, source)
+        pieces.append(piece)
+    return b"".join(pieces)
+
+
+def check_archive(path: Path) -> None:
+    """Refuse a zip archive (`.npz`, `.xlsx`) whose members unfold to too much; none is read past its declared size.
+
+    Raises:
+        BadInput: with the sizes, or not a zip archive.
+    """
+    source = cleaned(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+    except Exception as error:  # zipfile raises nearly anything on damaged directories
+        raise BadInput(
+            f"{source}: not readable as an archive ({type(error).__name__}); save or copy it again"
+        ) from None
+    check_unfolded(sum(member.file_size for member in members), path.stat().st_size, source)
+
+
+def guarded(source: str, kind: str, function: Callable, *arguments):
+    """Call a library on a file; whatever it raises becomes one line.
+
+    Raises:
+        BadInput: the library's reason, shortened.
+    """
+    try:
+        with warnings.catch_warnings():  # theirs about the file; what matters here is told or refused
+            warnings.simplefilter("ignore")
+            return function(*arguments)
+    except BadInput:
+        raise
+    except ImportError as error:
+        extra = {"openpyxl": "excel", "nptdms": "labview"}.get(error.name or "", "robot")
+        raise BadInput(f"{source}: needs {error.name}; `pip install 'pitp_jax[{extra}]'`") from None
+    except Exception as error:
+        reason = cleaned(" ".join(str(error).split()) or type(error).__name__)
+        raise BadInput(f"{source}: not readable as a {kind} ({reason[:120]}); save or copy it again") from error

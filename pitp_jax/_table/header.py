@@ -1,0 +1,266 @@
+"""Where rows of cells have their names, their units and their first row of numbers.
+
+rows -> columns that are numbers or hours -> first of several rows of numbers -> units row, names above it
+
+Every row above the numbers that could name the columns is a reading of its own; they are compared by the columns and
+units that they give (`choice`).
+"""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from .._errors import BadInput
+from .guard import check_columns, cleaned
+from .stamps import is_stamp
+from .table import Column
+from .units import plain, spelt
+
+_NUMBER = {
+    ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"),
+    ",": re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?$"),
+}
+MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "null", "none"))
+_WORDS = MISSING | {"inf", "-inf", "+inf", "infinity", "-infinity"}
+_LONGEST_UNIT = 12  # letters: `Millimeters` is one, a sentence is none
+_MOST_NAMES = 4  # rows above the numbers that are tried as names
+_PAIR = re.compile(r"(?:unit of )?(\w[\w ]*?)\s*(?:\bin\b|[=:/]|[(\[])\s*([^\s\d)\]]+)\s*[)\]]?")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The first rows of a table.
+
+    Attributes:
+        cells: of every row, stripped.
+        numbers: of their lines, from 1.
+        commented: which of them are comments.
+    """
+
+    cells: list[list[str]]
+    numbers: list[int]
+    commented: list[bool]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a table is written.
+
+    Attributes:
+        separator: between cells; a blank stands for any number of them.
+        decimal: `.` or `,`.
+        columns: names and units.
+        first: index of the first row of numbers among the rows given.
+        width: cells of a row of numbers.
+        notes: what else was recognised, in words.
+        hint: of the rate, or empty.
+    """
+
+    separator: str
+    decimal: str
+    columns: tuple[Column, ...]
+    first: int
+    width: int
+    notes: tuple[str, ...] = ()
+    hint: str = ""
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number, or empty or nan."""
+    return bool(_NUMBER[decimal].match(cell)) or cell.lower() in _WORDS
+
+
+def layouts(
+    rows: Rows, separator: str, decimal: str, source: str, header_line: int | None, units_line: str | None
+) -> list[Layout]:
+    """Every way to read the head of a table, the likeliest first.
+
+    Args:
+        rows: the first rows.
+        separator: passed on.
+        decimal: `.` or `,`.
+        source: the file, for messages.
+        header_line: the line that names the columns, if the user says it.
+        units_line: the line of units, or "none".
+
+    Raises:
+        BadInput: no row of numbers, no such line, names that do not fit the rows, more columns than reasonable.
+    """
+    check_columns(max(map(len, rows.cells), default=0), source)
+    body = [k for k in range(len(rows.cells)) if not rows.commented[k] and rows.numbers[k] > (header_line or 0)]
+    width = _width([rows.cells[k] for k in body], decimal)
+    full = [row for row in map(rows.cells.__getitem__, body) if len(row) == width and _count(row, decimal)]
+    forms = _forms(full, width, decimal)
+    if sum(form != "text" for form in forms) < 2:
+        raise BadInput(f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV")
+    first = _first(rows, body, width, forms, decimal)
+    if first is None:
+        raise BadInput(f"{source}: no row in which every column has its number; correct the first rows")
+    filled = [len(trimmed(row)) for row in rows.cells[first:] if len(row) == width]
+    widths = range(max(filled, default=width), width + 1)
+    bare = Layout(separator, decimal, tuple(Column("", form=form) for form in forms), first, width)
+    units, above = _units_row(rows, first, widths, units_line, source)
+    if header_line is not None:
+        names = [k for k in range(first) if rows.numbers[k] == header_line]
+        if not names:
+            raise BadInput(
+                f"{source}: line {header_line} is empty or not above the numbers; give another --header-line"
+            )
+        above = [k for k in above if k == names[0]] or names
+    readings, refusals = [], []
+    for k in above[:_MOST_NAMES]:
+        try:
+            readings.append(_named(bare, rows, k, units, widths, first, source))
+        except BadInput as error:
+            refusals.append(error)
+    if not readings and refusals:
+        raise refusals[0]
+    return readings or [_unnamed(bare, rows, units, first, widths, source)]
+
+
+def _width(body: Sequence[Sequence[str]], decimal: str) -> int:
+    """The usual number of cells of rows that hold numbers."""
+    lengths = Counter(len(r) for r in body if len(r) > 1 and 2 * _count(r, decimal) >= len(trimmed(r)))
+    return lengths.most_common(1)[0][0] if lengths else 0
+
+
+def _count(row: Sequence[str], decimal: str) -> int:
+    return sum(bool(cell) and (is_number(cell, decimal) or is_stamp(cell)) for cell in row)
+
+
+def _forms(block: Sequence[Sequence[str]], width: int, decimal: str) -> list[str]:
+    """What each column holds: numbers, hours or text, by most of its cells."""
+    forms = []
+    for k in range(width):
+        filled = [row[k] for row in block if row[k]]
+        numbers = sum(is_number(cell, decimal) for cell in filled)
+        hours = sum(is_stamp(cell) for cell in filled)
+        forms.append("number" if 2 * numbers >= len(filled) else "stamp" if 2 * hours > len(filled) else "text")
+    return forms
+
+
+def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], decimal: str) -> int | None:
+    """The first row of numbers that another one follows: a lone one (`1000,,`) is a setting."""
+
+    def holds(k: int) -> bool:
+        row = rows.cells[k]
+        fit = {
+            "number": lambda c: is_number(c, decimal),
+            "stamp": lambda c: is_stamp(c) or not c,
+            "text": lambda c: True,
+        }
+        some = any(cell and form != "text" for cell, form in zip(row, forms, strict=False))
+        return len(row) == width and some and all(fit[form](cell) for cell, form in zip(row, forms, strict=True))
+
+    good = [k for k in body if holds(k)]
+    pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
+    return pairs[0] if pairs else good[0] if good else None
+
+
+def _units_row(
+    rows: Rows, first: int, widths: range, units_line: str | None, source: str
+) -> tuple[list[str], list[int]]:
+    """Units below the names, and the rows above the numbers that could be names, the nearest first."""
+    fits = [k for k in range(first) if _fits(rows.cells[k], widths)]
+    if units_line == "none":
+        return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
+    if units_line is not None:
+        stated = [k for k in range(first) if rows.numbers[k] == int(units_line)]
+        if not stated:
+            raise BadInput(f"{source}: line {units_line} is empty or not above the numbers; give another --units-line")
+        return rows.cells[stated[0]], [k for k in fits[::-1] if k != stated[0]]
+    for k in fits[::-1][:2]:
+        if _is_units(rows.cells[k]) and not (rows.commented[k] and not fits.index(k)):
+            names = [m for m in fits if m < k]
+            return rows.cells[k], names[::-1][:1] or [k]
+    return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
+
+
+def _fits(row: Sequence[str], widths: range) -> bool:
+    """Whether a row has as many cells as the numbers; R leaves out the name of the first column."""
+    count = len(trimmed(row))
+    return count > 1 and (count in widths or count == widths[0] - 1 or (count > widths[-1] and _extra(row, widths[-1])))
+
+
+def _extra(row: Sequence[str], width: int) -> bool:
+    """Whether what a header has beyond the columns are settings: behind an empty cell, or numbers among them."""
+    return not all(trimmed(row)[: width + 1]) or any(_numeric([cell]) for cell in row[width:] if cell)
+
+
+def _numeric(row: Sequence[str]) -> bool:
+    return any(cell and (is_number(cell, ".") or is_number(cell, ",")) for cell in row)
+
+
+def _is_units(row: Sequence[str]) -> bool:
+    """Whether a row is one of units: most cells are, the others short (`mA`, `-`)."""
+    cells = [cell.strip() for cell in row if cell.strip("[]()- ")]
+    known = sum(spelt(cell) is not None for cell in cells)
+    return known > 0 and 2 * known >= len(cells) and all(len(cell) <= _LONGEST_UNIT for cell in cells)
+
+
+def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range, first: int, source: str) -> Layout:
+    """The reading in which row k names the columns."""
+    names, width, notes = trimmed(rows.cells[k]), bare.width, []
+    if len(names) > width:
+        names, notes = names[:width], [f"{len(names) - width} cells beside the header"]
+    if len(names) == widths[0] - 1:
+        names = ["row", *names]
+        notes.append("row names before the first column")
+        counts = [row[0] for row in rows.cells[first:] if len(row) == width]
+        start = next((int(c) for c in counts if c.isdecimal()), -1)
+        if any(c != str(start + i) for i, c in enumerate(counts)):
+            raise BadInput(
+                f"{source}: line {rows.numbers[k]}: {len(names) - 1} names over rows of {widths[0]} cells; make them "
+                "agree, or give --header-line"
+            )
+    named = _with_names(bare, [*names, *[""] * (width - len(names))], units, rows, first)
+    above = sum(1 for m in range(k) if any(rows.cells[m]))
+    notes += ["units row"] if units and list(units) != rows.cells[k] else []
+    notes += [f"{above} line{'s' if above > 1 else ''} above the header"] if above else []
+    notes += ["header in a comment"] if rows.commented[k] else []
+    return replace(named, notes=tuple(notes))
+
+
+def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths: range, source: str) -> Layout:
+    """The reading without a header; refused where the row above the numbers looks like one."""
+    last = [k for k in range(first) if not rows.commented[k]][-1:]
+    if last and len(trimmed(rows.cells[last[0]])) > 2 and _count(rows.cells[last[0]], bare.decimal) == 0:
+        count = len(trimmed(rows.cells[last[0]]))
+        raise BadInput(
+            f"{source}: line {rows.numbers[last[0]]}: {count} names in the header over rows of {bare.width} cells; "
+            "make them agree, or give --header-line"
+        )
+    names = [str(k + 1) for k in range(bare.width)]
+    return replace(_with_names(bare, names, units, rows, first), notes=("no header, columns counted from 1",))
+
+
+def _with_names(bare: Layout, names: Sequence[str], units: Sequence[str], rows: Rows, first: int) -> Layout:
+    spoken = _spoken(rows, first)
+    beside = [unit.strip() if unit.strip("[]()- ") else None for unit in (*units, *[""] * bare.width)]
+    if len(trimmed(units)) == len(trimmed(names)) - 1 and names[0] == "row":
+        beside = [None, *beside]
+    columns = tuple(
+        Column(cleaned(name), beside[k], spoken.get(plain(name).lower()), bare.columns[k].form)
+        for k, name in enumerate(names)
+    )
+    return replace(bare, columns=columns)
+
+
+def trimmed(row: Sequence[str]) -> list[str]:
+    """The row without empty cells at its end."""
+    kept = list(row)
+    while kept and not kept[-1]:
+        kept.pop()
+    return kept
+
+
+def _spoken(rows: Rows, first: int) -> dict[str, str]:
+    """Units said in comments that are lists of pairs and nothing else: `t in s, u in V`."""
+    said = {}
+    for cells, commented in zip(rows.cells[:first], rows.commented, strict=False):
+        parts = [p.strip() for p in re.split(r"[,;]|\s{2,}", ",".join(cells)) if p.strip()]
+        pairs = [_PAIR.fullmatch(part) for part in parts]
+        if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
+            said |= {pair[1].lower(): pair[2] for pair in pairs if pair}
+    return said

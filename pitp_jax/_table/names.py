@@ -1,0 +1,135 @@
+"""What the name of a column says: its unit, and whether it is a time, an input or an output.
+
+header -> (what is measured, unit, what stands where a unit would and is none) and a role by its words
+
+Only ratios of the table are units: in `Field V/um`, `v_mm/s2` or `N/m` no part is the unit of the column.
+"""
+
+import re
+import unicodedata
+from dataclasses import dataclass
+
+from .units import kind_of, plain, spelt
+
+_VOCABULARY = {
+    "time": "t time zeit timestamp date datetime datum uhrzeit temps tiempo tempo elapsed clock millis micros "
+    "x_value x_werte время 時間 时间 時刻",
+    "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input in vin amplifier amp "
+    "excitation eingang anregung actuation monitor command cmd setpoint desired reference ref goal soll demand duty "
+    "pwm throttle potential напряжение 電圧 电压 電圧値",
+    "output": "x y z d w q displacement disp position pos weg auslenkung verschiebung abstand hub laser stroke "
+    "deflection distance output out motion extension elongation height hoehe deplacement response lvdt sensor ausgang "
+    "angle theta encoder measured actual ist feedback перемещение смещение 変位 位移",
+}
+_WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
+_COMMANDS = frozenset("command cmd setpoint desired goal soll demand".split())  # also before the word "position"
+_PORTS = frozenset("input output in out eingang ausgang".split())  # of the DAQ or of the actuator, who knows
+_BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
+_LAST = re.compile(r"^(.*\S)(?:\s*[_,:;-]\s*|\s+)(\S+)$")
+_SUITS = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None}
+_OWN = {"A": {"current", "strom", "i", "input", "output"}, "N": {"force", "kraft", "f", "input", "output"}}
+_PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  # what no quantity is called
+
+
+@dataclass(frozen=True)
+class Header:
+    """A column's name as it reads.
+
+    Attributes:
+        stem: what is measured.
+        unit: its unit, or None.
+        unknown: what stands in the place of a unit and is none that we know, or None.
+        words: of the stem, in lower case.
+        role: "time", "input", "output" or None where its words say nothing or two things.
+    """
+
+    stem: str
+    unit: str | None
+    unknown: str | None
+    words: frozenset[str]
+    role: str | None
+
+    @property
+    def port_only(self) -> bool:
+        """Whether nothing but the words input or output gives its role."""
+        return self.role is not None and (self.words & _WORDS[self.role]) <= _PORTS
+
+
+def read_header(text: str) -> Header:
+    """Take a header apart: `Weg [µm]`, `U/V`, `time_s`, `Time in ms`, `Field V/um`."""
+    stem, unit, unknown = _parted(plain(text))
+    words = _words(stem)
+    if unit is not None:  # v may be a voltage or a velocity, t a time or a temperature
+        words -= {"v": {"v"}, "t": {"t"}}.get(stem.lower(), frozenset()) - {
+            {"voltage": "v", "time": "t"}.get(kind_of(unit) or "", "")
+        }
+    return Header(stem, unit, unknown, words, _role(words))
+
+
+def split_header(text: str) -> tuple[str, str | None]:
+    """A header as (what is measured, its unit or None)."""
+    return _parted(plain(text))[:2]
+
+
+def _parted(text: str) -> tuple[str, str | None, str | None]:
+    unknown = None
+    for found in _BRACKETS.finditer(text):
+        unit = spelt(found[1]) or spelt(re.split(r"[,;]", found[1])[0])
+        if unit:
+            return (text[: found.start()] + text[found.end() :]).strip(), unit, None
+        unknown = found[1] or unknown
+    if unknown:
+        return text, None, unknown
+    if (whole := spelt(text)) and len(text) > 1 and whole not in ("min", "h", "d"):
+        return text, whole, None
+    text = re.sub(r"\s*/\s*", "/", text)
+    last = re.split(r"[\s_,;:]+", text)[-1]
+    if "/" in last:
+        return _ratio(text, last)
+    found = _LAST.match(text)
+    unit = spelt(found[2]) if found else None
+    if not found or not unit:
+        return text, None, None
+    stem = re.sub(r"(\s|^)in$", "", found[1]).rstrip(" /_,:;-")
+    said = stem != found[1].rstrip(" /_,:;-") or text.lower().startswith("in ")
+    if not said and unit in _SUITS and len(found[2]) == 1 + 2 * (unit == "min"):
+        words = _words(stem)
+        if not (_role(words) == _SUITS[unit] if _SUITS[unit] else words & _OWN[unit]):
+            return text, None, None  # `Channel A` is no current
+    return stem, unit, None
+
+
+def _ratio(text: str, last: str) -> tuple[str, str | None, str | None]:
+    """A header that ends in `a/b`: a unit of the table, `quantity/unit`, or a ratio that is no unit of ours."""
+    if unit := spelt(last):
+        return text.removesuffix(last).rstrip(" /_,:;-") or text, unit, None
+    left, _, right = last.partition("/")
+    unit, of = spelt(right), spelt(left)
+    if _PHYSICAL.fullmatch(left) or (of is not None and len(left) > 1):
+        return text, None, last
+    if unit:
+        return text.removesuffix(last) + left, unit, None
+    parts = [spelt(part) for part in right.split("/")]
+    return text, None, last if any(parts) and len(parts) > 1 else None
+
+
+def _words(stem: str) -> frozenset[str]:
+    lower = "".join(c for c in unicodedata.normalize("NFKD", stem.lower()) if not unicodedata.combining(c))
+    parts = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", lower))
+    words = {w for k, w in enumerate(parts) if len(w) > 1 or k == 0} | ({lower} & {"x_value"})
+    far_east = {w for known in _WORDS.values() for w in known if ord(w[0]) > 0x3000 and w in stem}
+    return frozenset(words | far_east)
+
+
+def _role(words: frozenset[str]) -> str | None:
+    if "x_value" in words:
+        return "time"
+    if words & _COMMANDS:
+        return "input"
+    named = [role for role, known in _WORDS.items() if words & known]
+    return named[0] if len(named) == 1 else None
+
+
+def kind_of_header(text: str) -> str | None:
+    """The kind of the unit in a header, or None."""
+    return kind_of(read_header(text).unit)

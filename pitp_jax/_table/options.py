@@ -1,0 +1,157 @@
+"""What the user says about record files: columns, units, scales, rate, and how their text is written.
+
+u = input_scale * column,    y = output_scale * column,    t_i = i / rate where a file has no usable time
+
+A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option names; what the caller says wins.
+"""
+
+import math
+import tomllib
+from dataclasses import dataclass, fields, replace
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+from .._errors import BadInput
+from .guard import cleaned
+from .units import spelt, units_of
+
+OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
+FOLDER_FILE = "pitp.toml"
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What is said about record files; None leaves it to the file.
+
+    Attributes:
+        time_column, input_column, output_column: exact headers, or numbers of columns from 1.
+        time_unit, input_unit, output_unit: units of these columns, over what the file says.
+        input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
+        output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
+        rate: samples per second of files without time, or whose clock repeats.
+        header_line: the line that names the columns, counted from 1 with comments and blanks.
+        units_line: the line that holds the units, or "none".
+        separator, decimal, encoding: of text.
+        sheet: of a workbook.
+        split_by: a column, "sheet" or "group": a record for each of its values.
+
+    Raises:
+        BadInput: an unknown unit, a scale of zero, a rate that is not positive, all of them at once.
+    """
+
+    time_column: str | None = None
+    input_column: str | None = None
+    output_column: str | None = None
+    time_unit: str | None = None
+    input_unit: str | None = None
+    output_unit: str | None = None
+    input_scale: float | None = None
+    output_scale: float | None = None
+    rate: float | None = None
+    header_line: int | None = None
+    units_line: str | None = None
+    separator: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    sheet: str | None = None
+    split_by: str | None = None
+
+    def __post_init__(self):
+        """Refuse what no file could be read with."""
+        problems = []
+        for quantity, stem in OPTIONS.items():
+            unit = self.unit(quantity)
+            if unit is None:
+                continue
+            known = spelt(unit) if isinstance(unit, str) else None
+            if known not in units_of(quantity):
+                problems.append(f"--{stem}-unit {unit!r} is not one of {', '.join(units_of(quantity))}")
+            object.__setattr__(self, f"{stem}_unit", known)
+        for name in ("input_scale", "output_scale", "rate"):
+            value = getattr(self, name)
+            number = value is None or (isinstance(value, (int, float)) and math.isfinite(value) and value != 0)
+            if not number or (name == "rate" and value is not None and value < 0):
+                kind = "positive number" if name == "rate" else "finite number other than 0"
+                problems.append(f"--{name.replace('_', '-')} {value!r} is not a {kind}")
+        problems += self._text_problems()
+        if problems:
+            raise BadInput("; ".join(problems))
+
+    def _text_problems(self) -> list[str]:
+        problems = []
+        if self.header_line is not None and not (isinstance(self.header_line, int) and self.header_line > 0):
+            problems.append(f"--header-line {self.header_line!r} is not a line, counted from 1")
+        if self.units_line is not None and self.units_line != "none" and not str(self.units_line).isdecimal():
+            problems.append(f"--units-line {self.units_line!r} is not a line, counted from 1, or none")
+        if self.separator is not None:
+            named = {"tab": "\t", "\\t": "\t", "blank": " ", "space": " ", "comma": ",", "semicolon": ";"}
+            object.__setattr__(self, "separator", named.get(self.separator, self.separator))
+            if len(self.separator) != 1 or self.separator.isalnum() or self.separator in '\n\r"':
+                problems.append(f"--separator {self.separator!r} is not a character (or tab, blank)")
+        if self.decimal not in (None, ".", ","):
+            problems.append(f"--decimal {self.decimal!r} is neither . nor ,")
+        try:
+            "".encode(self.encoding or "utf-8")
+        except LookupError:
+            problems.append(
+                f"--encoding {cleaned(self.encoding)!r} is not known; utf-8, cp1252, cp932, gb18030, cp1251, ..."
+            )
+        return problems
+
+    def column(self, quantity: str) -> str | None:
+        """The header asked for."""
+        return getattr(self, f"{OPTIONS[quantity]}_column")
+
+    def unit(self, quantity: str) -> str | None:
+        """The unit asked for."""
+        return getattr(self, f"{OPTIONS[quantity]}_unit")
+
+    def scale(self, quantity: str) -> float | None:
+        """The scale asked for; None for the time."""
+        return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
+
+    def words(self) -> list[str]:
+        """The options as a command line has them."""
+        said = {f.name: getattr(self, f.name) for f in fields(self)}
+        return [w for n, v in said.items() if v is not None for w in (f"--{n.replace('_', '-')}", _word(v))]
+
+
+def _word(value: Any) -> str:
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
+    """The options with what `pitp.toml` beside the file says; what the caller says wins.
+
+    Raises:
+        BadInput: the file is no TOML, or holds keys that are no options.
+    """
+    file = path.parent / FOLDER_FILE
+    if not file.is_file():
+        return options
+    source = cleaned(file)
+    try:
+        tables = tomllib.loads(file.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{source}: not readable as TOML ({cleaned(error)[:100]}); correct it") from None
+    known, said = {f.name for f in fields(ReadOptions)}, {}
+    for glob, table in tables.items():
+        if not isinstance(table, dict):
+            raise BadInput(
+                f'{source}: {cleaned(glob)!r} stands outside a table; put it below ["GLOB"], such as ["*.csv"]'
+            )
+        names = {key: key.replace("-", "_") for key in table}
+        strange = [cleaned(key) for key, name in names.items() if name not in known]
+        if strange:
+            keys = ", ".join(sorted(n.replace("_", "-") for n in known))
+            raise BadInput(f"{source}: {', '.join(strange)}: no option of reading; the keys are {keys}")
+        if fnmatch(path.name, glob):
+            said |= {names[key]: value for key, value in table.items()}
+    if isinstance(said.get("units_line"), int):
+        said["units_line"] = str(said["units_line"])
+    own = {f.name: getattr(options, f.name) for f in fields(options)}
+    try:
+        return replace(options, **{name: value for name, value in said.items() if own[name] is None})
+    except BadInput as error:
+        raise BadInput(f"{source}: {error}") from None

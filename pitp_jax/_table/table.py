@@ -1,0 +1,115 @@
+"""A table: what every file format becomes before columns are chosen and units are read.
+
+columns -> choose the wanted ones -> load(places) = values (T,) of each,    place(i) = words for sample i
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from .guard import as_column, check_columns, cleaned, guarded
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a file.
+
+    Attributes:
+        name: its exact header, cleaned.
+        beside: what the file says of its unit beside the header (units row, attribute), or None.
+        spoken: what a comment says of it; counts only where nothing else does.
+        form: "number", "stamp" (dates and hours, loaded as seconds) or "text".
+        clock: (first time, step) in s of a channel that has its own clock, or None.
+    """
+
+    name: str
+    beside: str | None = None
+    spoken: str | None = None
+    form: str = "number"
+    clock: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """The columns of one file (or of a part of it), loaded when asked for.
+
+    Attributes:
+        path: the file.
+        columns: those it has, in file order, repeats included.
+        load: from places among them to float64 columns of shape (T,), nan where a cell is empty; raises BadInput.
+        place: words for a sample index from 0 (`sample 7 (line 9)`).
+        form: what was recognised, for the summary (`text, separated by ';', decimal comma`).
+        part: the sheet or group that it is, or empty.
+        hint: what the file says of its rate in a place that is no column (`Delta_X 0.001`), or empty.
+        blanks: empty lines among the rows, which lose a sample each where there is no clock.
+        texts: the values of a column as text, for splitting by it.
+    """
+
+    path: Path
+    columns: tuple[Column, ...]
+    load: Callable[[Sequence[int]], list[np.ndarray]]
+    place: Callable[[int], str]
+    form: str
+    part: str = ""
+    hint: str = ""
+    blanks: int = 0
+    texts: Callable[[int], np.ndarray] | None = None
+
+    @property
+    def source(self) -> str:
+        """The file, for messages."""
+        return cleaned(self.path)
+
+
+def sample(index: int) -> str:
+    """Words for a sample of a file without lines."""
+    return f"sample {index}"
+
+
+def array_table(
+    path: Path,
+    stored: Mapping[str, Any],
+    form: str,
+    *,
+    beside: Mapping = MappingProxyType({}),
+    part: str = "",
+    clocks: Mapping = MappingProxyType({}),
+) -> Table:
+    """Named arrays as a table.
+
+    Args:
+        path: the file.
+        stored: arrays, or functions that read one, by name.
+        form: what the file is called.
+        beside: units beside the data, by name.
+        part: the group, where the file is split by groups.
+        clocks: (first time, step) of channels that have their own clock.
+
+    Raises:
+        BadInput: more columns than reasonable.
+    """
+    source, names = cleaned(path), list(stored)
+    check_columns(len(names), source)
+    columns = tuple(Column(cleaned(n), _text(beside.get(n)), clock=clocks.get(n)) for n in names)
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        return [guarded(source, form, _loaded, stored[names[k]], columns[k].name, source) for k in places]
+
+    return Table(path, columns, load, sample, form, part)
+
+
+def _loaded(values: Any, column: str, source: str) -> np.ndarray:
+    return as_column(values() if callable(values) else values, column, source)
+
+
+def _text(value: Any) -> str | None:
+    """A unit attribute as text: also bytes, and an array of one string."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0]
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    return value.strip() or None if isinstance(value, str) else None

@@ -1,0 +1,352 @@
+"""Text tables (.csv .txt .dat .tsv .lvm, also .gz) through pandas' C parser.
+
+bytes -> encodings that fit -> separator and decimal mark -> layouts (a signature wins) -> rows of numbers
+
+Only where the parser fails is the text read row by row, to name the first bad line and column.
+"""
+
+import codecs
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from .._errors import BadInput
+from .guard import check_count, cleaned, file_bytes, gunzip
+from .header import MISSING, Layout, Rows, is_number, layouts, trimmed
+from .options import ReadOptions
+from .signatures import SIGNATURES
+from .stamps import is_stamp, seconds
+from .table import Table
+from .units import spelt
+
+COMMENTS = ("#", "%", "//", "!")
+_ENCODINGS = ("cp1252", "cp932", "gb18030", "cp1251", "euc_kr", "big5", "cp1253", "latin-1")
+_SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
+_CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
+_HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are no comments; bytes of one line
+_MARKS = tuple(mark.encode() for mark in COMMENTS)
+_DURATION = re.compile(r"[+-]?[\d.,]+(?:[eE][+-]?\d+)?\s+(\S+)$")
+
+
+def text_tables(path: Path, options: ReadOptions) -> list[Table]:
+    """Every table that a text may be, the likeliest first.
+
+    Raises:
+        BadInput: unreadable, compressed or not as its suffix says, binary, no table of numbers.
+    """
+    source = cleaned(path)
+    data = _text(path, source)
+    spans = _first_lines(data, source)
+    tables, refusals = [], []
+    for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options, source):
+        lines = [data[a:b].decode(encoding) for a, b, _ in spans]
+        try:
+            for layout in _layouts(lines, [n for _, _, n in spans], options, source):
+                tables.append(_table(path, data, spans[layout.first][0], layout, encoding))
+        except BadInput as error:
+            refusals.append(error)
+    if not tables:
+        raise refusals[0]
+    return tables
+
+
+def _table(path: Path, data: bytes, start: int, layout: Layout, encoding: str) -> Table:
+    source, above, body = cleaned(path), data[:start].count(b"\n"), _rows_only(data[start:], layout)
+    check_count(body.count(b"\n"), source)
+
+    def place(sample: int) -> str:
+        return f"sample {sample} (line {_line_of(path, sample, above, layout.separator)})"
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        values = _parse(body, layout, places, encoding)
+        return values if values is not None else _rows(body, layout, places, encoding, source, place)
+
+    def texts(k: int) -> np.ndarray:
+        rows = csv.reader(body.decode(encoding, "replace").split("\n"), delimiter=layout.separator)
+        return np.array([row[k].strip() if k < len(row) else "" for row in rows])
+
+    parts = [f"text separated by {_SEPARATORS.get(layout.separator, repr(layout.separator))}"]
+    parts += ["decimal comma"] if layout.decimal == "," else []
+    parts += [encoding] if encoding not in ("utf-8", "ascii") else []
+    blanks = data[start:].strip(b"\n").count(b"\n\n")
+    form = ", ".join((*parts, *layout.notes))
+    return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
+
+
+def _text(path: Path, source: str) -> bytes:
+    """The unfolded text with plain line ends; UTF-16 becomes UTF-8."""
+    data, wide = file_bytes(path), None
+    zipped = data.startswith(b"\x1f\x8b")
+    if path.name.lower().endswith(".gz"):
+        if not zipped:
+            raise BadInput(f"{source}: is not gzip as its suffix says; drop .gz from its name if it is plain text")
+        data = gunzip(data, source)
+    elif zipped:
+        raise BadInput(f"{source}: is gzip, not text as its suffix says; rename it to end in .gz")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        wide = "utf-16"
+    elif data[1:400:2].count(0) > 0.9 * len(data[1:400:2]) > 3:
+        wide = "utf-16-le"
+    elif data[0:400:2].count(0) > 0.9 * len(data[0:400:2]) > 3:
+        wide = "utf-16-be"
+    if wide:
+        try:
+            data = data.decode(wide).encode("utf-8")
+        except UnicodeError as error:
+            raise BadInput(f"{source}: damaged UTF-16 text ({error}); save it as UTF-8") from None
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = data.rstrip(b"\x1a\x00")  # the end of a DOS file
+    if len(data.translate(None, _CONTROL)) != len(data):
+        bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
+        raise BadInput(f"{source}: line {bad}: not UTF-8 text as its suffix says (control characters); save it as CSV")
+    return data
+
+
+def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
+    """Encodings that the head of a text may have: UTF-8 where it fits, else all others that do."""
+    if options.encoding is not None:
+        try:
+            head.decode(options.encoding)
+        except UnicodeError:
+            raise BadInput(f"{source}: is not {options.encoding}; give another --encoding") from None
+        return [options.encoding]
+    fitting = []
+    for encoding in ("utf-8", *_ENCODINGS):
+        try:
+            head.decode(encoding)
+        except UnicodeError:
+            continue
+        if encoding == "utf-8":
+            return [encoding]
+        fitting.append(encoding)
+    return fitting if len(fitting) == 1 else fitting[:-1]  # Latin-1 takes any bytes
+
+
+def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
+    """Where the first lines that are not empty begin and end, and their numbers; comments do not count."""
+    spans, begin, number, plain = [], 0, 0, 0
+    while begin < len(data) and plain < _LINES and (begin < _HEAD or not plain):
+        stop, number = data.find(b"\n", begin, begin + _LONGEST), number + 1
+        if stop < 0:
+            if len(data) - begin > _LONGEST:
+                raise BadInput(f"{source}: line {number}: a line of unreasonable length; save it as plain CSV")
+            stop = len(data)
+        if data[begin:stop].strip():
+            spans.append((begin, stop, number))
+            plain += not data[begin:stop].lstrip(b' "').startswith(_MARKS)
+        begin = stop + 1
+    if not spans:
+        raise BadInput(f"{source}: the file is empty (blank lines only); record it again or leave it out")
+    return spans
+
+
+def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source: str) -> list[Layout]:
+    """The layouts of text: that of a signature, else all that the rows allow."""
+    stated = (options.header_line, options.units_line, options.separator, options.decimal)
+    if stated == (None,) * 4:
+        for signature in SIGNATURES:
+            layout = signature(lines, source)
+            if layout is not None:
+                return [layout]
+    commented = [line.lstrip(' "').startswith(COMMENTS) for line in lines]
+    plain = [line for line, comment in zip(lines, commented, strict=True) if not comment]
+    separator, decimal = _dialect(plain, options, source)
+    cells = [
+        cells_of(_bare(line) if comment else line, separator) for line, comment in zip(lines, commented, strict=True)
+    ]
+    marked = _durations(cells, decimal)
+    rows = Rows(cells, numbers, commented)
+    made = layouts(rows, separator, decimal, source, options.header_line, options.units_line)
+    return [_with_durations(layout, marked) for layout in made] if marked else made
+
+
+def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
+    """Columns whose numbers carry their unit (`0.001 sec`); it is taken off, and stands beside the column."""
+    marked = {}
+    for k in range(max(map(len, cells), default=0)):
+        column = [row[k] for row in cells if k < len(row)]
+        units = [m[1] for m in map(_DURATION.match, column) if m and spelt(m[1])]
+        if 2 * len(units) > len(column) and len(set(units)) == 1:
+            marked[k] = units[0]
+            for row in cells:
+                if k < len(row):
+                    row[k] = row[k].removesuffix(units[0]).strip() if _DURATION.match(row[k]) else row[k]
+    return marked
+
+
+def _with_durations(layout: Layout, marked: dict[int, str]) -> Layout:
+    columns = list(layout.columns)
+    for k, unit in marked.items():
+        columns[k] = replace(columns[k], beside=unit, form="duration")
+    return replace(layout, columns=tuple(columns))
+
+
+def _bare(line: str) -> str:
+    return line.strip().strip('"').lstrip("#%/! \t")
+
+
+def cells_of(line: str, separator: str) -> list[str]:
+    """A line as its cells, stripped."""
+    if separator == " ":
+        line = line.strip().replace("\t", " ")
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+
+
+def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, str]:
+    """The separator and decimal mark by which most cells of rows of numbers are numbers.
+
+    Raises:
+        BadInput: none makes a table.
+    """
+    best, dialect = 0.0, None
+    for separator in (options.separator,) if options.separator else _SEPARATORS:
+        try:
+            rows = [cells_of(line, separator) for line in plain]
+        except csv.Error:
+            continue
+        for decimal in (options.decimal,) if options.decimal else ".,":
+            score = _score(rows, decimal)
+            if score > best + 1e-9:
+                best, dialect = score, (separator, decimal)
+    if dialect is None:
+        raise BadInput(
+            f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV, or give "
+            "--separator and --header-line"
+        )
+    return dialect
+
+
+def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
+    """Fraction of the rows that have the usual length and hold numbers, times that of their cells which are numbers."""
+    widths: dict[int, list[int]] = {}
+    for row in rows:
+        filled = trimmed(row)
+        good = sum(bool(c) and (is_number(c, decimal) or is_stamp(c) or bool(_DURATION.match(c))) for c in filled)
+        if good >= 2 or (good and len(filled) == 2):
+            counts = widths.setdefault(len(row), [0, 0, 0])
+            counts[0] += 1
+            counts[1] += good
+            counts[2] += sum(map(bool, filled))
+    if not widths:
+        return 0.0
+    many, good, filled = max(widths.values())
+    return good / filled * many / len(rows)
+
+
+def _line_of(path: Path, sample: int, above: int, separator: str) -> int:
+    """The line a sample stands in, counted from 1; the file is read again for it."""
+    lines = enumerate(_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
+    filled = (number for number, line in lines if _is_row(line, separator))
+    return next(islice(filled, sample, None), above + 1 + sample)
+
+
+def _is_row(line: bytes, separator: str) -> bool:
+    """Whether a line is a row of cells: no comment, not empty."""
+    return bool(line.strip()) and not line.startswith(_MARKS)
+
+
+def _rows_only(body: bytes, layout: Layout) -> bytes:
+    """The text without comment lines, blank lines, and rows without a filled cell at its end."""
+    if b"\n\n" in body or b"\n " in body or any(b"\n" + mark in body for mark in _MARKS):
+        body = b"\n".join(line for line in body.split(b"\n") if _is_row(line, layout.separator))
+    kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
+    end = body.find(b"\n", len(kept))  # an empty last cell belongs to its row
+    return body if end < 0 else body[:end]
+
+
+def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
+    """Wanted columns by the C parser, or None where the text needs a closer look."""
+    import pandas as pd
+
+    if b'"' in body:
+        body = body.replace(b'"', b"")
+    if not _rectangular(body, layout):
+        return None
+    words = [k for k in places if layout.columns[k].form in ("stamp", "duration")]
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(body), header=None, names=range(layout.width), usecols=sorted(set(places)), engine="c",
+            sep=r"\s+" if layout.separator == " " else layout.separator, decimal=layout.decimal, encoding=encoding,
+            dtype={k: str if k in words else np.float64 for k in places}, skipinitialspace=True,
+            low_memory=False, index_col=False, skip_blank_lines=False,
+        )  # fmt: skip
+        columns = [frame[k] for k in places]
+        if any(layout.columns[k].form == "duration" for k in words):
+            return None
+        return [
+            seconds(list(c)) if k in words else c.to_numpy(np.float64) for k, c in zip(places, columns, strict=True)
+        ]
+    except (ValueError, OverflowError, pd.errors.ParserError):
+        return None
+
+
+def _rectangular(body: bytes, layout: Layout) -> bool:
+    """True where every row has the usual number of cells."""
+    codes = np.frombuffer(body, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(codes == ord("\n")), len(codes))
+    if layout.separator == " ":
+        blank = np.isin(codes, (9, 10, 32))
+        marks, each = np.flatnonzero(~blank & np.append(True, blank[:-1])), layout.width
+    else:
+        marks, each = np.flatnonzero(codes == ord(layout.separator)), layout.width - 1
+    if len(marks) != len(ends) * each:
+        return False
+    marks = marks.reshape(-1, each)
+    return bool(np.all(marks[:, -1] < ends) and np.all(marks[1:, 0] > ends[:-1]))
+
+
+def _split(body: bytes, layout: Layout, encoding: str) -> Iterator[list[str]]:
+    lines = body.decode(encoding, errors="replace").split("\n")
+    return (cells_of(line, layout.separator) for line in lines)
+
+
+def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int], str]) -> list[np.ndarray]:
+    """Wanted columns row by row; refuses the first bad row with its line and column."""
+    values, width = [], layout.width
+    try:
+        for row in _split(body, layout, encoding):
+            while len(row) > width and not row[-1].strip():
+                row.pop()
+            if len(row) != width and not (len(row) == width - 1 and not layout.columns[-1].name):
+                short = layout.columns[len(row)].name if len(row) < width else layout.columns[-1].name
+                raise BadInput(
+                    f"{source}: column {short!r}, {place(len(values))}: {len(row)} cells where the others have "
+                    f"{width}; correct the line or --separator"
+                )
+            values.append([row[k].strip() if k < len(row) else "" for k in places])
+    except csv.Error as error:
+        raise BadInput(f"{source}: sample {len(values)}: not readable as CSV ({error}); save it as plain CSV") from None
+    columns = list(zip(*values, strict=True)) or [()] * len(places)
+    return [_column(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
+
+
+def _column(cells: Sequence[str], layout: Layout, k: int, source: str, place) -> np.ndarray:
+    """One column of cells as numbers."""
+    column = layout.columns[k]
+    if column.form == "stamp":
+        try:
+            return seconds(cells)
+        except (ValueError, OverflowError) as error:
+            raise BadInput(
+                f"{source}: column {column.name!r}: not readable as dates and hours ({cleaned(error)[:60]}); give "
+                "seconds, or --rate HZ"
+            ) from None
+    if column.form == "duration" and column.beside:
+        cells = [cell.removesuffix(column.beside).strip() for cell in cells]
+    for sample, cell in enumerate(cells):
+        if not is_number(cell, layout.decimal):
+            shown = cleaned(cell if len(cell) <= 20 else cell[:20] + "...")
+            raise BadInput(
+                f"{source}: column {column.name!r}, {place(sample)}: text {shown!r} where a number belongs; write a "
+                "number (leave a missing output empty)"
+            )
+    point = (cell.replace(",", ".") if layout.decimal == "," else cell for cell in cells)
+    return np.array([float("nan") if cell.lower() in MISSING else float(cell) for cell in point])

@@ -1,0 +1,157 @@
+"""Units: one table of factors, their spellings, and the base unit of each kind.
+
+value in base unit = factor(unit) * value in the column,    base units: SI (s, V, m, rad, Pa, ...)
+"""
+
+import math
+import unicodedata
+
+_KINDS: dict[str, dict[str, float]] = {  # the first unit of a kind is its base
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
+    "voltage": {"V": 1.0, "kV": 1e3, "mV": 1e-3},
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "nm": 1e-9},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "torque": {"N m": 1.0, "mN m": 1e-3},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2, "psi": 6894.757293168361},
+    "angle": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi},
+    "angular speed": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": 2 * math.pi / 60},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3},
+    "acceleration": {"m/s2": 1.0},
+    "number": {"counts": 1.0, "percent": 1e-2},
+}
+_FACTORS = {unit: factor for units in _KINDS.values() for unit, factor in units.items()}
+_KIND = {unit: kind for kind, units in _KINDS.items() for unit in units}
+TIME_UNITS = _KINDS["time"]
+INPUT_UNITS = OUTPUT_UNITS = {unit: factor for unit, factor in _FACTORS.items() if unit not in TIME_UNITS}
+
+_WORDS = {
+    "s": "s sec secs second seconds sekunde sekunden seconde secondes segundos secondi с сек 秒",
+    "ms": "msec msecs millisec milliseconds millisecond millisekunden millis мс мсек ミリ秒 毫秒",
+    "us": "usec usecs microsecond microseconds mikrosekunden micros мкс マイクロ秒 微秒",
+    "ns": "nsec nanoseconds nanosecond",
+    "min": "minute minutes minuten мин 分",
+    "h": "hr hrs hour hours stunden ч 小时 時間",
+    "d": "day days tage",
+    "V": "v volt volts vdc vac в вольт ボルト 伏",
+    "kV": "kv kilovolt kilovolts кв キロボルト 千伏",
+    "mV": "millivolt millivolts мв",
+    "m": "meter meters metre metres",
+    "mm": "mm millimeter millimeters millimetre millimetres мм ミリ ミリメートル 毫米",
+    "um": "um micron microns mikrometer micrometer micrometers micrometre micrometres мкм ミクロン 微米",
+    "cm": "centimeter centimeters см 厘米",
+    "nm": "nanometer nanometers нм 纳米",
+    "A": "amp amps ampere amperes",
+    "mA": "milliamp milliamps milliampere",
+    "N": "newton newtons",
+    "N m": "nm_ n·m n*m n.m newton-meter",
+    "bar": "bar bars",
+    "Pa": "pascal",
+    "kPa": "kpa",
+    "psi": "psi",
+    "rad": "rad radian radians",
+    "deg": "deg degree degrees ° grad",
+    "rev": "rev revolution revolutions turn turns",
+    "rad/s": "rad/sec",
+    "deg/s": "°/s deg/sec",
+    "rpm": "rpm u/min r/min rev/min 1/min min-1",
+    "m/s2": "m/s^2 m/s/s m/s**2",
+    "counts": "count counts cts",
+    "percent": "% percent pct",
+}
+_SPELLINGS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+
+
+def plain(text: str) -> str:
+    """A text with compatibility characters (full width, `㎜`, `²`) written plainly and micro signs as u."""
+    return unicodedata.normalize("NFKC", text).replace("Âμ", "u").replace("µ", "u").replace("μ", "u").strip()
+
+
+def spelt(text: str) -> str | None:
+    """The unit that a text is a spelling of (`µm`, `Volts`, `кВ`), or None."""
+    bare = plain(text).strip("()[]{}<>").strip()
+    if bare in ("Nm", "mNm"):  # nm is a length
+        return bare[:-1] + " m"
+    return bare if bare in _FACTORS else _SPELLINGS.get(bare.lower())
+
+
+def kind_of(unit: str | None) -> str | None:
+    """The kind of a unit: `time`, `voltage`, `length`, `angle`, ...; None for None."""
+    return _KIND[unit] if unit is not None else None
+
+
+def column_name(quantity: str, unit: str) -> str:
+    """The name of a column in the files that we write: `voltage_V`, `input_rad`, `displacement_m`, `output_deg`.
+
+    Args:
+        quantity: `voltage` (the input) or `displacement` (the output).
+        unit: of its values.
+    """
+    usual, other = {"voltage": ("voltage", "input"), "displacement": ("length", "output")}[quantity]
+    volts = quantity == "displacement" and _KIND[unit] == "voltage"  # an electronic output keeps its old name
+    return f"{quantity if _KIND[unit] == usual or volts else other}_{unit.replace(' ', '')}"
+
+
+def column_names(quantity: str) -> tuple[str, ...]:
+    """The exact column names that a quantity may have.
+
+    Args:
+        quantity: `time`, `voltage` or `displacement`.
+    """
+    if quantity == "time":
+        return tuple(f"time_{unit}" for unit in TIME_UNITS)
+    stems = ("voltage", "input") if quantity == "voltage" else ("displacement", "output")
+    return tuple(f"{stem}_{unit.replace(' ', '')}" for stem in stems for unit in INPUT_UNITS)
+
+
+def units_of(quantity: str) -> tuple[str, ...]:
+    """The units that a quantity may have.
+
+    Args:
+        quantity: `time`, `voltage` or `displacement`.
+    """
+    return tuple(TIME_UNITS if quantity == "time" else INPUT_UNITS)
+
+
+def is_length(unit: str | None) -> bool:
+    """Whether a unit is one of length."""
+    return kind_of(unit) == "length"
+
+
+def factor(unit: str, quantity: str = "") -> float:
+    """Base units per unit: multiply a column by this to get s, V, m, rad, ..."""
+    return _FACTORS[unit]
+
+
+def to_base(values, unit: str, quantity: str = ""):
+    """Values in the base unit; decimal parts of a unit divide by a whole number, so that decimal times stay exact.
+
+    Args:
+        values: array in `unit`, any shape.
+        unit: one of the table.
+        quantity: what it is, for the reader only.
+    """
+    scale = _FACTORS[unit]
+    return values / round(1.0 / scale) if _parts(scale) else values * scale
+
+
+def from_base(values, unit: str, quantity: str = ""):
+    """Values in `unit` from values in the base unit; the inverse of `to_base`.
+
+    Args:
+        values: array in the base unit, any shape.
+        unit: one of the table.
+        quantity: what it is, for the reader only.
+    """
+    scale = _FACTORS[unit]
+    return values * round(1.0 / scale) if _parts(scale) else values / scale
+
+
+def _parts(scale: float) -> bool:
+    """Whether a unit is a whole part (a thousandth) of its base."""
+    return scale < 1 and abs(round(1 / scale) * scale - 1) < 1e-12
+
+
+def base_unit(unit: str) -> str:
+    """The base unit of a unit: `m` of lengths, `V` of voltages, `rad` of angles."""
+    return next(iter(_KINDS[_KIND[unit]]))
