@@ -32,6 +32,34 @@ class HeldOut:
     scored: tuple[np.ndarray, ...]
 
 
+@dataclass(frozen=True)
+class OutOfFold:
+    """What fits that did not see them leave of a nominal's own records, by octaves of frequency.
+
+    Attributes:
+        edges_hz: of the bands, one more than those.
+        error, output: rms of what is left, and of the output about its mean, in each band (output's base unit).
+    """
+
+    edges_hz: tuple[float, ...]
+    error: tuple[float, ...]
+    output: tuple[float, ...]
+
+
+def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
+    """The energy of error and output in octaves from one period a record to the Nyquist frequency."""
+    low, high = 1 / problem.seconds, 0.5 / problem.dt
+    edges = low * 2.0 ** np.arange(int(np.ceil(np.log2(high / low))) + 1)
+    total = np.zeros((2, len(edges) - 1))
+    for error, scored, output in zip(heldout.error, heldout.scored, problem.output, strict=True):
+        mean = scored @ output / max(scored.sum(), 1.0)
+        hz = np.fft.rfftfreq(len(error), problem.dt)
+        for row, signal in zip(total, (error, scored * (output - mean)), strict=True):
+            row += np.histogram(hz, edges, weights=2 * np.abs(np.fft.rfft(signal)) ** 2 / len(signal))[0]
+    rms = problem.scale * np.sqrt(total / max(sum(s.sum() for s in heldout.scored), 1.0))
+    return OutOfFold(tuple(edges.tolist()), *(tuple(row.tolist()) for row in rms))
+
+
 def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> HeldOut:
     """Refit from `params` on all folds but one, and run on that one."""
     edges = [np.linspace(0, len(w), _FOLDS + 1).astype(int) for w in problem.weight]

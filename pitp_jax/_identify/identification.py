@@ -11,7 +11,7 @@ How records begin (`beginnings`), what they show without a model (`frequency_res
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from .beginnings import find_beginnings
 from .candidates import Candidate, choose, search
 from .frequency_fit import ORDERS
 from .frequency_response import FrequencyResponse, frequency_response
-from .heldout import held_out
+from .heldout import OutOfFold, held_out, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, least_squares, solve
 
@@ -50,7 +50,8 @@ class Identification:
         chosen, orders: the order taken, and the best candidate of all that were compared.
         beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
         response: what the records show without a model.
-        remarks: why this order, and what the records leave open, a sentence each.
+        out_of_fold: what fits that did not see them leave of these records, by band; in the model's notes too.
+        remarks: what the records leave open, a sentence each.
     """
 
     model: Model
@@ -58,6 +59,7 @@ class Identification:
     orders: tuple[OrderFit, ...]
     beginnings: dict[str, Beginning]
     response: FrequencyResponse
+    out_of_fold: OutOfFold
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -146,10 +148,13 @@ def identify(
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
     begun = _fitted(begun, chosen, whole)
-    told = {**_summary(fit, orders, records), "remarks": remarks(fit, whole)}
+    own = out_of_fold(chosen.heldout, small)
+    told = {**_summary(fit, orders, records), "out_of_fold": asdict(own), "remarks": remarks(fit, whole)}
     model = descended(_to_model(fit, records, begun, input_map, told), "identify", records)
     names = [r.name for r in records]
-    return Identification(model, fit, orders, dict(zip(names, begun, strict=True)), response, tuple(told["remarks"]))
+    return Identification(
+        model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tuple(told["remarks"])
+    )
 
 
 def _known(candidates: Sequence[Candidate], problem: Problem) -> Candidate:
