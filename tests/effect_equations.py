@@ -124,6 +124,10 @@ def _wen(x, v, u, s, p):
     return (v * (1 - (abs(s[0]) / p.width) ** p.sharpness) if s[0] * v > 0 else v,)
 
 
+def _either(x, v, u, s, p):
+    return (v - (abs(v) * s[0] + p.gamma * v * abs(s[0])) / p.width,)
+
+
 def _dahl(width):
     return lambda x, v, u, s, p: (v - abs(v) * s[0] / getattr(p, width),)
 
@@ -167,6 +171,12 @@ EQUATIONS = {
     "softening: gravity": Equation(
         ((0.8,),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * (np.sin(p.curvature * x) / p.curvature - x)
     ),
+    "softening: root": Equation(
+        ((0.8,), (5.0,)), {2: 1e-3},
+        force=lambda x, v, s, p, a, t: (
+            a[0] * (np.sign(x) * (np.sqrt(1 + 2 * p.curvature * abs(x)) - 1) / p.curvature - x)
+        ),
+    ),
     "mullins: exponential": Equation(
         ((0.3, 0.4),), {2: 3e-4}, begin=lambda x, u, p: (abs(x),), rates=_farthest,
         force=lambda x, v, s, p, a, t: -a[0] * p.d * (1 - np.exp(-max(s[0], abs(x)) / p.length)) * x,
@@ -180,6 +190,10 @@ EQUATIONS = {
     "end_stop: both sides": Equation(
         ((4.0, 0.35),), {2: 2e-3},
         force=lambda x, v, s, p, a, t: a[0] * p.kappa * (max(x - p.place, 0) - max(-x - p.place, 0)),
+    ),
+    "end_stop: each side": Equation(
+        ((4.0, 0.5, 0.3),), {2: 2e-3},
+        force=lambda x, v, s, p, a, t: a[0] * p.kappa * (max(x - p.place, 0) - max(-x - p.opposite, 0)),
     ),
     "end_stop: above, damped": Equation(
         ((5.0, 0.5, 0.4),), {2: 8e-3}, force=lambda x, v, s, p, a, t: _contact(x - p.place, v, p, a)
@@ -208,6 +222,10 @@ EQUATIONS = {
     ),
     "hysteresis: Wen": Equation(
         ((0.4, 0.3, 1.5), (0.4, 0.3, 3.0)), {2: 2e-3}, **_STILL, rates=_wen,
+        force=lambda x, v, s, p, a, t: a[0] * p.kappa * s[0],
+    ),
+    "hysteresis: Bouc-Wen, either sign": Equation(
+        ((0.4, 0.3, 0.5), (0.1, 1.0, -1.5)), {2: 2e-3}, **_STILL, rates=_either,
         force=lambda x, v, s, p, a, t: a[0] * p.kappa * s[0],
     ),
     "stiffness_drift: settling": Equation(
@@ -294,6 +312,9 @@ EQUATIONS = {
     "sensor_nonlinearity: cubic": Equation(((0.2,), (-0.2,)), {2: 5e-6}, sensor=lambda x, s, p: x + p.c3 * x**3),
     "sensor_nonlinearity: quadratic and cubic": Equation(
         ((0.1, -0.05), (-0.1, 0.2)), {2: 1e-5}, sensor=lambda x, s, p: x + p.c2 * x**2 + p.c3 * x**3
+    ),
+    "sensor_nonlinearity: folded": Equation(
+        ((0.3,), (-0.1,)), {2: 5e-6}, sensor=lambda x, s, p: p.fold + abs(x - p.fold)
     ),
     "backlash: play": Equation(
         ((0.3,),), {2: 1e-2}, begin=lambda x, u, p: (x,), rates=_backlash, sensor=lambda x, s, p: s[0]

@@ -69,7 +69,8 @@ def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_with
     assert damping.difference == pytest.approx(0.18, rel=5e-3)
     assert damping.stderr == pytest.approx(0.01 * damping.simulator)
     assert inertia.simulator == pytest.approx(0.05, rel=5e-3) and inertia.difference == 0.0
-    assert rows["delay time"].robot == pytest.approx(0.02, rel=1e-4) and rows["delay time"].unit == "s"
+    # taken as a line between samples: of its 20 ms half a sample of 5 ms is the command's own hold
+    assert rows["delay time"].robot == pytest.approx(0.0175, rel=1e-3) and rows["delay time"].unit == "s"
     ratios = {p.name: p for p in parameters(simulator, robot, recordings(), None)}
     assert ratios["coulomb_friction level"].robot == pytest.approx(0.035, rel=1e-3)
     assert ratios["damping"].unit == "Kp s" and ratios["damping"].simulator == pytest.approx(0.045, rel=5e-3)
@@ -98,6 +99,7 @@ def test_the_joints_friction_and_delay_are_recovered(tmp_path):
     rows = {p.name: p for p in found.parameters}
     assert "coulomb_friction" in found.effects
     assert rows["coulomb_friction level"].difference == pytest.approx(0.7, rel=0.2)
+    assert rows["delay time"].difference == pytest.approx(0.020, abs=2e-3)
     assert sum(p.offset for p in found.pairs.pairs) / 6 == pytest.approx(0.7, abs=3e-3)
     assert found.budget["simulator"]["share"] < 0.05
     assert len(repr(found).splitlines()) <= 10 and len(found._repr_html_()) < 200_000

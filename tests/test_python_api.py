@@ -147,3 +147,21 @@ def test_a_held_start_stays_where_it_is(known):
 def test_a_bad_voltage_is_told(known, given, word):
     with pytest.raises(pitp.BadInput, match=word):
         pitp.rollout(known, **given)
+
+
+@pytest.mark.slow
+def test_results_show_themselves_in_a_notebook(known, records):
+    """A repr of at most ten lines, HTML below 200 kB, and a table that pandas holds."""
+    found = pitp.identify(records, order=2)
+    target = pitp.Target(TIME, 1e-4 * (1 - np.cos(2 * np.pi * TIME)))
+    session = pitp.plan(max_voltage=6000.0, band=(0.5, 10.0))
+    for shown, count in (
+        (records[0], TIME.size), (found, 1), (pitp.check(records), 1), (pitp.predict(known, records)[0], TIME.size),
+        (target, TIME.size), (session, len(session.recordings)), (pitp.feedforward(known, target), None),
+    ):  # fmt: skip
+        assert len(repr(shown).splitlines()) <= 10, type(shown)
+        assert 0 < len(shown._repr_html_()) < 200_000
+        table = shown.frame()
+        assert len(table) == count if count else len(table) > 0
+    assert list(target.frame().columns) == ["time", "displacement"]
+    assert "<pre>Model: identified" in known._repr_html_()

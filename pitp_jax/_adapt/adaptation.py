@@ -21,6 +21,7 @@ from .._model_file.lineage import descended
 from .._record.initial_state import in_motion, noise_std
 from .._record.record import Record
 from .._record.sets import check_set
+from .._report.shown import Shown
 from .._simulate.prediction import at_rate, begin
 from .evidence import combined, covariance, directions, prior_of, select
 from .factors import TILTS, TIMES, Factors, adapted, factors_of
@@ -49,8 +50,8 @@ class Changed:
     seconds_ci95: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True)
-class Adaptation:
+@dataclass(frozen=True, repr=False)
+class Adaptation(Shown):
     """What a recording says of a model.
 
     Attributes:
@@ -71,6 +72,9 @@ class Adaptation:
     heldout: bool
     level: float
     advice: str = ""
+
+    def _rows(self) -> list[dict]:
+        return [{"name": name, **vars(c)} for name, c in self.changed.items()]
 
     def as_json(self) -> dict:
         """As `pitp adapt --json` has it."""

@@ -3,8 +3,10 @@
     a_2 q'' + a_1 q' + a_0 q + Fc sgn(q') = c(t - T)                        c: position command, same unit as q
     J = Kp a_2,  D = Kp a_1,  frictionloss = Kp Fc,  gain = 1 / a_0           Kp: of the simulator's position controller
 
-From position commands alone only these ratios to Kp are known; with a torque or force as input the a_i are J, D, K
-themselves. D holds the controller's own damping, J the link's inertia: it is the difference that is to be added.
+A command is held from its time stamp to the next: where the model takes it as a line between samples, half a sample
+of each log is taken off its delay. From position commands alone only these ratios to Kp are known; with a torque or
+force as input the a_i are J, D, K themselves. D holds the controller's own damping, J the link's inertia: it is the
+difference that is to be added.
 
 Names: MuJoCo XML reference (joint, actuator); PhysxJointAxisAPI; Isaac Lab's actuator configurations; URDF <joint>.
 """
@@ -51,6 +53,10 @@ _NAMES = {
     ("coulomb_friction", "level"): Names(
         "dry friction", "joint frictionloss", "dynamicFrictionEffort", "dynamics friction"
     ),
+    ("coulomb_friction", "rise"): Names(
+        "static over dry friction, less 1", "-", "staticFrictionEffort: dry friction (1 + it)"
+    ),
+    ("coulomb_friction", "speed"): Names("speed over which static friction falls"),
     ("delay", "time"): Names("delay of the command", "shift ctrl by it", "DelayedPDActuatorCfg max_delay (steps)"),
     ("backlash", "width"): Names(
         "backlash, whole width", "extra hinge, range +- half", "extra joint, limits +- half", "extra joint, limits"
@@ -132,7 +138,8 @@ def parameters(
         position_gain: Kp of the simulator, or None.
     """
     of = units(records[0], nominal.order, position_gain)
-    return (*_coefficients(nominal, robot, of), *_effects(nominal, robot, of))
+    held = (0.0, 0.0) if nominal.hold == "zoh" else (0.5 * nominal.provenance.dt, 0.5 * records[0].dt)
+    return (*_coefficients(nominal, robot, of), *_effects(nominal, robot, of, held))
 
 
 def _coefficients(nominal: Model, robot: Answer, of: Units) -> list[Parameter]:
@@ -163,7 +170,7 @@ def _factor_errors(robot: Answer, count: int) -> list[float | None]:
     return [None if r is None or r["stderr"] is None else float(r["stderr"]) for r in rows]
 
 
-def _effects(nominal: Model, robot: Answer, of: Units) -> list[Parameter]:
+def _effects(nominal: Model, robot: Answer, of: Units, held: tuple[float, float]) -> list[Parameter]:
     sides = [_numbers(m) for m in (nominal, robot.model)]
     fitted = {a.effect: a.parameters for a in robot.added}
     rows = []
@@ -171,6 +178,8 @@ def _effects(nominal: Model, robot: Answer, of: Units) -> list[Parameter]:
         sim, real = (side.get(key, (0.0, ""))[0] for side in sides)
         unit = (sides[1].get(key) or sides[0][key])[1]
         stderr = (fitted.get(key[0], {}).get(key[1]) or {}).get("stderr")
+        if key == ("delay", "time"):
+            sim, real = max(sim - held[0], 0.0), max(real - held[1], 0.0)
         if key[1] == "inverse":  # stored so that 0 is "no limit"; told as the limit
             stderr = None if stderr is None or not real else stderr / real**2
             sim, real = (1 / v if v else float("inf") for v in (sim, real))

@@ -18,6 +18,7 @@ from .._record.initial_state import Beginning
 from .._record.plausible import monitor_warning
 from .._record.record import Record
 from .._record.sets import RATE_TOLERANCE, check_records
+from .._report.shown import Shown
 from .._table.units import base_unit, from_base
 from .coverage import Coverage, coverage
 from .one_record import Facts, coloured_noise, facts, masked, moves
@@ -72,7 +73,7 @@ class CheckedRecord:
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Shown):
     """What `check` found.
 
     Attributes:
@@ -101,6 +102,9 @@ class Check:
     def as_json(self) -> dict:
         """The dict of docs/contract.md."""
         return {"records": {name: row.as_json() for name, row in self.records.items()}, "advice": list(self.advice)}
+
+    def _rows(self) -> list[dict]:
+        return [{"record": name, **row.as_json()} for name, row in self.records.items()]
 
     def __repr__(self) -> str:
         few = ", ".join(list(self.problems)[:3]) + (", ..." if len(self.problems) > 3 else "")

@@ -16,9 +16,9 @@ _DRAWN = 12  # pairs of recordings, the most different first
 
 def page(found: Comparison) -> str:
     """A self-contained HTML page."""
-    return html.page(
-        found.headline(), [*_first(found), tag("h2", "Every quantity"), _table(found, found.rows), *_drawn(found)]
-    )
+    others = tuple(r for r in found.rows if not r.differs)
+    rest = [tag("h2", "What does not, or cannot be said"), _table(found, others)] if others else []
+    return html.page(found.headline(), [*_first(found), *rest, *_drawn(found)])
 
 
 def first_screen(found: Comparison) -> str:

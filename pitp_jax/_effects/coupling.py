@@ -29,7 +29,7 @@ def _no_field(force, possible, inside):
 
 
 def _unsaturated(p, force, x):
-    remains = 1 - p.inverse * jnp.abs(force)
+    remains = 1 - p.inverse * jnp.abs(force)  # of the limit F_s, as a part of it
     return _no_field(force, remains > 0, force / jnp.where(remains > 0, remains, 1.0))
 
 

@@ -21,6 +21,7 @@ def dry(now: Instant, level):
         # rest: the force that would bring x' to zero by the end of the step
         rest = now.tokens[2] * (now.state[1] / (now.h * now.rates[1]) + now.highest)
         return jnp.clip(rest, -level, level)
+    # at other orders x' is not the force's to stop within a step
     return level * jnp.tanh(100.0 * now.v)
 
 
@@ -40,6 +41,7 @@ def _smooth(p, now: Instant):
 
 
 def _stribeck(p, now: Instant):
+    # at the speed the step begins with: half a step on, the friction itself would decide on its level
     speed = now.state[1] / p.speed if now.order > 1 else 0.0
     return dry(now, p.level * (1 + p.rise * jnp.exp(-(speed**2))))
 

@@ -39,8 +39,9 @@ def _rounded(p, v, dt):
 
 def _slews(s: Surroundings) -> list:
     """(start, low, high): below the fastest slew of the drive (steps aside), down to a slow amplifier."""
+    # a step's slew is that of the sampling and says nothing: two radians of the resonance at full voltage are fast
     fast = min(s.slew, 2 * s.omega * s.voltage)
-    return [(1 / (share * fast), 0.5 / s.slew, 200 / fast) for share in (0.6, 0.25, 0.1)]
+    return [(1 / (part * fast), 0.5 / s.slew, 200 / fast) for part in (0.6, 0.25, 0.1)]
 
 
 def _slew_starts(s: Surroundings, *lag):

@@ -196,6 +196,7 @@ class Effect:
             return self.spec.inverse(self.p, values, dt)
         if not self.states:
             return solve(lambda w: self.apply(w, jnp.zeros((0,))), values)
+        # a film that rests is uncharged; a sensor has been reading its first value
         begun = self.start(jnp.zeros_like(values[0]) if self.port == "IN" else values[0])
         first = solve(lambda w: self.apply(w, begun), values[0])
 
@@ -213,6 +214,8 @@ class Effect:
 
         # from the sample before: with memory a law is nearly linear over one
         w = solve(lambda w: self.apply(w, advanced(w)), wanted, before, _STEPS // 2)
+        if self.spec.solvable:
+            w = jnp.where(self.spec.solvable(self.p), w, wanted)
         return advanced(w), w
 
     def passes(self, values: Float[Array, " time"], dt: float) -> Array:
@@ -221,6 +224,7 @@ class Effect:
             return self.spec.passes(self.p, values, dt)
         if self.states:
             return jnp.ones(values.shape, bool)
+        # beyond a limit no input gives the value back, whatever the inverse says there
         w = self.undo(values, dt)
         return jnp.abs(self.apply(w, jnp.zeros((0,))) - values) <= _ROUNDING * (jnp.abs(values) + jnp.abs(w))
 
@@ -232,6 +236,7 @@ def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: 
     """
     w = wanted if begin is None else begin
     for _ in range(steps):
+        # one pass gives the value and its slope, exactly, for any law that JAX can trace
         value, rise = jax.jvp(function, (w,), (jnp.ones_like(w),))
         tried = w + (wanted - value) / jnp.where(jnp.abs(rise) < _FLATTEST, _FLATTEST, rise)
         w = jnp.where(jnp.abs(function(tried) - wanted) < jnp.abs(value - wanted), tried, w)

@@ -21,7 +21,7 @@ def _massive(start):
 
 def mode_starts(s: Surroundings, strength: float, most: float = 20.0, ratios=(0.6, 1.6, 2.5, 4.5)):
     """Resonances below and above the nominal's, within reach of the sampling; `most`: bound of the strength."""
-    high = min(20 * s.omega, 1.5 / s.dt)
+    high = min(20 * s.omega, 1.5 / s.dt)  # half a turn a sample and more cannot be told from less
     values = [(strength, min(m * s.omega, 0.9 * high), 0.04) for m in ratios]
     return starts(1.0, values, (1e-4, 0.2 * s.omega, 1e-3), (most, high, 0.4))  # with more damping it is a lag
 
@@ -71,6 +71,7 @@ def _free_fall(sign: float):
     def law(p, now: Instant):
         if now.order != 2:
             return 0.0 * now.x
+        # what keeps x'' at the limit, once it would be beyond: x'' is linear in the force with the slope 1 / sigma_2
         missing = jnp.maximum(-1 / jnp.maximum(p.inverse, 1e-30) - sign * now.highest, 0.0)
         return -sign * now.tokens[2] * missing
 

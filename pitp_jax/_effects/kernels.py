@@ -4,7 +4,7 @@
     oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
     play         z stays within w - r <= z <= w + r                                        (exact for w monotonic)
     dahl         dz = dw - |dw| z / r                                                      (exact for w monotonic)
-    wen          dz = dw (1 - |z / r|^n) on loading, dz = dw on unloading                  (midpoint rule)
+    bouc_wen     dz = dw (1 - c |z / r|^n), c one number on loading and one on unloading   (midpoint rule)
     farthest     z = max |w| so far,                clock   z' = 1                         (exact)
     slew         |z'| <= s towards u, or towards a lag of u                                (exact for one step's goal)
     delay        a shift of the whole record: no state of a step
@@ -60,12 +60,12 @@ def lags(*ratios: float, in_a_row: bool = False, of: Callable = lambda p, w: w) 
         before, after = of(p, before), of(p, after)
         if not in_a_row:
             return lag_after(z, before, after, jnp.stack(taus(p)), h)
-        found = []
+        chain = []
         for state, tau in zip(z, taus(p), strict=True):
-            found.append(lag_after(state, before, after, tau, h))
+            chain.append(lag_after(state, before, after, tau, h))
             # the first is exact; the next takes its output as linear over the step
-            before, after = state, found[-1]
-        return jnp.stack(found)
+            before, after = state, chain[-1]
+        return jnp.stack(chain)
 
     def ahead(p, z, now):
         return z + (now.x - z) * -jnp.expm1(-now.h / 2 / jnp.stack(taus(p)))
@@ -125,24 +125,32 @@ def dahl(width: str = "width") -> Kernel:
 
     def advance(p, z, before, after, h):
         r = getattr(p, width)
+        # towards the yield on the side of the motion, by the exponential of the way
         end = jnp.sign(after - before) * r
         return end + (z - end) * jnp.exp(-jnp.abs(after - before) / r)
 
     return _travelled(advance)
 
 
-def _wen(p, z, before, after, h):
-    way = after - before
+def bouc_wen(loading: Callable, unloading: Callable, power: Callable) -> Kernel:
+    """A state whose growth is resisted by c |z / width|^n, c = loading(p) or unloading(p), n = power(p)."""
 
-    def slope_at(z):
-        # the small number keeps the power's slope finite at z = 0 for exponents below one
-        return 1 - (z * way > 0) * (jnp.abs(z) / p.width + 1e-9) ** p.sharpness
+    def advance(p, z, before, after, h):
+        way = after - before
 
-    middle = z + way / 2 * slope_at(z)
-    return jnp.clip(z + way * slope_at(middle), -p.width, p.width)
+        def slope_at(z):
+            # the small number keeps the power's slope finite at z = 0 for exponents below one
+            resists = jnp.where(z * way > 0, loading(p), unloading(p))
+            return 1 - resists * (jnp.abs(z) / p.width + 1e-9) ** power(p)
+
+        middle = z + way / 2 * slope_at(z)
+        # where nothing resists the loading z grows without end; ten widths are more than any recording shows
+        most = p.width * jnp.clip(loading(p), 0.1, None) ** (-1 / power(p))
+        return jnp.clip(z + way * slope_at(middle), -most, most)
+
+    return _travelled(advance)
 
 
-WEN = _travelled(_wen)
 FARTHEST = Kernel(
     1,
     lambda p, w, age: jnp.reshape(jnp.abs(w), (1,)),
@@ -161,7 +169,7 @@ def slew(goal: Callable = lambda p, z, before, after, h: after) -> Kernel:
     """Towards a goal, no faster than 1 / inverse."""
 
     def advance(p, z, before, after, h):
-        most = h / jnp.maximum(p.inverse, 1e-30)
+        most = h / jnp.maximum(p.inverse, 1e-30)  # inverse 0: no limit
         return z + jnp.clip(goal(p, z, before, after, h) - z, -most, most)
 
     return Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), advance)
@@ -169,6 +177,7 @@ def slew(goal: Callable = lambda p, z, before, after, h: after) -> Kernel:
 
 def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " time"]:
     """A series a number of samples earlier, linear between them; `before` stands ahead of the first one."""
+    # by index and weight, not by interp: a delay is fitted, and its slope must be that of the line between samples
     at = jnp.arange(values.shape[0]) - samples
     index = jnp.floor(at)
     weight = (at - index).astype(values.dtype)

@@ -5,6 +5,7 @@ creep, relaxation   f = k kappa mean_i (x - z_i),  or, beside a nominal that is 
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)
                     f = k kappa z  or  k kappa (z - x),  dz = dx (1 - sgn(dx) z / r)       (Dahl; Bouc and Wen)
                     f = k kappa z,  dz = dx (1 - |z / r|^n) on loading, dx on unloading    (Wen, beta = gamma)
+                    f = k kappa z,  dz = dx (1 - (sgn(dx z) + gamma) |z| / r)              (Bouc and Wen, either sign)
 stiffness_drift     f = -k d (1 - exp(-t / T)) x  or  -k rate t x,  t the session's clock
 
 A loop of hysteresis has the same area however fast it is run through.
@@ -14,7 +15,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from .kernels import CLOCK, WEN, dahl, lags, play
+from .kernels import CLOCK, bouc_wen, dahl, lags, play
 from .spec import EffectSpec, Parameter, Start, Surroundings, starts
 
 BORDER = 15.0  # tau omega_0 between relaxation and creep
@@ -28,6 +29,7 @@ def _branch_starts(slow: bool, most: float) -> Callable[[Surroundings], list[Sta
 
     def start(s: Surroundings):
         border = BORDER / s.omega
+        # two starts: the error is flat in tau a decade off
         if slow:
             high = max(2 * s.duration, 2 * border)
             taus = 2.5 * border, min(12 * border, 0.7 * high)
@@ -47,9 +49,9 @@ def _branches(name: str, form: str, title: str, *ratios: float, fresh: bool = Fa
     )  # fmt: skip
 
 
-def _loop_starts(*shares: float, low: float, high: float, strength: float, most: float = 20.0):
+def _loop_starts(*widths: float, low: float, high: float, strength: float, most: float = 20.0):
     """Narrow and wide beside the largest displacement."""
-    return lambda s: starts((1, s.reach), [(strength, share) for share in shares], (1e-4, low), (most, high))
+    return lambda s: starts((1, s.reach), [(strength, width) for width in widths], (1e-4, low), (most, high))
 
 
 BRANCHES = (
@@ -83,9 +85,19 @@ LOOPS = (
         "hysteresis", "Wen", (*_WIDTH, Parameter("sharpness")),
         "A spring that yields as smoothly or sharply as n says.",
         "f = k kappa z, dz = dx (1 - |z / width|^n) on loading, dx on unloading, n = sharpness", "dissipation", "K",
-        kernel=WEN,
+        kernel=bouc_wen(lambda p: 1.0, lambda p: 0.0, lambda p: p.sharpness),
         start=lambda s: starts(
             (1, s.reach, 1), [(0.3, 0.1, 1.5), (0.3, 0.4, 1.5)], (1e-4, 0.04, 0.4), (20, 3, 8)
+        ),
+        law=lambda p, now: now.k * p.kappa * now.z[0],
+    ),
+    EffectSpec(
+        "hysteresis", "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False)),
+        "A loop that gets softer, or with gamma below -1 harder, the further it is run through.",
+        "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K",
+        kernel=bouc_wen(lambda p: p.gamma + 1, lambda p: p.gamma - 1, lambda p: 1.0),
+        start=lambda s: starts(
+            (1, s.reach, 1), [(0.3, 0.3, 0.5), (0.3, 0.6, -0.5), (0.1, 1.0, -1.5)], (1e-4, 0.15, -2.5), (20, 3, 3)
         ),
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
@@ -103,7 +115,7 @@ DRIFT = (
         "The stiffness changes as the session goes on, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
         kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
         start=_within_session(lambda s: starts(
-            1.0, [(0.1, max(share * s.session, 1.2 * s.duration)) for share in (0.1, 0.5)],
+            1.0, [(0.1, max(part * s.session, 1.2 * s.duration)) for part in (0.1, 0.5)],
             (-2.0, s.duration), (0.9, 5 * s.session),
         )),
     ),

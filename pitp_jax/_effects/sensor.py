@@ -27,6 +27,7 @@ def _second_order(p, y, dt):
 
 def _across(p, y, dt):
     """X = y + w/2 sgn(y'): across the play at every reversal, no faster than a smooth motion can."""
+    # the sign of y' rounded by tanh: a jump of the whole play within a sample no motion could follow
     least = jnp.maximum(p.width, 1e-12) / (_TURN * dt)
     return y + p.width / 2 * jnp.tanh(slope(y, dt) / least)
 
@@ -53,6 +54,13 @@ SENSOR = (
         "The sensor's scale bends differently on either side.",
         "y = x + c2 x^2 + c3 x^3", "sensor", "OUT", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
         start=lambda s: starts((1 / s.reach, 1 / s.reach**2), [(0.1, 0.0)], (-0.3, -0.1), (2, 2)),
+    ),
+    # no inverse: of two displacements that read alike the one that is not folded is taken
+    EffectSpec(
+        "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6, linear=False),),
+        "The sensor does not tell the direction: beyond a place it reads back again.",
+        "y = fold + |x - fold|", "sensor", "OUT", start=lambda s: starts(s.reach, [0.3, -0.1], -1, 1),
+        law=lambda p, x, z: x + 2 * jnp.maximum(p.fold - x, 0.0), inverse=lambda p, y, dt: y,
     ),
     EffectSpec(
         "backlash", "play", (Parameter("width", "x", length=1, off=0.0, linear=False),),
@@ -84,7 +92,7 @@ SENSOR = (
         "second_mode", "between film and sensor", (Parameter("gain", off=0.0), *MODE),
         "A mass on a spring stands between the film and the sensor.", "y = x + gain (z - x), z as of the attached mass",
         "inertia", "OUT", kernel=oscillator(), start=lambda s: mode_starts(s, 0.3),
-        law=lambda p, x, z: x + p.gain * (z[0] - x),
-        inverse=lambda p, y, dt: y,  # not known: left to the shooting on the rollout
+        # from gain 1 on what is read has a zero in the right half plane, and is left to the shooting on the rollout
+        law=lambda p, x, z: x + p.gain * (z[0] - x), solvable=lambda p: p.gain < 0.95,
     ),
 )  # fmt: skip

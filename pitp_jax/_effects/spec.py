@@ -131,6 +131,7 @@ class EffectSpec:
         inverse: in closed form; without one, a guarded Newton solves the law.
             IN, OUT: fn(p, series, dt) for a smooth series that begins at rest.
             SQ: fn(p, force, x), infinite where no field makes it.
+        solvable: fn(p), false where solving a law with a memory would grow without end: what leaves is then handed on.
         passes: fn(p, series, dt), true where some drive gives this film voltage (IN).
         only: there is no other way to write it down, so where it is the cause, it leaves noise.
         driven: its force depends on that of the film, for which an inverse then solves.
@@ -150,6 +151,7 @@ class EffectSpec:
     kernel: Kernel = field(default=NOTHING, compare=False)
     mass: Callable[..., Any] | None = field(default=None, compare=False)
     inverse: Callable[..., Any] | None = field(default=None, compare=False)
+    solvable: Callable[..., Any] | None = field(default=None, compare=False)
     passes: Callable[..., Any] | None = field(default=None, compare=False)
     only: bool = field(default=False, compare=False)
     driven: bool = field(default=False, compare=False)
@@ -179,6 +181,7 @@ class EffectSpec:
         numbers = [v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values]
         if not self.arrays:
             return Effect(self, tuple(numbers))
+        # a found term stores its coefficients as one array, so that a sum of many functions has few leaves
         ends = np.cumsum([0, *(size for _, size in self.arrays)])
         flat = jnp.stack(numbers)
         return Effect(self, tuple(flat[a:b] for a, b in zip(ends, ends[1:], strict=False)))

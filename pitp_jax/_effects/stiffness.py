@@ -1,7 +1,8 @@
 """Springs that are not linear (port K), k = sigma_0 of the nominal; forces f beside k x.
 
 stiffening  k c x^3,   k c x |x / x_r|^p,   k x (1/(1 - (x/L)^2) - 1)
-softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x)
+softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
+            k (L (sqrt(1 + 2|x|/L) - 1) sgn(x) - x)
 mullins     -k d (1 - exp(-m/L)) x,   m = max |x| so far
 end_stop    k kappa max(x - x_s, 0),   k kappa max(x - x_s, 0)^(3/2) max(1 + lambda x', 0)   (Hunt and Crossley)
 
@@ -53,6 +54,11 @@ def _saturating(p, now):
 def _exponential(p, now):
     r = jnp.clip(p.b * now.x, -3.0, 6.0)
     return now.k * now.x * _ratio(r, lambda r: -jnp.expm1(-r), -r / 2 + r**2 / 6)
+
+
+def _root(p, now):
+    r = p.curvature * jnp.abs(now.x)
+    return now.k * now.x * _ratio(r, lambda r: jnp.sqrt(1 + 2 * r) - 1, -r / 2 + r**2 / 2)
 
 
 def _hertz(depth):
@@ -128,6 +134,11 @@ SPRINGS = (
         law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
     ),
     EffectSpec(
+        "softening", "root", _CURVATURE, "The spring's force grows as the root of a large displacement.",
+        "f = k (L (sqrt(1 + 2 |x| / L) - 1) sgn(x) - x), curvature = 1 / L", "stiffness", "K",
+        start=lambda s: starts(1 / s.reach, [0.6, 4.0], 0.02, 50), law=_root,
+    ),
+    EffectSpec(
         "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),
         "What was stretched further before is softer since.",
         "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST,
@@ -149,6 +160,13 @@ SPRINGS = (
         "f = k kappa (max(x - place, 0) - max(-x - place, 0))", "stiffness", "K",
         start=lambda s: _stop_starts(min(s.top, -s.bottom), s)[:2],
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.place, p.place)),
+    ),
+    EffectSpec(
+        "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1)),
+        "On each side, at a place of its own, the motion runs into something stiff.",
+        "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))", "stiffness", "K",
+        start=lambda s: _stop_starts(min(s.top, -s.bottom), s, 0.8 * -s.bottom, 0.1 * -s.bottom, -s.bottom),
+        law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),
     ),
 )  # fmt: skip
 

@@ -144,7 +144,7 @@ def _undone(model: Model, films, levels, begun, dt: float):
 
     `levels`: per effect its states and the last three values of what entered it.
     """
-    window, passes, found = _parabola(films), jnp.ones((), bool), []
+    window, passes, carried = _parabola(films), jnp.ones((), bool), []
     for effect, (states, entered) in zip(reversed(ports.drives(model)), reversed(levels), strict=True):
         passes = passes & effect.passes(window, dt)[_BESIDE]
         if effect.spec.inverse or not effect.states:
@@ -155,8 +155,8 @@ def _undone(model: Model, films, levels, begun, dt: float):
             states, w = jnp.where(begun, after, states), jnp.where(begun, w, entered[-1])
             entered = jnp.append(entered[1:], w)
             window = _parabola(entered)
-        found.append((states, entered))
-    return model.drive.lead(window, dt)[_BESIDE], found[::-1], passes
+        carried.append((states, entered))
+    return model.drive.lead(window, dt)[_BESIDE], carried[::-1], passes
 
 
 def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Float[Array, " tokens"]:
@@ -172,11 +172,11 @@ def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Fl
         y = sum(window[:, i] * s**i / factorial[i] for i in range(model.order + 1))
         return ports.moves(model, y / scales[0], dt)[_BESIDE] * scales[0]
 
-    found, derivative = [], at
+    moves, derivative = [], at
     for _ in range(model.order + 1):
-        found.append(derivative(jnp.zeros(())))
+        moves.append(derivative(jnp.zeros(())))
         derivative = _slope(derivative)
-    return jnp.stack(found) / scales
+    return jnp.stack(moves) / scales
 
 
 def _slope(function):

@@ -25,6 +25,7 @@ from .._record.initial_state import Beginning, aligned, noise_std
 from .._record.long_record import thinned
 from .._record.record import Record
 from .._record.sets import check_set
+from .._report.shown import Shown
 from .beginnings import find_beginnings
 from .candidates import Candidate, choose, search
 from .frequency_fit import ORDERS
@@ -42,7 +43,7 @@ _FREED = 0.99  # of the held-out score that a fitted zero has to leave at most, 
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Shown):
     """The model of the chosen order, every order compared, and how every record begins.
 
     Attributes:
@@ -61,6 +62,9 @@ class Identification:
     response: FrequencyResponse
     out_of_fold: OutOfFold
     remarks: tuple[str, ...] = ()
+
+    def _rows(self) -> list[dict]:
+        return [vars(fit) for fit in self.orders]
 
     def __repr__(self) -> str:
         """Two lines: the order taken and what it leaves; how the records begin."""

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._model.model import Hold
+from .._report.shown import Shown
 from .candidates import Candidate
 from .linear_ode import polynomial, polynomial_slopes
 from .output_error import FASTEST, Problem, Structure, inverse, own_columns, poles_of, solve, steps
@@ -25,8 +26,8 @@ _INTEGRATES = 0.1  # rad in the longest record
 _KNOWN = 3.0  # largest standard error of a logarithm: poles that no data see are open by hundreds
 
 
-@dataclass(frozen=True)
-class OrderFit:
+@dataclass(frozen=True, repr=False)
+class OrderFit(Shown):
     """One identified order under its best hold, with or without a delay.
 
     Attributes:

@@ -12,6 +12,7 @@ import numpy as np
 
 from .._model.model import Model
 from .._record.reading import Target
+from .._report.shown import Shown
 from .._simulate.prediction import at_rate, outside_share
 from .advice import on_reach, on_stroke, on_target
 from .course import Course
@@ -21,8 +22,8 @@ from .target_path import extend
 _SHOTS = 6
 
 
-@dataclass(frozen=True)
-class Feedforward:
+@dataclass(frozen=True, repr=False)
+class Feedforward(Shown):
     """A voltage to play, and how far it can be trusted.
 
     Attributes:

@@ -9,6 +9,7 @@ nominal coefficient times a positive factor, so a zero encoder is exactly the id
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from typing import Literal, NoReturn
 
 import equinox as eqx
@@ -172,6 +173,9 @@ class Model(eqx.Module):
         except Exception:  # under a transformation the coefficients are no numbers
             numbers, hertz = "traced coefficients", ""
         return f"{told}{''.join(f', {p}' for p in parts)}\n  {numbers}{hertz}"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(repr(self))}</pre>"
 
     @property
     def order(self) -> int:

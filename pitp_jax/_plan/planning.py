@@ -15,6 +15,7 @@ from .._model.encoder import ConstantEncoder
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import check_set
+from .._report.shown import Shown
 from .drives import Planned
 from .first_session import default_duration, first_session, in_order, space_filling_set
 from .limits import Limits, default_rate
@@ -23,8 +24,8 @@ from .next_recordings import bearable, following, ranked
 _BAND = (0.05, 1.3)  # of a model's resonance, where no band is given
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Shown):
     """What `plan` found.
 
     Attributes:
@@ -46,6 +47,9 @@ class Plan:
     def seconds(self) -> float:
         """Of drive, rests not counted."""
         return sum(r.seconds for r in self.recordings)
+
+    def _rows(self) -> list[dict]:
+        return self.as_json()["recordings"]
 
     def as_json(self) -> dict:
         """The plan for machines; what is not known is null."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
+from .._report.shown import Shown
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
 from .._table.guard import cleaned
@@ -34,7 +35,7 @@ _QUANTITIES = ("time", "voltage", "displacement")
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class Target(Shown):
     """A wanted trajectory, for the inverse model.
 
     Attributes:

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from .._report.shown import Shown
 from .._table.units import from_base
 from .checks import check_samples
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(Shown):
     """One excitation of one actuator, in base units.
 
     Attributes:

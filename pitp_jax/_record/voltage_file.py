@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
+from .._report.shown import Shown
 from .._table import ReadOptions, load_columns, together
 from .._table.choice import choose_columns
 from .._table.options import OPTIONS
@@ -20,7 +21,7 @@ from .reading import counted, files_of, gridded, names_of, options_of
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class Drive(Shown):
     """A voltage without a measurement.
 
     Attributes:

@@ -8,8 +8,13 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
+
+from .lines import thin
 
 _STYLE = """
 :root{color-scheme:light dark;--ink:#1d2126;--soft:#5b6570;--page:#fff;--card:#f4f6f8;--rule:#dde2e7;--grid:#e6e6e6;
@@ -18,7 +23,7 @@ _STYLE = """
 --grid:#33393f;--seen:#8b8f94;--model:#56b4e9;--good:#4cc79b;--open:#f0b04c}}
 *{box-sizing:border-box}
 body{margin:0 auto;padding:1.1rem 1rem 3rem;max-width:72rem;background:var(--page);color:var(--ink);
-font:16px/1.45 system-ui,-apple-system,"Segoe UI",Roboto,sans-serif}
+overflow-wrap:break-word;font:16px/1.45 system-ui,-apple-system,"Segoe UI",Roboto,sans-serif}
 h1{font-size:1.75rem;line-height:1.2;margin:.1rem 0 .3rem}
 h2{font-size:1.2rem;margin:2.2rem 0 .5rem}
 h3{font-size:.8rem;text-transform:uppercase;letter-spacing:.07em;color:var(--soft);margin:0 0 .3rem}
@@ -31,16 +36,25 @@ p{margin:.35rem 0;max-width:46rem}
 .big{font-size:1.45rem;font-weight:650;line-height:1.2;margin:.1rem 0 .35rem}
 ul{margin:.2rem 0;padding-left:1.1rem}
 .figures{columns:24rem 2;column-gap:2rem}
-figure{margin:0 0 1.2rem;break-inside:avoid}figure svg{width:100%;height:auto;fill:var(--ink)}
-figcaption{font-size:.88rem}
-.scroll{overflow-x:auto}
-table{border-collapse:collapse;font-size:.88rem;font-variant-numeric:tabular-nums;width:100%}
-th,td{text-align:right;padding:.28rem .6rem;border-bottom:1px solid var(--rule);white-space:nowrap}
+figure{margin:0 0 1.2rem;break-inside:avoid}figure svg{width:100%;max-width:27rem;height:auto;fill:var(--ink)}
+figcaption{font-size:.88rem;overflow-wrap:anywhere}
+table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums;width:100%}
+th,td{text-align:right;vertical-align:top;padding:.28rem .45rem;border-bottom:1px solid var(--rule)}
+th:first-child,td:first-child,.long{overflow-wrap:anywhere}
 th{color:var(--soft);font-weight:600}
-th:first-child,td:first-child,.left{text-align:left}
-.long{text-align:left;white-space:normal;min-width:16rem}
+th:first-child,td:first-child,.left,.long{text-align:left}
+.long{min-width:8rem}
+@media(max-width:50rem){table,tbody,tr,td{display:block}
+thead{display:block}thead tr{border:0}th{display:inline-block;border:0;padding:.1rem .6rem .1rem 0}
+tr{padding:.5rem 0;border-bottom:1px solid var(--rule)}.long{min-width:0}
+td,td.long,td.left{display:flex;justify-content:space-between;gap:1rem;text-align:right;border:0;padding:.08rem 0}
+td::before{content:attr(data-label);color:var(--soft);text-align:left;flex:none;max-width:45%}
+td:first-child{font-weight:650}}
+@media print{:root{color-scheme:light;--ink:#000;--soft:#444;--page:#fff;--card:#f4f6f8;--rule:#bbb}
+body{max-width:none;padding:0;font-size:10pt}h2{break-after:avoid}tr,figure,.card{break-inside:avoid}}
 tr.named td{font-weight:650}tr.pale td{color:var(--soft)}
 """
+_INCHES, _POINT, _SAMPLES = 3.55, 8.5, 1200
 NARROW = "\N{NARROW NO-BREAK SPACE}"
 _COLORS = {"#000000": "--ink", "#e6e6e6": "--grid", "#a6a6a6": "--seen", "#0072b2": "--model"}
 
@@ -58,7 +72,11 @@ def page(title: str, parts: Iterable[str]) -> str:
 
 def tag(name: str, text: str, css: str = "") -> str:
     """An element around escaped text; no line breaks between a number and its %."""
-    return f"<{name}{_class(css)}>{escape(text).replace(' %', NARROW + '%')}</{name}>"
+    return f"<{name}{_class(css)}>{_text(text)}</{name}>"
+
+
+def _text(text: str) -> str:
+    return escape(text).replace(" %", NARROW + "%")
 
 
 def _class(css: str) -> str:
@@ -76,15 +94,23 @@ def bullets(lines: Sequence[str]) -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
-    """A table that scrolls sideways on a narrow screen; rows are (class, cells), `css` the classes of columns."""
+    """A table that is never wider than the page; on a narrow one every row becomes a list of named values.
 
-    def cells(name: str, texts: Sequence[str]) -> str:
-        return "".join(tag(name, text, css.get(k, "")) for k, text in enumerate(texts))
+    Args:
+        header: names of the columns.
+        rows: (class, cells).
+        css: class of a column by its number: "left" or "long" for text.
+    """
 
-    body = "".join(f"<tr{_class(kind)}>{cells('td', row)}</tr>" for kind, row in rows)
-    return (
-        f'<div class="scroll"><table><thead><tr>{cells("th", header)}</tr></thead><tbody>{body}</tbody></table></div>'
-    )
+    def cells(row: Sequence[str]) -> str:
+        return "".join(
+            f'<td{_class(css.get(k, ""))} data-label="{escape(header[k])}">{_text(text or "–")}</td>'
+            for k, text in enumerate(row)
+        )
+
+    head = "".join(tag("th", text or "–", css.get(k, "")) for k, text in enumerate(header))
+    body = "".join(f"<tr{_class(kind)}>{cells(row)}</tr>" for kind, row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def telling_table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
@@ -95,15 +121,39 @@ def telling_table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]
 
 
 def picture(name: str, drawn: Figure, caption: str) -> str:
-    """A figure as inline SVG with a caption; its black, greys and blue follow the page's colours."""
-    with rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):  # the same diagnosis is the same page
+    """A figure as inline SVG with a caption; its black, greys and blue follow the page's colours.
+
+    Args:
+        name: unique on the page.
+        drawn: any figure; it is redrawn so narrow that its text can be read on a telephone.
+        caption: one sentence.
+    """
+    _made_small(drawn)
+    with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):  # the same result is the same page
         text = io.StringIO()
         drawn.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     svg = text.getvalue()
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->|\s+xmlns(:\w+)?=\"[^\"]*\"", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
+    svg = re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\d\.\d)\d+", r"\1", d[0]), svg)  # a tenth of a point is enough
     svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
     for color, role in _COLORS.items():
         svg = svg.replace(color, f"var({role})")
     svg = re.sub(r"<svg ", f'<svg role="img" aria-label="{escape(caption)}" ', svg, count=1)
     return f"<figure>{svg}{tag('figcaption', caption)}</figure>"
+
+
+def _made_small(drawn: Figure) -> None:
+    """Text of at least 8.5 points on 3.55 inches (11 px on a screen of 390), lines of at most `_SAMPLES` samples."""
+    wide, high = drawn.get_size_inches()
+    drawn.set_size_inches(_INCHES, high * (_INCHES / wide) ** 0.7)
+    for axis in (a for ax in drawn.axes for a in (ax.xaxis, ax.yaxis) if a.get_scale() == "log"):
+        axis.set_major_formatter(lambda value, _: f"{value:g}")  # a small exponent could not be read
+        axis.set_minor_formatter(lambda value, _: "")
+    for text in drawn.findobj(Text):
+        text.set_fontsize(max(float(text.get_fontsize()), _POINT))
+    for line in drawn.findobj(Line2D):
+        across, upward = line.get_data()
+        if len(across) > _SAMPLES:
+            kept = thin(np.asarray(upward, float), _SAMPLES // 4)
+            line.set_data(np.asarray(across)[kept], np.asarray(upward)[kept])

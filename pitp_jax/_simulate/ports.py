@@ -32,20 +32,20 @@ def sensors(model: "Model") -> list[Effect]:
 
 def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, " own"]]:
     """Every effect's own states."""
-    found, first = [], 0
+    parts, first = [], 0
     for effect in model.effects:
-        found.append(states[first : first + effect.states])
+        parts.append(states[first : first + effect.states])
         first += effect.states
-    return found
+    return parts
 
 
 def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " states"]:
     """All effects' states of an actuator held at X under `voltage` (0 where it rests); age and reach of the session."""
-    found = [jnp.zeros((0,), jnp.result_type(x))]
+    parts = [jnp.zeros((0,), jnp.result_type(x))]
     for effect in model.effects:
         held = effect.start(voltage if effect.port == "IN" else x, age)
-        found.append(effect.resumed(held, reached))
-    return jnp.concatenate([p.astype(found[0].dtype) for p in found])
+        parts.append(effect.resumed(held, reached))
+    return jnp.concatenate([p.astype(parts[0].dtype) for p in parts])
 
 
 def resumed(model: "Model", state: Float[Array, " state"], reached) -> Float[Array, " state"]:
@@ -68,11 +68,11 @@ def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, 
     parts = list(parts)
     for k, effect in enumerate(model.effects):
         if effect.port == "IN" and not effect.delays:
-            states, found = parts[k], [effect.apply(stages[0], parts[k])]
+            states, volts = parts[k], [effect.apply(stages[0], parts[k])]
             for before, after in zip(stages[:-1], stages[1:], strict=True):
                 states = effect.advance(states, before, after, h / 2)
-                found.append(effect.apply(after, states))
-            parts[k], stages = states, tuple(found)
+                volts.append(effect.apply(after, states))
+            parts[k], stages = states, tuple(volts)
     return stages, parts
 
 

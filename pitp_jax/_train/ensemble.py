@@ -21,14 +21,15 @@ from .._model.programs import bare, jit
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._record.sets import check_set
+from .._report.shown import Shown
 from .._simulate import ports
 from .._simulate.decoder import rollout
 from .._simulate.prediction import FAR, at_rate, starts
 from .training import train
 
 
-@dataclass(frozen=True)
-class Ensemble:
+@dataclass(frozen=True, repr=False)
+class Ensemble(Shown):
     """Members that differ in trained numbers only.
 
     Attributes:
@@ -50,8 +51,8 @@ class Ensemble:
             raise ValueError("members differ in their parts, scales or output: train them from one nominal")
 
 
-@dataclass(frozen=True)
-class Band:
+@dataclass(frozen=True, repr=False)
+class Band(Shown):
     """The prediction of an ensemble for one record.
 
     Attributes:

@@ -30,6 +30,7 @@ from .._record.initial_state import aligned, in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
 from .._record.sets import check_set
+from .._report.shown import Shown
 from .._simulate.prediction import begin
 from .creep_balance import OUTLASTS, SlowBalance, slow_balance, widened
 from .dataset import Dataset, build_dataset
@@ -56,8 +57,8 @@ class Progress:
     seconds_left: float
 
 
-@dataclass(frozen=True)
-class Training:
+@dataclass(frozen=True, repr=False)
+class Training(Shown):
     """The trained model, the history of its losses, whether it was cut short, and its summary (`left_out`: lines).
 
     `errors`: of every training record under the nominal and under this model. `problems`: lines that say what failed.
@@ -71,6 +72,9 @@ class Training:
     errors: tuple[RecordError, ...] = ()
     problems: tuple[str, ...] = ()
     fallback: str | None = None
+
+    def _rows(self) -> list[dict]:
+        return [vars(e) for e in self.errors]
 
 
 def train(

@@ -1,0 +1,67 @@
+"""What a result shows of itself: a repr of at most ten lines, a table, and HTML for a notebook."""
+
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .table import data_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LINES, _ROWS, _WIDTH = 10, 25, 100
+
+
+class Shown:
+    """A frozen dataclass that a terminal and a notebook can show; `_rows` is its table.
+
+    `@dataclass(repr=False)` takes the repr from here: one line per field, arrays by their size and range.
+    """
+
+    def _rows(self) -> Any:
+        """Dicts, one a row, or arrays of one length by name; by default the one-dimensional arrays among the fields."""
+        arrays = {f.name: v for f in fields(self) if np.ndim(v := getattr(self, f.name)) == 1 and _is_array(v)}  # pyright: ignore[reportArgumentType]
+        longest = max(map(len, arrays.values()), default=0)
+        return {name: v for name, v in arrays.items() if len(v) == longest}
+
+    def frame(self) -> "pd.DataFrame":
+        """The table as a pandas DataFrame."""
+        return data_frame(self._rows())
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        told = [f"  {f.name}: {_brief(getattr(self, f.name))}" for f in fields(self)]  # pyright: ignore[reportArgumentType]
+        return "\n".join([name, *told[: _LINES - 1]])
+
+    def _repr_html_(self) -> str:
+        """Its repr, and the first rows of its table."""
+        from . import html  # brings matplotlib, which a result must not wait for
+
+        table = self.frame().head(_ROWS)
+        rows = [("", [_cell(v) for v in row]) for row in table.itertuples(index=False)]
+        drawn = html.table([str(c) for c in table.columns], rows, {}) if len(table.columns) and rows else ""
+        return f"<pre>{html.escape(repr(self))}</pre>{drawn}"
+
+
+def _is_array(value) -> bool:
+    return hasattr(value, "dtype")
+
+
+def _cell(value) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)[:_WIDTH]
+
+
+def _brief(value) -> str:
+    """A field in one short line."""
+    if _is_array(value) and np.ndim(value):
+        numbers = np.asarray(value, float)
+        seen = numbers[np.isfinite(numbers)]
+        span = f", {seen.min():.4g} to {seen.max():.4g}" if seen.size else ""
+        return f"{'x'.join(map(str, numbers.shape))} values{span}"
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.4g}"
+    if isinstance(value, (tuple, list, dict)) and len(str(value)) > _WIDTH:
+        return f"{len(value)} entries"
+    text = " ".join(str(value).split())
+    return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 1]}…"
