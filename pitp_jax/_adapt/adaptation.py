@@ -21,7 +21,7 @@ from .._model_file.lineage import descended
 from .._record.initial_state import in_motion, noise_std
 from .._record.record import Record
 from .._record.sets import check_set
-from .._report.shown import Shown
+from .._shown import Shown
 from .._simulate.prediction import at_rate, begin
 from .evidence import combined, covariance, directions, prior_of, select
 from .factors import TILTS, TIMES, Factors, adapted, factors_of

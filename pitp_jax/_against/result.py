@@ -11,7 +11,7 @@ from .._identify import Identification
 from .._model.model import Model
 from .._record.record import Record
 from .._report.numbers import number
-from .._report.table import data_frame
+from .._shown import data_frame
 from .parameters import Parameter, as_rows
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from .._record.initial_state import Beginning
 from .._record.plausible import monitor_warning
 from .._record.record import Record
 from .._record.sets import RATE_TOLERANCE, check_records
-from .._report.shown import Shown
+from .._shown import Shown
 from .._table.units import base_unit, from_base
 from .coverage import Coverage, coverage
 from .one_record import Facts, coloured_noise, facts, masked, moves

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .._report.numbers import number
-from .._report.table import data_frame
+from .._shown import data_frame
 from .pairing import Pairing
 
 if TYPE_CHECKING:

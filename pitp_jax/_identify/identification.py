@@ -24,7 +24,7 @@ from .._record.initial_state import Beginning, aligned
 from .._record.long_record import thinned
 from .._record.record import Record
 from .._record.sets import check_set
-from .._report.shown import Shown
+from .._shown import Shown
 from .beginnings import find_beginnings
 from .final_fit import refine
 from .initial_guess import equation_error_roots, linear_start, peak_roots

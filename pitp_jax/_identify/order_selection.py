@@ -14,7 +14,7 @@ from .._errors import ComputationFailed
 from .._model.model import Hold
 from .._record.initial_state import noise_std
 from .._record.record import Record
-from .._report.shown import Shown
+from .._shown import Shown
 from .linear_ode import polynomial, polynomial_slopes
 from .output_error import OutputError, covariance, residual
 

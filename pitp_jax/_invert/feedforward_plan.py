@@ -15,7 +15,7 @@ import numpy as np
 
 from .._model.model import Model
 from .._record.reading import Target
-from .._report.shown import Shown
+from .._shown import Shown
 from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import rest_state, settled_state
 from .._simulate.prediction import at_rate, outside_share

@@ -15,7 +15,7 @@ from .._model.encoder import ConstantEncoder
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import check_set
-from .._report.shown import Shown
+from .._shown import Shown
 from .drives import Planned
 from .first_session import default_duration, first_session, in_order, space_filling_set
 from .limits import Limits, default_rate

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
-from .._report.shown import Shown
+from .._shown import Shown
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
 from .._table.guard import cleaned

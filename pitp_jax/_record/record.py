@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
-from .._report.shown import Shown
+from .._shown import Shown
 from .._table.units import INPUT_UNITS, from_base
 from .checks import check_samples
 

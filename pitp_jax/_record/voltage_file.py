@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
-from .._report.shown import Shown
+from .._shown import Shown
 from .._table import ReadOptions, load_columns, together
 from .._table.choice import choose_columns
 from .._table.options import OPTIONS

@@ -18,7 +18,7 @@ from .._model.programs import jit, on_device
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
-from .._report.shown import Shown
+from .._shown import Shown
 from . import ports
 from .batched_rollout import free_runs
 from .beginnings import beginnings

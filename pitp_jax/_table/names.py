@@ -128,8 +128,3 @@ def _role(words: frozenset[str]) -> str | None:
         return "input"
     named = [role for role, known in _WORDS.items() if words & known]
     return named[0] if len(named) == 1 else None
-
-
-def kind_of_header(text: str) -> str | None:
-    """The kind of the unit in a header, or None."""
-    return kind_of(read_header(text).unit)

@@ -113,11 +113,6 @@ def units_of(quantity: str) -> tuple[str, ...]:
     return tuple(TIME_UNITS if quantity == "time" else INPUT_UNITS)
 
 
-def is_length(unit: str | None) -> bool:
-    """Whether a unit is one of length."""
-    return kind_of(unit) == "length"
-
-
 def factor(unit: str, quantity: str = "") -> float:
     """Base units per unit: multiply a column by this to get s, V, m, rad, ..."""
     return _FACTORS[unit]

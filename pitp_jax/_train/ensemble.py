@@ -21,7 +21,7 @@ from .._model.programs import bare, jit
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._record.sets import check_set
-from .._report.shown import Shown
+from .._shown import Shown
 from .._simulate import ports
 from .._simulate.decoder import rollout
 from .._simulate.prediction import FAR, at_rate, starts

@@ -30,7 +30,7 @@ from .._record.initial_state import aligned, in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
 from .._record.sets import check_set
-from .._report.shown import Shown
+from .._shown import Shown
 from .._simulate.prediction import begin
 from .creep_balance import OUTLASTS, SlowBalance, slow_balance, widened
 from .dataset import Dataset, build_dataset

@@ -1,16 +1,25 @@
 """What a result shows of itself: a repr of at most ten lines, a table, and HTML for a notebook."""
 
+from collections.abc import Sequence
 from dataclasses import fields
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-from .table import data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _LINES, _ROWS, _WIDTH = 10, 25, 100
+
+
+def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
+    """A DataFrame of arrays by name, or of dicts; nested ones make columns like `zero_value`."""
+    import pandas as pd  # takes half a second to import: only where a table is asked for
+
+    if isinstance(rows, dict):
+        return pd.DataFrame(rows)
+    return pd.json_normalize(list(rows), sep="_")
 
 
 class Shown:
@@ -36,20 +45,13 @@ class Shown:
 
     def _repr_html_(self) -> str:
         """Its repr, and the first rows of its table."""
-        from . import html  # brings matplotlib, which a result must not wait for
-
         table = self.frame().head(_ROWS)
-        rows = [("", [_cell(v) for v in row]) for row in table.itertuples(index=False)]
-        drawn = html.table([str(c) for c in table.columns], rows, {}) if len(table.columns) and rows else ""
-        return f"<pre>{html.escape(repr(self))}</pre>{drawn}"
+        drawn = table.to_html(index=False, border=0, float_format="{:.5g}".format) if table.size else ""
+        return f"<pre>{escape(repr(self))}</pre>{drawn}"
 
 
 def _is_array(value) -> bool:
     return hasattr(value, "dtype")
-
-
-def _cell(value) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else str(value)[:_WIDTH]
 
 
 def _brief(value) -> str:
