@@ -12,7 +12,7 @@ from .._diagnose.report.page import report
 from .._model_file.model_file import save
 from .._record.writing import write_csv, write_text_atomic
 from .console import StatusLine, number, print_table, say
-from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import check_files, check_folder, staged_result, write_json
 from .recordings import read_records, warn
 
 MODEL, PAGE, ROBOT, JSON, FIGURES = "model_augmented", "report.html", "robot.html", "diagnosis.json", "figures"
@@ -46,12 +46,9 @@ def against(records, simulated, position_gain, seconds, out, json_file, reading)
         sets[0], against=sets[1], position_gain=position_gain, seconds=limit, progress=status.update
     )  # fmt: skip
     status.close()
-    with staged_files(json_file) as (json_stage,):
-        if json_file:
-            write_json(json_stage, found.as_json())
-        if out is not None:
-            with staged_folder(out) as stage:
-                _write(found, stage)
+    with staged_result(json_file, found.as_json(), out) as stage:
+        if stage is not None:
+            _write(found, stage)
     _print(found)
     if out is not None:
         say(f"wrote {Path(out) / PAGE}, its figures, {JSON} and {MODEL}")

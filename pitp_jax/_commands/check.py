@@ -11,7 +11,7 @@ from .._record.writing import write_csv, write_text_atomic
 from .._table.options import folder_file
 from .._table.units import base_unit, column_name
 from .console import number, print_table, say
-from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import check_files, check_folder, staged_result
 from .recordings import recognised
 
 PAGE, SOURCE = "check.html", "source.toml"
@@ -44,12 +44,9 @@ def check(records, model, out, json_file, reading) -> None:
     check_files(json_file, inputs=sources)
     if out is not None:
         check_folder(out, [*files.values(), PAGE, SOURCE], inputs=[*sources, *([json_file] if json_file else [])])
-    with staged_files(json_file) as (json_stage,):
-        if json_file:
-            write_json(json_stage, found.as_json())
-        if out is not None:
-            with staged_folder(out) as stage:
-                _write(found, files, stage)
+    with staged_result(json_file, found.as_json(), out) as stage:
+        if stage is not None:
+            _write(found, files, stage)
     _print(found)
     if out is not None:
         print(f"wrote {Path(out) / PAGE} and every record as it was understood")

@@ -12,7 +12,7 @@ from .._model_file.model_file import is_model_file, load
 from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
 from .console import number, print_table
-from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import check_files, check_folder, staged_result
 
 PAGE, DIAGNOSIS = "compare.html", "diagnosis.json"
 
@@ -33,12 +33,9 @@ def compare(a, b, out, json_file, reading) -> None:
     if out is not None:
         check_folder(out, [PAGE], inputs=[a, b])
     found = run_compare(_opened(a, reading), _opened(b, reading), names=_names(a, b))
-    with staged_files(json_file) as (json_stage,):
-        if json_file:
-            write_json(json_stage, found.as_json())
-        if out is not None:
-            with staged_folder(out) as stage:
-                _write(found, stage)
+    with staged_result(json_file, found.as_json(), out) as stage:
+        if stage is not None:
+            _write(found, stage)
     _print(found)
     if out is not None:
         print(f"wrote {Path(out) / PAGE}")

@@ -17,7 +17,7 @@ from .._report.drawn import write_figure
 from .against import against as diagnose_against
 from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
-from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import check_files, check_folder, staged_result, write_json
 from .recordings import is_square, read_records, warn
 
 MODEL, REPORT, JSON = "model_augmented", "report.html", "diagnosis.json"
@@ -67,15 +67,12 @@ def diagnose(
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and found.next_experiment is not None else None
     written = set()
-    with staged_files(json_file) as (json_stage,):
-        if json_file:
-            write_json(json_stage, found.as_json(csv))
-        if out is not None:
-            with staged_folder(out) as stage:
-                written = _write(found, stage)
-                write_json(str(stage / JSON), found.as_json(csv))
-                written.add(JSON)
-                save(stage / MODEL, descended(found.model, "diagnose", read_in, model))
+    with staged_result(json_file, found.as_json(csv), out) as stage:
+        if stage is not None:
+            written = _write(found, stage)
+            write_json(str(stage / JSON), found.as_json(csv))
+            written.add(JSON)
+            save(stage / MODEL, descended(found.model, "diagnose", read_in, model))
     print(found)
     _print_ranking(found)
     if out is not None:

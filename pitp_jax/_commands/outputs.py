@@ -11,7 +11,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +146,25 @@ def staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
         for path in made:  # the deepest first; only what is still empty
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
+
+
+@contextmanager
+def staged_result(json_file: str | None, value: Any, out: str | os.PathLike | None) -> Iterator[Path | None]:
+    """Write a result's JSON, and yield a hidden folder for its other files: all of them appear, or none.
+
+    Args:
+        json_file: where `value` goes for machines, or None.
+        value: dicts, lists and numbers.
+        out: where the other files belong, or None: then there is no folder to write to.
+
+    Raises:
+        BadInput: a file or the folder cannot be written.
+    """
+    with ExitStack() as stages:
+        (json_stage,) = stages.enter_context(staged_files(json_file))
+        if json_file:
+            write_json(json_stage, value)
+        yield None if out is None else stages.enter_context(staged_folder(out))
 
 
 def _missing_parents(target: Path) -> list[Path]:

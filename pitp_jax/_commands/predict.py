@@ -18,7 +18,7 @@ from .._simulate.prediction import predict as run_predict
 from .._table.units import from_base
 from .compatibility import check_suits
 from .console import number, print_table
-from .outputs import REPORT, check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import REPORT, check_files, check_folder, staged_result
 from .recordings import is_square, read_records
 from .reports import print_sensors
 
@@ -49,16 +49,13 @@ def predict(model, records, out, json_file, reading) -> None:
     predictions = run_predict(loaded, read_in)
     scores = {r.name: score(r, p) for r, p in zip(read_in, predictions, strict=True)}
     result = {"records": scores, "median_e_rms_percent": median_e_rms(list(scores.values()))}
-    with staged_files(json_file) as (json_stage,):
-        if json_file:
-            write_json(json_stage, result)
-        if out is not None:
+    with staged_result(json_file, result, out) as stage:
+        if stage is not None:
             from .fit_page import fit_page  # with it comes matplotlib: half a second
 
-            with staged_folder(out) as stage:
-                for record, prediction, file in zip(read_in, predictions, files, strict=True):
-                    _write_record(stage / file, record, prediction)
-                write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
+            for record, prediction, file in zip(read_in, predictions, files, strict=True):
+                _write_record(stage / file, record, prediction)
+            write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
     _print_scores(result, predictions)
     print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
     if all(row["diverged"] for row in scores.values()):

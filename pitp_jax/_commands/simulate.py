@@ -15,7 +15,7 @@ from .._record.writing import write_csv
 from .._simulate.voltage_only import rollout
 from .._table.units import from_base
 from .console import number, print_table, say
-from .outputs import check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import check_files, check_folder, staged_result
 
 
 def simulate(model, voltages, out, json_file, reading) -> None:
@@ -44,13 +44,10 @@ def simulate(model, voltages, out, json_file, reading) -> None:
     runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0])) for d in drives]
     unit = loaded.provenance.displacement_unit
     rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
-    with staged_files(json_file) as (json_stage,):
-        if json_file:
-            write_json(json_stage, {"records": rows})
-        if out is not None:
-            with staged_folder(out) as stage:
-                for drive, x, file in zip(drives, runs, files, strict=True):
-                    _write(stage / file, drive, x, unit)
+    with staged_result(json_file, {"records": rows}, out) as stage:
+        if stage is not None:
+            for drive, x, file in zip(drives, runs, files, strict=True):
+                _write(stage / file, drive, x, unit)
     header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
     print_table(header, [
         (name, str(row["samples"]), row["begins"], number(row["lowest"]), number(row["highest"]),
