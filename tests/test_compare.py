@@ -142,3 +142,10 @@ def test_the_joints_recordings_differ_as_friction_and_delay_make_them(tmp_path):
 def _record(path, factor):
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     return pitp.Record(path.stem, table[:, 0], factor * table[:, 1], factor * table[:, 2])
+
+
+def test_a_range_that_rounding_moved_is_the_same_range(linear, bounded):
+    one, two = (bounded(linear(2), high=high) for high in (6000.0, 6000.0 - 4e-6))
+    by = {row.what: row.differs for row in pitp.compare(one, two).rows}
+    assert not by["input seen"]
+    assert {row.what: row.differs for row in pitp.compare(one, bounded(linear(2), high=5900.0)).rows}["input seen"]

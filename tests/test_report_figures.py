@@ -81,6 +81,7 @@ def test_maps_and_bars_show_the_shares(tied):
 
 def test_numbers_have_sensible_digits():
     assert numbers.with_error(0.00047808, 2.1e-7, "s") == "(4.781 ± 0.002)·10⁻⁴ s"
+    assert numbers.with_error(7.76e-8, 5e-7, "m") == "(1 ± 5)·10⁻⁷ m"
     assert numbers.with_error(7623.0, 10804.0, "V²") == "8000 ± 11000 V²"
     assert numbers.with_error(-1.5, None, "V") == "−1.50 V"
     assert (

@@ -118,8 +118,8 @@ def measured(what: str, a: float | None, b: float | None, unit: str, errors: tup
 
 
 def stated(what: str, a, b) -> Difference:
-    """A row of two facts, which differ where they are not equal."""
-    return Difference(what, _cell(a), _cell(b), differs=a != b)
+    """Make a row of two facts, which differ where they read differently: numbers by the four digits that are shown."""
+    return Difference(what, _cell(a), _cell(b), differs=_cell(a) != _cell(b))
 
 
 def _cell(value) -> str:

@@ -49,7 +49,8 @@ def with_error(value: float, stderr: float | None, unit: str) -> str:
     """`0.4781 ± 0.0002 ms`; without ± where the standard error is not known."""
     if not stderr or not math.isfinite(stderr):
         return f"{figure(value)} {unit}".strip()
-    power = _power(value) if value and not 1e-3 <= abs(value) < 1e6 else 0
+    size = max(abs(value), stderr)  # a value smaller than its error is written in the error's power of ten
+    power = _power(size) if not 1e-3 <= size < 1e6 else 0
     value, stderr = value / 10.0**power, stderr / 10.0**power
     lead = _power(stderr)
     places = -lead + (stderr / 10.0**lead < 2)
