@@ -259,8 +259,9 @@ def _spoken(rows: Rows, first: int) -> dict[str, str]:
     """Units said in comments that are lists of pairs and nothing else: `t in s, u in V`."""
     said = {}
     for cells, commented in zip(rows.cells[:first], rows.commented, strict=False):
-        parts = [p.strip() for p in re.split(r"[,;]|\s{2,}", ",".join(cells)) if p.strip()]
-        pairs = [_PAIR.fullmatch(part) for part in parts]
-        if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
-            said |= {pair[1].lower(): pair[2] for pair in pairs if pair}
+        for between in (",", " "):  # cells were cut at commas or the like, or at blanks
+            parts = [p.strip() for p in re.split(r"[,;]|\s{2,}", between.join(cells)) if p.strip()]
+            pairs = [_PAIR.fullmatch(part) for part in parts]
+            if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
+                said |= {pair[1].lower(): pair[2] for pair in pairs if pair}
     return said

@@ -73,7 +73,7 @@ def test_end_to_end(call, bench, tmp_path, monkeypatch):
     told = json.loads((tmp_path / "i").read_text())
     assert told["self_check_e_rms_percent"] < 5
     header, values = columns_of(out)
-    assert header == ["time_s", "voltage_V", "infeasible", "saturated"]
+    assert header == ["time_s", "voltage_V", "target_mm", "infeasible", "saturated"]
     assert len(values) == told["samples"]
     assert values[:, 1].max() <= 2001.0
     x = lsim(([1.0], COEFFICIENTS[::-1]), values[:, 1] ** 2, np.arange(len(values)) * 0.002)[1]
