@@ -177,6 +177,8 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
     sensed = [s for s in volts if s.role == "output"]
     driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
+    if not driving and lengths:  # the only voltage beside a length, whatever it is called
+        sensed, driving = [], sensed
     moving = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
     if "voltage" in quantities and "voltage" not in pools:
         alone = "displacement" not in quantities and driving
@@ -201,7 +203,8 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
     counting = [s for s in named if s.column.form != "stamp"]  # beside dates, which are often coarser
     if counting or named:
         return counting or named
-    return [s for s in seen if s in clocks or (s.role == "time" and s.unit is None)]
+    bare = [s for s in seen if s not in clocks and s.role == "time" and s.unit is None]
+    return clocks + [s for s in bare if not (clocks and s.unknown)]
 
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:

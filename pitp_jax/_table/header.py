@@ -108,8 +108,9 @@ def layouts(
                 f"{source}: line {header_line} is empty or not above the numbers; give another --header-line"
             )
         above = [k for k in above if k == names[0]] or names
+    plain_rows = [k for k in above if not rows.commented[k]]
     readings, refusals = [], []
-    for k in above[:_MOST_NAMES]:
+    for k in (plain_rows or above)[:_MOST_NAMES]:  # a comment above a row of names is no row of names
         try:
             readings.append(_named(bare, rows, k, units, widths, first, source))
         except BadInput as error:
