@@ -271,6 +271,7 @@ def test_single_precision_beyond_that_is_refused(tmp_path):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("arm-none-eabi-gcc"), reason="no cross compiler")
 def test_a_cortex_m4_takes_it_and_what_it_takes_is_told(tmp_path):
     """Without a number in double precision; the README's flash is right to a factor of two, its RAM to the byte."""

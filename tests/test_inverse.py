@@ -110,7 +110,7 @@ def test_vmapped_inverse_is_the_loop(nonlinear):
 # ---- what no voltage does ----
 
 
-@pytest.mark.parametrize("shots", [0, 6])
+@pytest.mark.parametrize("shots", [0, pytest.param(6, marks=pytest.mark.slow)])
 def test_samples_are_infeasible_where_the_analytic_force_is_negative(actuator, shots):
     found = feedforward(actuator, Target(TIME, swing(1e-3, 9e-4, 8.0)), shots=shots, max_slew=1e9)
     negative = swing_force(actuator, 1e-3, 9e-4, 8.0) < 0

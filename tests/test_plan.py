@@ -206,6 +206,7 @@ def test_a_runs_information_is_that_of_its_jacobian(model, records):
     assert told.stroke[0] == pytest.approx(1e-3 * np.abs(read(model, u)).max(), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_next_recordings_lower_the_expected_error(model, following):
     assert following.recordings and not following.stop
     assert (np.diff(following.expected) < 0).all() and len(following.expected) == len(following.recordings) + 1

@@ -82,6 +82,7 @@ def test_a_planted_lag_is_found(plant, start, refined):
     assert error(found, plant[1]) < 0.1 * error(start[0], plant[1])
 
 
+@pytest.mark.slow
 def test_every_step_goes_down_and_is_told(refined):
     steps, lines = refined
     assert [e["stage"] for _, e in steps] == sorted((e["stage"] for _, e in steps), reverse=True)
@@ -96,6 +97,7 @@ def test_every_step_goes_down_and_is_told(refined):
         assert len(told) - 1 <= {"short runs": refining._SHORT_STEPS, "free runs": 25}[stage]
 
 
+@pytest.mark.slow
 def test_only_trained_numbers_move(start, refined):
     before, after = start[0], refined[0][-1][0]
     np.testing.assert_array_equal(after.encoder.bounds, before.encoder.bounds)

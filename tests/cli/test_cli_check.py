@@ -47,6 +47,7 @@ def test_check_writes_records_as_understood_a_page_and_json(call, bench, tmp_pat
     assert page.count("<svg") == 1 + len(DRIVES) and "http" not in page and "sweep" in text
 
 
+@pytest.mark.slow
 def test_check_with_a_model_names_what_it_does_not_explain(call, bench, tmp_path):
     voltage, x = motion("sine2")
     write_record(tmp_path / "other.csv", voltage, 1.3 * x)

@@ -75,6 +75,7 @@ def test_predict_on_a_full_disk_leaves_nothing(call, bench, tmp_path, full_disk,
         assert (out / "sine2.csv").read_text() == file.read_text() == '{"old": 1}'
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 def test_full_device(call, bench, tmp_path, quick_identify, quick_inverse):
     model, records = bench / "nominal", bench / "records"

@@ -56,6 +56,7 @@ def test_predict_counts_missing_samples_and_names_moving_records(call, bench, tm
     assert np.isfinite(values[:, 3]).all()
 
 
+@pytest.mark.slow
 def test_predict_gives_names_that_collide_their_folders(call, bench, tmp_path):
     for folder in ("clean", "worn"):
         (tmp_path / folder).mkdir()
@@ -81,6 +82,7 @@ def diverging(monkeypatch):
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lost", "median"), [(["sine2"], True), (["sine2", "sine4"], False)])
 def test_predict_with_diverged_records(call, bench, tmp_path, diverging, lost, median):
     diverging.update(lost)
