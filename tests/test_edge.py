@@ -51,6 +51,7 @@ HARNESS = """
 #include <stddef.h>
 static {id}_state s;
 void begin({real} y0) {{ {id}_init(&s, y0, 0); }}
+double respond({real} u) {{ return (double){id}_predict_step(&s, u); }}
 double follow({real} y) {{ unsigned f; return (double){id}_inverse_target_step(&s, y == y ? &y : NULL, &f); }}
 double trim(const {real} *y, {real} x) {{ unsigned f; return (double){id}_pi_step(&s, y, x, &f); }}
 unsigned ahead(void) {{ return {UP}_LOOK_AHEAD; }}
@@ -59,7 +60,7 @@ unsigned ahead(void) {{ return {UP}_LOOK_AHEAD; }}
 
 @pytest.fixture
 def exported(tmp_path):
-    """fn(model, precision) -> (begin, follow, trim, look-ahead) of the exported C."""
+    """fn(model, precision) -> (begin, follow, trim, respond, look-ahead) of the exported C."""
     if not shutil.which("gcc"):
         pytest.skip("no C compiler")
 
@@ -76,13 +77,14 @@ def exported(tmp_path):
         )
         c, kind = ctypes.CDLL(str(library)), ctypes.c_float if real == "float" else ctypes.c_double
         c.begin.argtypes, c.begin.restype = [kind], None
-        c.follow.argtypes, c.follow.restype = [kind], ctypes.c_double
+        for one in (c.follow, c.respond):
+            one.argtypes, one.restype = [kind], ctypes.c_double
         c.trim.argtypes, c.trim.restype = [ctypes.POINTER(kind), kind], ctypes.c_double
 
         def trim(target, measured):
             return c.trim((kind * 3)(*target), measured)
 
-        return c.begin, c.follow, trim, int(c.ahead())
+        return c.begin, c.follow, trim, c.respond, int(c.ahead())
 
     return make
 
@@ -94,7 +96,7 @@ def nominal(**sensor):
 @pytest.mark.parametrize("polarity", [1.0, -1.0])
 def test_the_exported_pi_takes_an_error_off_whichever_way_the_sensor_reads(exported, polarity):
     """A plant 5 % weak, 0.4 mm held: the feedforward alone is 20 um short; after 6 s less than 12 um are left."""
-    begin, _, trim, _ = exported(nominal(polarity=polarity, offset=5e-3))
+    begin, _, trim, *_ = exported(nominal(polarity=polarity, offset=5e-3))
     begin(5e-3)
     state, u, x = np.zeros(2), 0.0, 0.0
     for _ in range(6000):
@@ -106,7 +108,7 @@ def test_the_exported_pi_takes_an_error_off_whichever_way_the_sensor_reads(expor
 @pytest.mark.slow
 def test_the_exported_pi_leaves_a_limit_by_itself(exported):
     """20 % weak: trimmed at 0.6 mm, then at the limit; 15 % strong from 20 s on: within half of that error by 35 s."""
-    begin, _, trim, _ = exported(nominal())
+    begin, _, trim, *_ = exported(nominal())
     begin(0.0)
     state, x, seen = np.zeros(2), 0.0, []
     for k in range(35_000):
@@ -146,7 +148,7 @@ def test_a_target_is_differentiated_in_single_precision_to_half_a_percent_of_for
     model = nominal(rate=rate, offset=offset, stroke=stroke, noise=0.0)
     volts = []
     for precision in ("single", "double"):
-        begin, follow, _, ahead = exported(model, precision)
+        begin, follow, _, _, ahead = exported(model, precision)
         begin(offset)
         target = cosine(np.arange(8000), ahead, rate, stroke, offset)
         volts.append(np.array([follow(y) for y in target]))
@@ -156,7 +158,7 @@ def test_a_target_is_differentiated_in_single_precision_to_half_a_percent_of_for
 
 def test_one_sample_of_a_target_that_is_lost_moves_no_voltage(exported):
     """4 Hz at 1 kHz between 1500 and 1870 V, one sample lost: within 2 V of what it is with it."""
-    begin, follow, _, _ = exported(nominal())
+    begin, follow, *_ = exported(nominal())
     target = 0.25e-3 + 0.05e-3 * (1 - np.cos(8 * np.pi * np.arange(1200) / 1000))
     volts = []
     for lost in (False, True):
@@ -189,3 +191,33 @@ def test_what_a_plan_lets_follow_keeps_the_stroke_at_a_damping_of_a_hundredth(hz
     reached = [np.abs(response((r.voltage / TOP) ** 2, hz, 0.01, rate)).max() for r in plan.recordings]
     for k in range(1, len(reached)):
         assert plan.recordings[k].go_on / max(reached[:k]) * reached[k] <= 1e-3 * 1.05
+
+
+# ------------------------------------------------------------------------------------------------ the decoder's step
+
+
+@pytest.fixture(scope="module")
+def ringing():
+    """Model and record of damping 1e-4, 20 samples a period, 1,000 periods swept; its exact response, input in V."""
+    rate, hz = 200.0, 10.0
+    u = sweep(rate, 100.0, 0.5, 20.0)
+    record = pitp.Record("ringing", np.arange(len(u)) / rate, u, np.asarray(response(u / TOP, hz, 1e-4, rate)))
+    model = pitp.identify([record], order=2, hold="foh", input_map="linear").model
+    sampled = cont2discrete(([1.0], model.physical_coefficients[::-1]), 1 / rate, method="foh")
+    b, a = (np.ravel(np.asarray(part)) for part in sampled[:2])  # pyright: ignore[reportIndexIssue]
+    return model, record, np.asarray(lfilter(b, a, u))
+
+
+def test_a_prediction_is_the_exact_discretisation_to_two_parts_in_ten_thousand(ringing):
+    model, record, exact = ringing
+    run = pitp.predict(model, [record])[0].displacement
+    assert np.abs(run - exact).max() < 2e-4 * np.ptp(exact)
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_so_is_an_exported_one(ringing, exported, precision):
+    model, record, exact = ringing
+    begin, _, _, respond, _ = exported(model, precision)
+    begin(0.0)
+    run = [respond(u) for u in record.voltage]
+    assert np.abs(run - exact).max() < 2e-4 * np.ptp(exact)
