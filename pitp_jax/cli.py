@@ -24,7 +24,7 @@ from ._commands.examples import ending
 from ._commands.ours import allow_overwriting
 from ._errors import BadInput, ComputationFailed
 
-_RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of them"
+_RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms, .parquet, .mcap, rosbag2) and folders of them"
 _READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.

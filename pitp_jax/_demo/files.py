@@ -3,6 +3,7 @@
 records/   the sweep and the training sines: what `pitp identify`, `fit` and `diagnose` take
 held_out/  recordings that trained nothing, for `pitp predict`
 target.csv a wanted motion, for `pitp invert`
+figures/   the paper's figures, each with its numbers as CSV
 """
 
 from pathlib import Path
@@ -18,14 +19,17 @@ from .._model_file.model_file import save
 from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
 from .._report import paper_figures
+from .._report.drawn import FIGURES as HOME
+from .._report.drawn import write_figure
 from .._simulate import decoder
 from .protocol import Demo, Table, excitations, kind, nearest, tables
 
 SWEEP_HZ = {"cone": (0.01, 20.0), "roll": (0.01, 180.0)}
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
-FIGURES = ("sweep.png", "prediction.png", "hysteresis.png", "tokens.png", "tracking.png")
+FIGURES = ("sweep", "prediction", "hysteresis", "tokens", "tracking")
 RECORDS, HELD_OUT = "records", "held_out"
-FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv", *FIGURES)
+DRAWN = tuple(f"{HOME}/{name}.{kind}" for name in FIGURES for kind in ("png", "csv"))
+FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv", *DRAWN)
 
 
 def write(demo: Demo, folder: Path) -> None:
@@ -59,7 +63,7 @@ def write(demo: Demo, folder: Path) -> None:
     write_csv(folder / "target.csv", {"time_s": last.time, "displacement_m": last.target})
     figures = (_sweep(demo), _prediction(demo), _loops(demo), _tokens(demo), _tracking(demo))
     for name, figure in zip(FIGURES, figures, strict=True):
-        cast(Figure, figure).savefig(folder / name, dpi=150)
+        write_figure(folder, name, cast(Figure, figure))
 
 
 def recordings(name: str, quick: bool) -> set[str]:
