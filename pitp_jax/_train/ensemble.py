@@ -1,14 +1,13 @@
-"""Uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
+"""Estimate uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
 
     x(t) = mean_k x_k(t),    s(t)^2 = (1 + 1/K) var_k x_k(t) + s_0^2,    band = x(t) +- q s(t),  q: Student's, K - 1
 
 What the members agree on by mistake no spread can show, so s_0, their rms error on the training records over its
-range, stands beside it. Student's quantile on both is on the safe side: 98.2 % of held-out samples of a cone inside,
-80 % of the worst record; with the normal one on s_0 93.4 and 57 % (`experiments/band_coverage.py`).
+range, stands beside it. Student's quantile on both is on the safe side (docs/decisions/training.md).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -92,13 +91,13 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
     check_set(records)
     records, _ = in_motion(records)
     models = tuple(train(nominal, records, key=k, **options).model for k in jax.random.split(key, members))
-    found = predict_band(Ensemble(models, 0.0), records)
-    errors = [_relative(b, r) for b, r in zip(found, records, strict=True)]
+    bands = predict_band(Ensemble(models, 0.0), records)
+    errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
     return Ensemble(models, float(np.sqrt(np.mean(np.square(errors)))))
 
 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
-    """Mean and band of every record, all members at once; `level` is the share of samples the band should cover.
+    """Predict mean and band of every record, all members at once.
 
     Args:
         ensemble: of `train_ensemble`.
@@ -119,7 +118,8 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
     check_set(records)
     models = [at_rate(m, records[0].dt) for m in ensemble.models]
-    stack = _stacked(models)
+    finest = max(m.substeps for m in models)  # one program runs all members: at the steps of the one that needs most
+    stack = _stacked([replace(m, substeps=finest) for m in models])
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
@@ -127,10 +127,11 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
         model = models[0]
         x = np.asarray(states, np.float64)
+        # a mean over fewer members from there on would jump: where one is lost, the band ends
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
         x = np.where(lost, np.nan, x) * model.scales.state[0]
         base = ensemble.error * np.ptp(r.displacement[r.observed])
-        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)
+        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)  # 1 / K: the mean itself is uncertain
         scored = np.arange(r.samples) >= spent[0][0]
         bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, bool(lost.any()), scored))
     return tuple(bands)
@@ -142,12 +143,12 @@ def _enough(members: int) -> None:
 
 
 def _stacked(models: Sequence[Model]) -> Model:
-    """One model whose leaves have a leading axis of members."""
+    """Stack the members into one model whose leaves have a leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(bare, models))
 
 
 def _make(model: Model) -> tuple:
-    """What members have in common: structure, shapes, scales and output."""
+    """Describe what members must have in common: structure, shapes, scales and output."""
     shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, bare(model)))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
@@ -159,5 +160,5 @@ def _run(stack: Model, voltage, dt: float, start):
 
 def _relative(band: Band, record: Record) -> float:
     keep = band.scored & record.observed
-    left = (band.displacement - record.displacement)[keep]
-    return float(np.sqrt(np.mean(left**2)) / np.ptp(record.displacement[record.observed]))
+    error = (band.displacement - record.displacement)[keep]
+    return float(np.sqrt(np.mean(error**2)) / np.ptp(record.displacement[record.observed]))
