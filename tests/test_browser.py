@@ -59,8 +59,9 @@ def against(explained):
         for k in range(3)
     ]
     budget = {"nuisance": {"share": 0.1}, "effects": {"delay": {"share": 0.6}}, "unnamed": {"share": 0.3}}
+    linear = pitp.identify(simulated, order=2, input_map="linear")
     found: Any = SimToReal(
-        explained, None, pitp.identify(simulated, order=2, input_map="linear"), explained.model, pair_records(robot, simulated), tuple(rows), (0.1, 0.0, 0.2),
+        explained, None, linear, explained.model, pair_records(robot, simulated), tuple(rows), (0.1, 0.0, 0.2),
         tuple(robot), tuple(0.1 * r.voltage for r in robot),
     )  # fmt: skip
     object.__setattr__(explained, "budget", budget)
