@@ -201,7 +201,7 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
     return estimate_start(model, voltage, known, on_device(observed), record.dt, now)
 
 
-def outside_share(model: Model, features: np.ndarray) -> float:
+def outside_fraction(model: Model, features: np.ndarray) -> float:
     """Compute the fraction of rows (S then memory, scaled; shape (T, features)) outside the box of training.
 
     The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
@@ -225,6 +225,6 @@ def _prediction(
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
-    outside = 1.0 if first == 0 else outside_share(model, states[:first, : model.order + model.memory.size])
+    outside = 1.0 if first == 0 else outside_fraction(model, states[:first, : model.order + model.memory.size])
     own = begun.begins, begun.zero, begun.stderr, begun.direction
     return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own)
