@@ -86,7 +86,7 @@ def _origin(a: Model, b: Model, names: tuple[str, str]) -> list[str]:
     ]
     parents = [{e.get("parent") for e in lineage(m)} for m in (a, b)]
     digests = [digest(m) for m in (a, b)]
-    if digests[0] == digests[1]:
+    if digests[0] == digests[1]:  # also of two files whose names or dates differ
         return ["Both hold the same model."]
     lines = []
     for k in (0, 1):

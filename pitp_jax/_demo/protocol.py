@@ -140,6 +140,7 @@ def run(
     if trained.interrupted:  # a half-trained model beside the paper's figures would mislead
         raise KeyboardInterrupt
     say(f"predicting {len(sines)} in-sample and {len(test)} held-out records")
+    # every record once with both models: tables and figures read the same runs
     predicted = {r.name: p for part in (sines, test) for r, p in _pairs(trained.model, part)}
     linear = {r.name: p for part in (sines, test, (swept,)) for r, p in _pairs(identified.model, part)}
     say("tracking sines")
@@ -197,7 +198,7 @@ def swing(training: Record) -> tuple[float, float]:
     """Choose amplitude and mean (m) of a target: half the range of a training sine's second half, about its mean."""
     # half of what was reached: a target at the edge would need voltages that training never saw
     settled = training.displacement[training.samples // 2 :]
-    return 0.25 * float(np.ptp(settled)), float(settled.mean())
+    return 0.25 * float(np.ptp(settled)), float(settled.mean())  # amplitude: a quarter of peak to peak
 
 
 def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> Track:

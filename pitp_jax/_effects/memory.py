@@ -66,6 +66,7 @@ LOOPS = (
     EffectSpec(
         "hysteresis", "plays", _WIDTH, "Rubbing inside the material makes a loop that is the same at every frequency.",
         "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
+        # widths about evenly apart in their logarithm: the loop is rounded like a real one, by four numbers in one
         kernel=play(0.15, 0.4, 1.0, 2.2), start=_loop_starts(0.08, 0.3, low=0.02, high=0.8, strength=0.4),
         law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
     ),

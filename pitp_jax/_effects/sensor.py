@@ -87,6 +87,7 @@ SENSOR = (
         start=lambda s: starts(
             (1 / s.omega, 1), [(0.25, 0.8)], (min(0.2 * s.dt * s.omega, 0.003), 0.35), (5, 3)
         ),
+        # at tau = 0 the oscillator stands at its bound, and would be read instead of x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),
     EffectSpec(

@@ -105,7 +105,7 @@ def starts(unit, values: Sequence, low, high) -> list[Start]:
     """
     scale, bottom, top = (np.atleast_1d(np.asarray(v, float)) for v in (unit, low, high))
 
-    def numbers(row) -> tuple[float, ...]:
+    def numbers(row) -> tuple[float, ...]:  # one unit may serve all parameters, or each has its own
         return tuple(map(float, scale * np.atleast_1d(row)))
 
     return [Start(numbers(row), numbers(bottom), numbers(top)) for row in values]

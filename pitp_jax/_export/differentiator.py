@@ -82,7 +82,7 @@ class Differentiator:
         return np.stack([*rows, legendre.legval(scaled(1.0), np.eye(degree + 1)) @ to_coefficients])
 
     def error(self, a: np.ndarray, omega: float, rounding: float) -> float:
-        """Compute the force's error over a_0, for a cosine of half-swing 1 at omega (rad/s) whose samples are rounded."""
+        """Compute the force's error over a_0, for a cosine of half-swing 1 at omega (rad/s), samples rounded."""
         samples = (np.arange(BLOCKS) - BLOCKS + 1)[:, None] * self.block - np.arange(self.block)
         seen = np.exp(1j * omega * self.dt * samples).mean(1)
         exact = np.exp(1j * omega * self.dt * self.place) * (1j * omega) ** np.arange(self.order + 1)

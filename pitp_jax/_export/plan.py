@@ -139,7 +139,10 @@ class Plan:
         return max(1 / self.model.natural_frequency, self.dt)
 
     def reference(self) -> np.ndarray:
-        """Compute a call's addition to [r, ..., T^n r^(n)] for [target - r, T r', ...], r = target / (1 + s T)^(n + 1)."""
+        """Compute the change of [r, T r', ..., T^n r^(n)] over a call, for [target - r, T r', ...] at its beginning.
+
+        r = target / (1 + s T)^(n + 1)
+        """
         n = self.model.order
         # n + 1 equal lags: as many as the equation has derivatives, so that x^(n) has no jump
         chain = np.eye(n + 1, k=1)

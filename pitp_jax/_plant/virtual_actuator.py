@@ -120,7 +120,8 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
         else:
             x = jnp.stack([adaptive(plant, row, dt, hold) for row in rows])
         x = np.asarray(x)
-    if not (plant.rest_position + x < plant.last_position).all():  # nan fails too
+    # beyond it the Gent spring would change its sign, and the motion mean nothing; nan fails too
+    if not (plant.rest_position + x < plant.last_position).all():
         raise ComputationFailed(
             f"{plant.name} left the range of its spring: keep the voltage below {plant.max_voltage:g} V"
         )
