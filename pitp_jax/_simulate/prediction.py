@@ -222,6 +222,7 @@ def _prediction(
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples  # nothing counts behind it, even if it came back
     x = np.full(record.samples, np.nan)
+    # the record's own zero and direction, not the model's: a session may have mounted the sensor anew
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
