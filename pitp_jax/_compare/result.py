@@ -40,6 +40,7 @@ class Difference:
     def words(self) -> str:
         """Describe the difference in one line."""
         ratio = ""
+        # a factor says something of numbers of one size and sign; of others the numbers themselves say more
         if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
             ratio = f" (factor {number(self.b / self.a)})"
         return f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip() + ratio
@@ -119,6 +120,7 @@ def measured(what: str, a: float | None, b: float | None, unit: str, errors: tup
 
 def stated(what: str, a, b) -> Difference:
     """Make a row of two facts, which differ where they read differently: numbers by the four digits that are shown."""
+    # as shown: two numbers that read alike and are called different would puzzle the reader
     return Difference(what, _cell(a), _cell(b), differs=_cell(a) != _cell(b))
 
 

@@ -74,7 +74,7 @@ class Provenance:
 
     def driven_by(self, records: Sequence[Record]) -> "Provenance":
         """Widen range and slew of the voltage to those of these records."""
-        low, high = self.voltage_range
+        low, high = self.voltage_range  # never narrower: what an earlier session has shown is still known
         return self.with_(
             voltage_range=(
                 min(low, *(float(r.voltage.min()) for r in records)),
@@ -194,6 +194,7 @@ class Model(eqx.Module):
 
         A bare integrator has none: there it is that of the motion it was identified on.
         """
+        # the scale of x' over that of x
         return dominant_frequency(self.physical_coefficients) or float(self.scales.rates[0])
 
     def tokens(
@@ -219,7 +220,7 @@ class Model(eqx.Module):
 
     def changed(self, factors: np.ndarray) -> "Model":
         """Multiply the nominal coefficients by these factors, shape (n + 1,)."""
-        coefficients = np.asarray(self.coefficients, np.float64) * factors
+        coefficients = np.asarray(self.coefficients, np.float64) * factors  # rounded once, at the end
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
 

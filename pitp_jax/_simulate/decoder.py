@@ -76,13 +76,14 @@ def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: flo
     *tokens, reciprocal, offset = frozen
 
     def slope(state, force) -> Any:  # of the state's kind
-        s, highest = list(state), force - offset
+        s, highest = list(state), force - offset  # x^(n) sigma_n, once the lower terms are taken off
         for token, row in zip(tokens, s, strict=False):
             highest = highest - token * row
         upper = [*s[1:n], highest * reciprocal]
         rows = [r * row for r, row in zip(rates, upper, strict=True)] + memory(s[n:], s[0])
         return rows if isinstance(state, list) else jnp.stack(rows)
 
+    # the classical tableau: 1/6, 2/6, 2/6, 1/6; both middle stages read the force at h/2
     k1 = slope(state, forces[0])
     k2 = slope(moved(state, h / 2, k1), forces[1])
     k3 = slope(moved(state, h / 2, k2), forces[1])

@@ -134,6 +134,7 @@ def required(
     def advance(parts, ends):
         return moved(model, parts, ends[0], ends[1], dt), parts
 
+    # the states at every sample; the last advance has nowhere to go
     along = jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
     return jax.vmap(lambda *instant: needed(model, *instant))(along, equation, features)
 
@@ -156,7 +157,7 @@ def needed(
     force = needs(zero)  # enough where no effect reads the force itself
     if any(e.spec.driven for e in model.effects):
         force = solve(lambda f: f - needs(f), zero, force, _NEWTON)
-    for effect in reversed(model.effects):
+    for effect in reversed(model.effects):  # undone in the opposite order of `coupled`
         if effect.port == "SQ":
             force = effect.uncoupled(force, row[0])
     return force
@@ -166,6 +167,7 @@ def played(model: "Model", film: Float[Array, " time"], dt: float) -> Float[Arra
     """Compute the drive u for a smooth film voltage, through all drive effects, the model's own lag and delays."""
     for effect in reversed(drives(model)):
         film = effect.undo(film, dt)
+    # the model's own lag stands between its delays and the effects
     film = model.drive.lead(film, dt)
     for effect in model.effects:
         if effect.delays:

@@ -215,7 +215,7 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
     return estimate_start(model, voltage, known, on_device(observed), record.dt, now)
 
 
-def outside_share(model: Model, features: np.ndarray) -> float:
+def outside_fraction(model: Model, features: np.ndarray) -> float:
     """Compute the fraction of rows (S then memory, scaled; shape (T, features)) outside the box of training.
 
     The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
@@ -240,7 +240,7 @@ def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
         features: S then memory, scaled, shape (T, features).
         time: of the rows, s, shape (T,).
     """
-    if outside_share(model, features) == 0:
+    if outside_fraction(model, features) == 0:
         return ""
     beyond = _beyond(model, features)
     memory = model.memory
@@ -265,11 +265,12 @@ def _prediction(
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
     first = int(np.argmax(lost)) if lost.any() else record.samples  # nothing counts behind it, even if it came back
     x = np.full(record.samples, np.nan)
+    # the record's own zero and direction, not the model's: a session may have mounted the sensor anew
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
     features = states[:first, : model.order + model.memory.size]
-    outside = 1.0 if first == 0 else outside_share(model, features)
+    outside = 1.0 if first == 0 else outside_fraction(model, features)
     words = outside_words(model, features, record.time[:first] - record.time[0])
     own = begun.begins, begun.zero, begun.stderr, begun.direction
     return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own, words)

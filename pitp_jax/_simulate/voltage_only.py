@@ -72,6 +72,7 @@ def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None,
     """Roll out side by side, padded to whole thousands of samples as predictions are."""
     dtype, samples = model.coefficients.dtype, rows.shape[1]
     age = model.provenance.age(start_time)
+    # a record that begins under a voltage has most likely stood under it
     held = np.full(len(rows), begins == "held") if begins else rows[:, 0] != 0
     rest = jnp.broadcast_to(rest_state(model, age), (len(rows), rest_state(model, age).shape[0]))
     start = rest
@@ -83,4 +84,4 @@ def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None,
     states, x = (np.asarray(a, np.float64)[:, :samples] for a in runs)
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
     x = model.output.to_rig(x * model.scales.state[0])
-    return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)
+    return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)  # a run that came back would be chance

@@ -120,6 +120,6 @@ def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: floa
     rms = np.sqrt(np.mean(np.concatenate([s.states[s.valid] for s in states]) ** 2, axis=0))
     if scaling == "paper":
         rms = rms[n // 2] * (2 * np.pi * f_max) ** ((np.arange(n + 1) - n // 2) / 2)
-    force = max(float(np.abs(f).max()) for f in forces)
+    force = max(float(np.abs(f).max()) for f in forces)  # scaled forces lie within one
     coefficients = jnp.asarray(nominal.physical_coefficients * rms / force, jnp.float32)
     return replace(nominal, coefficients=coefficients, scales=Scales(rms, force, nominal.scales.sections))

@@ -43,7 +43,7 @@ class Ensemble(Shown):
     error: float
 
     def __post_init__(self):
-        """One member has no spread, and members of two makes cannot be run at once."""
+        """Refuse one member, which has no spread, and members of two makes, which cannot be run at once."""
         _enough(len(self.models))
         first, *others = (_make(m) for m in self.models)
         if any(other != first for other in others):
@@ -90,6 +90,7 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
     _enough(members)
     check_set(records)
     records, _ = in_motion(records)
+    # the same records for all: what differs is the start of the nets and the order of minibatches
     models = tuple(train(nominal, records, key=k, **options).model for k in jax.random.split(key, members))
     bands = predict_band(Ensemble(models, 0.0), records)
     errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]

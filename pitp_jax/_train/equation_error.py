@@ -51,6 +51,7 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
     keys = None if key is None else jax.random.split(key, data.force.shape[0])
     logits = jax.vmap(lambda f, k: model.encoder(f, key=k), (0, None if key is None else 0))(data.features, keys)
     force, tokens = equation_force(model, list(logits.T), list(data.equation.T))
+    # Huber: where x^(n) is noisy, a few samples would else decide
     physics = jnp.mean(data.weight * huber(force - data.force, width))
     factor = jnp.stack(tokens, -1) / model.coefficients  # the box is in units of the nominal, whatever its sign
     over, under = jax.nn.relu(factor - box[1]), jax.nn.relu(box[0] - factor)

@@ -59,7 +59,7 @@ def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
     """Compute sqrt(every w) e at every `every`-th sample, less an incomplete last block."""
     states = fast_rollout(model, runs.voltage, dt, runs.start)
     errors = jax.vmap(lambda run: ports.readings(model, run))(states) - runs.target
-    last = runs.target.shape[1] // every * every
+    last = runs.target.shape[1] // every * every  # the blocks of `run_slopes`, so that rows match
     return _projected(errors[:, :last:every, None], runs, every)[..., 0]
 
 
@@ -106,6 +106,7 @@ class _Local:
         here = state, n.logits(n.encoder, seen), n.memory, 0 * self.both
         by_state, by_logits, by_memory, by_both = jax.jacfwd(moved, (0, 1, 2, 3))(*here)
         by_seen = by_logits @ jax.jacrev(n.logits, 1)(n.encoder, seen)
+        # time constants act twice: on the memory itself, and on what the encoder sees half a step on
         others = jnp.concatenate([by_memory + by_seen @ seen_by_memory, by_both], 1)
         return (by_state.at[:, : self.core].add(by_seen @ by_core), by_logits, others, seen), moved(*here)
 

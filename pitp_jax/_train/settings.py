@@ -177,6 +177,7 @@ def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
     """
     begin = jnp.asarray(0.1 / nominal.natural_frequency, jnp.float32)
     old, new = nominal.scales, model.scales
+    # training has scales of its own; an effect's numbers are stored in those of its model
     given = tuple(in_scales(e, (old.state, old.force), (new.state, new.force)) for e in nominal.effects)
     effects = (*given, *(PARTS[part](begin) for part in settings.parts))
     return replace(with_drive(model, settings), effects=effects)
