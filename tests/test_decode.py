@@ -15,7 +15,7 @@ from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
 from pitp_jax._record.record import Record
 from pitp_jax._simulate.decoder import frozen_increment, rest_state, rollout
-from pitp_jax._simulate.prediction import outside_share, predict
+from pitp_jax._simulate.prediction import outside_fraction, predict
 
 DT = 4e-3
 COARSE = 1000 + 800 * np.random.default_rng(5).uniform(-1, 1, 26)  # V, linear between 26 samples
@@ -209,11 +209,11 @@ def test_a_moving_start_is_estimated(linear, coefficients, fading):
 def test_share_outside_training(linear):
     model = linear(2)
     features = np.stack([np.linspace(0.0, 2.0, 2001), np.zeros(2001)], -1)
-    assert outside_share(model, features) == 0.0  # never trained: no region
+    assert outside_fraction(model, features) == 0.0  # never trained: no region
     trained = replace(model, provenance=model.provenance.with_(region=((0.0, 1.0), (-1.0, 1.0))))
-    assert outside_share(trained, features) == pytest.approx((2.0 - 1.05) / 2.0, abs=1e-3)
+    assert outside_fraction(trained, features) == pytest.approx((2.0 - 1.05) / 2.0, abs=1e-3)
     features[:, 1] = 1.2  # beyond 1 + 5 % of 2
-    assert outside_share(trained, features) == 1.0
+    assert outside_fraction(trained, features) == 1.0
 
 
 def test_predictions_carry_the_share(linear, coefficients):

@@ -43,6 +43,7 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
 
 
 def _kind(one) -> str:
+    # before models: a diagnosis holds a model as well
     if isinstance(one, Mapping) and "verdict" in one or (hasattr(one, "as_json") and hasattr(one, "ranking")):
         return "a diagnosis"
     if isinstance(one, Model) or isinstance(getattr(one, "model", None), Model):

@@ -1,4 +1,4 @@
-"""The nearest motion that the limits allow: constrained least squares over the whole horizon.
+"""Find the nearest motion that the limits allow: constrained least squares over the whole horizon.
 
     minimise    sum_target (y_t - w_t)^2 / m^2  +  rho sum (u_{t+1} - 2 u_t + u_{t-1})^2 / U^2         y = rollout(u)
     subject to  low_t <= u_t <= high_t,  |u_{t+1} - u_t| <= slew dt,  sum |u_{t+1} - u_t| <= budget,  |y_t| <= farthest
@@ -27,13 +27,14 @@ _BEYOND = 1e3  # weight of a reading beyond the farthest
 
 
 def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
-    """The voltage (V, shape (T,)) that keeps the limits and whose rollout comes nearest to what is wanted.
+    """Find the voltage (V, shape (T,)) that keeps the limits and whose rollout comes nearest to what is wanted.
 
     Args:
         model: any.
         wish: the motion and the limits.
         first: a voltage within the limits of range and slew to begin with.
     """
+    # an interior point divides by slacks that go to zero; beside voltages of order one float32 would lose them
     with jax.enable_x64(True):
         model = in_double(model)
         now = _play(model, wish, first)
@@ -62,7 +63,7 @@ def _play(model: Model, wish: Wish, voltage: np.ndarray) -> Played:
 
 
 def _misses(wish: Wish, played: Played) -> tuple[np.ndarray, np.ndarray]:
-    """Of the target, and beyond the farthest, weighed; m."""
+    """Compute what is missed of the target, and what is beyond the farthest, weighed; m."""
     missed = (played.reading - wish.reading)[wish.counted]
     if not np.isfinite(wish.farthest):
         return missed, np.zeros(0)
@@ -76,7 +77,7 @@ def _cost(wish: Wish, played: Played, size: float, rho: float) -> float:
 
 
 def _smoothness(model: Model, wish: Wish, first: np.ndarray) -> float:
-    """rho: a swing of U/4 at the resonance all along costs 1e-4 of what the first voltage misses, at 10 times that 1.
+    """Choose rho: a swing of U/4 at the resonance all along costs 1e-4 of what the first voltage misses, at 10 times 1.
 
     But no more than a few hundredths for the second differences of the first voltage itself.
     """

@@ -1,16 +1,15 @@
-"""Uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
+"""Estimate uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
 
     x(t) = mean_k x_k(t),    s(t)^2 = (1 + 1/K) var_k x_k(t) + s_0^2,    band = x(t) +- q s(t),  q: Student's, K - 1
 
 What the members agree on by mistake no spread can show, so s_0, their rms error on the training records over its
-range, stands beside it. Student's quantile on both is on the safe side: 98.2 % of held-out samples of a cone inside,
-80 % of the worst record; with the normal one on s_0 93.4 and 57 % (`experiments/band_coverage.py`).
+range, stands beside it. Student's quantile on both is on the safe side (docs/decisions/training.md).
 
 Of P JAX processes, number p trains the members p, p + P, ...; in the end every process has them all.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -99,15 +98,16 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
     records, _ = in_motion(records)
     keys, processes = jax.random.split(key, members), jax.process_count()
     mine = range(jax.process_index(), members, processes)
+    # the same records for all: what differs is the start of the nets and the order of minibatches
     models = tuple(train(nominal, records, key=keys[k], **options).model for k in mine)
     models = _gathered(models, members) if processes > 1 else models
-    found = predict_band(Ensemble(models, 0.0), records)
-    errors = [_relative(b, r) for b, r in zip(found, records, strict=True)]
+    bands = predict_band(Ensemble(models, 0.0), records)
+    errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
     return Ensemble(models, float(np.sqrt(np.mean(np.square(errors)))))
 
 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
-    """Mean and band of every record, all members at once; `level` is the share of samples the band should cover.
+    """Predict mean and band of every record, all members at once.
 
     Args:
         ensemble: of `train_ensemble`.
@@ -128,7 +128,8 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
     check_set(records)
     models = [at_rate(m, records[0].dt) for m in ensemble.models]
-    stack = _stacked(models)
+    finest = max(m.substeps for m in models)  # one program runs all members: at the steps of the one that needs most
+    stack = _stacked([replace(m, substeps=finest) for m in models])
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
@@ -136,10 +137,11 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
         model = models[0]
         x = np.asarray(states, np.float64)
+        # a mean over fewer members from there on would jump: where one is lost, the band ends
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
         x = np.where(lost, np.nan, x) * model.scales.state[0]
         base = ensemble.error * np.ptp(r.displacement[r.observed])
-        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)
+        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)  # 1 / K: the mean itself is uncertain
         scored = np.arange(r.samples) >= spent[0][0]
         bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, bool(lost.any()), scored))
     return tuple(bands)
@@ -151,7 +153,7 @@ def _enough(members: int) -> None:
 
 
 def _gathered(own: Sequence[Model], members: int) -> tuple[Model, ...]:
-    """The members of all processes in order; they pass as model files, which also hold what each was made from."""
+    """Gather the members of all processes in order; model files also hold what each was made from."""
     processes = jax.process_count()
     with TemporaryDirectory() as folder:
         path, packed = Path(folder) / "member.pitp", []
@@ -171,12 +173,12 @@ def _gathered(own: Sequence[Model], members: int) -> tuple[Model, ...]:
 
 
 def _stacked(models: Sequence[Model]) -> Model:
-    """One model whose leaves have a leading axis of members."""
+    """Stack the members into one model whose leaves have a leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(bare, models))
 
 
 def _make(model: Model) -> tuple:
-    """What members have in common: structure, shapes, scales and output."""
+    """Describe what members must have in common: structure, shapes, scales and output."""
     shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, bare(model)))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
@@ -188,5 +190,5 @@ def _run(stack: Model, voltage, dt: float, start):
 
 def _relative(band: Band, record: Record) -> float:
     keep = band.scored & record.observed
-    left = (band.displacement - record.displacement)[keep]
-    return float(np.sqrt(np.mean(left**2)) / np.ptp(record.displacement[record.observed]))
+    error = (band.displacement - record.displacement)[keep]
+    return float(np.sqrt(np.mean(error**2)) / np.ptp(record.displacement[record.observed]))
