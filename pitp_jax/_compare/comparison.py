@@ -50,5 +50,6 @@ def _kind(one) -> str:
         return "a model"
     if isinstance(one, Sequence) and len(one) and all(isinstance(r, Record) for r in one):
         return "a set of records"
+    # a path is what a user of the command line would give
     hint = "; give pitp.load(FILE) or pitp.read(PATH)" if isinstance(one, (str, PathLike)) else ""
     raise BadInput(f"a {type(one).__name__} cannot be compared{hint}: give models, diagnoses or lists of records")

@@ -52,6 +52,7 @@ def _modes(one: dict, two: dict) -> list[Difference]:
         coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
         (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),
     )  # fmt: skip
+    # a heavily damped pole has no frequency of its own to compare
     loud = [
         min((m for m in t["modes"] if m["oscillates"]), key=lambda m: m["damping"], default=None) for t in (one, two)
     ]

@@ -237,7 +237,7 @@ def tables(demo: Demo) -> tuple[Table, ...]:
         in_sample.append((f"{f:g}", paper, *ours))
     for r in demo.test:
         ours = (error(demo, r.name), error(demo, r.name, linear=True), noise_floor(demo, r.name))
-        held_out.append((r.name, *ours))
+        held_out.append((r.name, *ours))  # the paper has no such records to stand beside
     held_out.append(("median", *(float(np.median([row[k] for row in held_out])) for k in (1, 2, 3))))
     for t in demo.tracks:
         tracking.append((f"{t.frequency:g}", TRACKING_PAPER[demo.name][int(t.frequency)], t.e_rms, t.self_check))

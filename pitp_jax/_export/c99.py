@@ -55,6 +55,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
     values = substitutions(plan)
     (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
     writer = Writer("c", plan.single)
+    # written before the helpers and tables that they turn out to need, which stand in front of them in the file
     functions = "\n".join(
         writer.function(f"{what}_{part}", code, states, outputs)
         for what, written, count in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2))
@@ -159,7 +160,7 @@ def sizes(plan: Plan) -> dict[str, str]:
 
 
 def table(writer: Writer, values: np.ndarray) -> str:
-    """Initialisers of an array, six numbers to a line."""
+    """Write the initialisers of an array, six numbers to a line."""
     values = np.asarray(values, np.float64)
     if values.ndim > 1:
         return ",\n".join("    {" + table(writer, row).strip() + "}" for row in values)

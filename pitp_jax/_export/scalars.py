@@ -179,7 +179,7 @@ def _simpler(op: str, args: tuple):
     0 times a node is 0: what is not finite never gets this far (`steps` guards its inputs).
     """
     first, last = args[0], args[-1]
-    if op == "mul":
+    if op == "mul":  # an effect that is off, a weight of zero: whole branches of a step go away
         if _is(first, 0) or _is(last, 0):
             return 0.0
         return last if _is(first, 1) else first if _is(last, 1) else None

@@ -63,6 +63,7 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     Raises:
         BadInput: a length shorter than one recording, or no drive within the stroke allowed.
     """
+    # of one length, so that what a candidate lowers compares with what another does
     one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / FEWEST))
     count = int(length / one * (1 + 1e-9))
     if count < 1:

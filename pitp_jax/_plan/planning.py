@@ -125,7 +125,7 @@ def plan(
     length = duration or default_duration(limits, fresh=model is None)
     if model is None:
         return _played(first_session(limits, length, seed), limits, alternate)
-    if not trained(model):
+    if not trained(model):  # a linear model knows how far a drive goes, but not what it lacks
         filling, notes = bearable(model, space_filling_set(limits, length, seed), limits)
         return _played(filling, limits, alternate, notes=notes)
     if not records:
@@ -190,6 +190,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) ->
     rate = rate or (default_rate(band[1]) if model is None else 1 / model.provenance.dt)
     if max_slew is None:
         seen = np.inf if model is None else model.provenance.slew
+        # of a sine over the whole range at the highest frequency, the steepest of what is planned
         max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement
     return Limits(low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest))

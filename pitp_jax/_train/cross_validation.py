@@ -58,7 +58,7 @@ def cross_validate(
     Examples:
         >>> left_out = pitp.cross_validate(nominal, records, model, key=jax.random.key(0))  # doctest: +SKIP
     """
-    moving, _ = in_motion(records)
+    moving, _ = in_motion(records)  # a still record is predicted by any model
     if len(moving) < 2:
         raise BadInput("cross-validation leaves one record out: give at least two records in which something moves")
     fitted = errors(model, moving)

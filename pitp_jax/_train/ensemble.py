@@ -49,7 +49,7 @@ class Ensemble(Shown):
     error: float
 
     def __post_init__(self):
-        """One member has no spread, and members of two makes cannot be run at once."""
+        """Refuse one member, which has no spread, and members of two makes, which cannot be run at once."""
         _enough(len(self.models))
         first, *others = (_make(m) for m in self.models)
         if any(other != first for other in others):

@@ -63,7 +63,7 @@ class FreeRuns:
         mesh: Mesh | None = None,
     ):
         self._model, self._how, self._slow, self._mesh = model, (dt, every), slow, mesh
-        self._root, self._centre = np.sqrt(prior[0]), prior[1]
+        self._root, self._centre = np.sqrt(prior[0]), prior[1]  # sqrt(rho): the prior is one more block of residuals
         if mesh is None:
             self._parts = [part for runs in batches for part in runs.parts(_parts_of(len(runs.start)))]
         else:

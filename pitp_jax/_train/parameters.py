@@ -51,6 +51,7 @@ def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
     params = eqx.filter(model, trainable(model))
     parts = [np.asarray(ravel_pytree(part)[0], np.float64) for part in _parts(params)]
     logs = _logarithmic(model)
+    # a number that is zero (an effect that is off) has no logarithm: it starts as good as off
     parts[3] = np.where(logs, np.log(np.maximum(np.where(logs, parts[3], 1.0), 1e-30)), parts[3])
     return np.concatenate(parts), np.array([len(p) for p in parts])
 

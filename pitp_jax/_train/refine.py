@@ -79,7 +79,7 @@ def refine(
     `windows`: whether they come first. `emphasis`: how often each whole record counts; default once.
     """
     how = _How(records[0].dt, report, firmness, slow, mesh)
-    longest = max(r.samples for r in records) * how.dt / _period(model)
+    longest = max(r.samples for r in records) * how.dt / _period(model)  # in periods
     periods, stage = _PERIODS, "short runs"
     while windows:
         runs = (_windows(model, data, records, periods),)
