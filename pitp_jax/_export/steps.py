@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,11 +49,6 @@ class Step:
     run: Callable[[Any, Array], tuple[Any, tuple]]
     inputs: int
     late: int = 0
-
-
-def in_double(model: Model) -> Model:
-    """Convert the model to float64; call it under `jax.enable_x64(True)`."""
-    return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, model)
 
 
 def predict(model: Model, dt: float, *, held: bool = False) -> Step:

@@ -18,7 +18,7 @@ from .._record.reading import Target
 from .._shown import Shown
 from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import rest_state, settled_state
-from .._simulate.prediction import at_rate, outside_fraction
+from .._simulate.prediction import at_rate, outside_fraction, outside_words
 from .advice import on_reach, on_smoothing, on_start, on_stroke, on_target
 from .course import Course
 from .limits import limits_of
@@ -116,7 +116,7 @@ def feedforward(
     if outside > 0.01:
         warnings += (
             f"{100 * outside:.0f} % of the target lies outside the region the model was trained in: "
-            "expect more error there",
+            f"{outside_words(model, cut.features[first:last], target.time)}; expect more error there",
         )
     inside = np.zeros(len(best.voltage), bool)
     inside[first:last] = True

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model, check_model
 from .._model.programs import jit, on_device
 from .._model.substeps import substeps
@@ -25,6 +26,7 @@ from .batched_rollout import free_runs
 from .beginnings import beginnings
 from .decoder import rollout, settled_state
 
+_SLACK = 0.05  # of a trained range that does not count as outside it
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
 
@@ -37,7 +39,7 @@ def estimate_start(
     dt: float,
     age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " state"]:
-    """Estimate the initial state of a record that starts moving, from its first samples (scaled; at most 50).
+    """Estimate the initial state of a record that starts moving, from its first samples (scaled).
 
     Gauss-Newton on the rollout over S(0) and one level m at which every memory is taken to have settled, with a weak
     prior (1e-3) towards the mean displacement and no motion.
@@ -82,6 +84,7 @@ class Prediction(Shown):
         estimated_start: the record starts moving, so state and memory were estimated from its first samples.
         scored: samples that count, shape (T,): all but those the initial state was estimated from.
         outside_training_share: fraction of samples whose state lies outside the trained region.
+        outside_training: in which coordinates, by how much and when, in words; empty where none does.
         begins: "rest", "held" or "moving".
         zero, zero_stderr, direction: the record's own, from its beginning: measured = direction * x + zero (m or V).
     """
@@ -96,6 +99,7 @@ class Prediction(Shown):
     zero: float = 0.0
     zero_stderr: float = 0.0
     direction: float = 1.0
+    outside_training: str = ""
 
     def __repr__(self) -> str:
         """Describe in one line what it predicts, and how the record was taken to begin."""
@@ -168,7 +172,7 @@ def begin(
     begun, states = beginnings(model, records, ages)
     starts, spent = [], []
     for record, age, state in zip(records, ages, states, strict=True):
-        samples = 0 if state is not None else first_known(record) + INITIAL_SAMPLES
+        samples = 0 if state is not None else first_known(record) + initial_samples(model, record)
         starts.append(_estimated(model, record, age, samples) if state is None else state)
         spent.append(min(samples, record.samples))
     if aged and model.effects:
@@ -185,6 +189,16 @@ def reaches(model: Model, records: Sequence[Record]) -> list[float]:
     far = [float(np.nanmax(np.abs(model.output.to_model(r.displacement)))) / scale for r in records]
     begins = [r.time[0] for r in records]
     return [max((f for f, b in zip(far, begins, strict=True) if b < own), default=0.0) for own in begins]
+
+
+def initial_samples(model: Model, record: Record) -> int:
+    """Count the samples that the state of a moving start is estimated from.
+
+    1.5 periods of the dominant mode, at least 50 samples, at most a quarter of the record
+    """
+    omega = model.natural_frequency
+    periods = 1.5 * 2 * np.pi / (omega * record.dt) if omega > 0 else np.inf
+    return int(min(max(INITIAL_SAMPLES, round(min(periods, record.samples))), record.samples // 4))
 
 
 def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
@@ -209,9 +223,38 @@ def outside_fraction(model: Model, features: np.ndarray) -> float:
     """
     if not model.provenance.region or len(features) == 0:
         return 0.0
+    return float((_beyond(model, features) > _SLACK).any(-1).mean())
+
+
+def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
+    """How far every feature lies outside its trained range, over that range; negative inside."""
     low, high = np.asarray(model.provenance.region).T
-    slack = 0.05 * np.maximum(high - low, high[0] - low[0])
-    return float(((features < low - slack) | (features > high + slack)).any(-1).mean())
+    return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
+
+
+def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
+    """Say in which coordinates rows leave the box of training, by how much and when; empty where they do not.
+
+    Args:
+        model: its region is the box.
+        features: S then memory, scaled, shape (T, features).
+        time: of the rows, s, shape (T,).
+    """
+    if outside_fraction(model, features) == 0:
+        return ""
+    beyond = _beyond(model, features)
+    memory = model.memory
+    mass = ["second mass", "speed of the second mass"] if isinstance(memory, RingingMemory) else []
+    lags = np.exp(np.asarray(memory.log_tau)) if isinstance(memory, FadingMemory | RingingMemory) else []
+    fading = [f"memory of {tau:.2g} s" for tau in lags]
+    names = ["stroke", "speed", *(f"derivative {k}" for k in range(2, model.order))][: model.order]
+    names += [*mass, *fading, *["memory"] * (memory.size - len(mass) - len(fading))]
+    worst = [k for k in np.argsort(-beyond.max(0)) if beyond[:, k].max() > _SLACK][:2]
+    return " and ".join(
+        f"{names[k]} by up to {100 * beyond[:, k].max():.0f} % of its trained range, first at "
+        f"{time[np.argmax(beyond[:, k] > _SLACK)]:.4g} s"
+        for k in worst
+    )
 
 
 def _prediction(
@@ -226,6 +269,8 @@ def _prediction(
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
-    outside = 1.0 if first == 0 else outside_fraction(model, states[:first, : model.order + model.memory.size])
+    features = states[:first, : model.order + model.memory.size]
+    outside = 1.0 if first == 0 else outside_fraction(model, features)
+    words = outside_words(model, features, record.time[:first] - record.time[0])
     own = begun.begins, begun.zero, begun.stderr, begun.direction
-    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own)
+    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own, words)
