@@ -22,6 +22,7 @@ from jax.flatten_util import ravel_pytree
 from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._model.model import Model, check_model
+from .._model.programs import in_double
 from . import steps
 
 SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)
@@ -76,7 +77,7 @@ def pi_gains(model: Model, dt: float | None = None, time_constant: float | None 
     pairs = poles[np.abs(poles.imag) > 0.1 * np.abs(poles)]
     slowest = 2 / np.abs((pairs if len(pairs) else poles).real).min()
     with jax.enable_x64(True):
-        loops, stiffness = _linearised(steps.in_double(model), dt)
+        loops, stiffness = _linearised(in_double(model), dt)
     a0 = min([a[0], *stiffness])
     tuned = partial(_tuned, a0, a[1] / a[0], loops, dt)
     if time_constant is None:

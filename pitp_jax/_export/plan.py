@@ -23,6 +23,7 @@ from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
 from .._model.model import Model
+from .._model.programs import in_double
 from .._numerics.spline_derivative import derivatives
 from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
@@ -186,7 +187,7 @@ def plan(
         raise BadInput(f"--rate {rate!r}: must be a positive number of Hz")
     with jax.enable_x64(True):
         made = Plan(
-            steps.in_double(model),
+            in_double(model),
             1 / rate if rate else model.provenance.dt,
             name,
             precision == "single",

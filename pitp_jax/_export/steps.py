@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +26,7 @@ from .._model.drive import DirectDrive
 from .._model.model import Model
 from .._numerics.intersample import weights
 from .._simulate import ports
-from .._simulate.decoder import settled_state, step
+from .._simulate.decoder import settled_state, stage_fractions, step
 from .._simulate.prediction import at_rate
 
 _HUGE = 1e3  # of the training force: what stands for a force no field makes, as in `_invert.equation`
@@ -52,11 +51,6 @@ class Step:
     late: int = 0
 
 
-def in_double(model: Model) -> Model:
-    """Convert the model to float64; call it under `jax.enable_x64(True)`."""
-    return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, model)
-
-
 def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     """Build the step from a drive voltage (V) to the displacement (rig, m) at its sample.
 
@@ -64,7 +58,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     """
     model = at_rate(model, dt)
     scale = model.scales.state[0]
-    taps = weights("foh" if held else model.hold, np.arange(2 * model.substeps + 1) / (2 * model.substeps))
+    taps = weights("foh" if held else model.hold, stage_fractions(model))
     delays = [e for e in model.effects if e.delays]
 
     def start(y, u):

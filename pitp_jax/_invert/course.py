@@ -11,12 +11,14 @@ misses by more.
 
 from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._metrics import e_rms_percent, rmse
 from .._model.model import Model
+from .._model.programs import in_double
 from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
@@ -77,11 +79,11 @@ class Course:
         return not np.abs(played.reading).max() <= self.limits.farthest
 
     def play(self, voltage: np.ndarray) -> np.ndarray:
-        """Roll a voltage out: its reading, m."""
-        model = self.model
-        u = jnp.asarray(voltage[None], model.coefficients.dtype)
-        states = fast_rollout(model, u, self.dt, self.start[None])[0]
-        return np.asarray(ports.readings(model, states), np.float64) * model.scales.state[0]
+        """Roll a voltage out: its reading, m; in float64, for derivatives of float32's rounding are volts."""
+        with jax.enable_x64(True):
+            model, start = in_double((self.model, self.start))
+            states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), self.dt, start[None])[0]
+            return np.asarray(ports.readings(model, states)) * model.scales.state[0]
 
     def plan(self, reference: np.ndarray) -> Planned:
         """Solve eq. 13 along a reference, cut at the limits, and add the ramp down."""

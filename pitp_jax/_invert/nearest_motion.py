@@ -8,12 +8,12 @@ Gauss-Newton about the current rollout: every change of the voltage solves a qua
 iterate keeps them. m is what the first voltage misses, U the range of voltages. 10,000 samples take a second or two.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .._model.model import Model
+from .._model.programs import in_double
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
 from .change_programme import Played, Wish, best_change, second_differences
@@ -36,7 +36,7 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
     """
     # an interior point divides by slacks that go to zero; beside voltages of order one float32 would lose them
     with jax.enable_x64(True):
-        model = jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, model)
+        model = in_double(model)
         now = _play(model, wish, first)
         size = np.sqrt(sum((part**2).sum() for part in _misses(wish, now)))
         if not 0 < size < np.inf:

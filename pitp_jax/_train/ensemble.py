@@ -4,19 +4,25 @@
 
 What the members agree on by mistake no spread can show, so s_0, their rms error on the training records over its
 range, stands beside it. Student's quantile on both is on the safe side (docs/decisions/training.md).
+
+Of P JAX processes, number p trains the members p, p + P, ...; in the end every process has them all.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
+from jax.experimental.multihost_utils import process_allgather
 
 from .._model.model import Model
 from .._model.programs import bare, jit
+from .._model_file import load, save
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._record.sets import check_set
@@ -70,10 +76,10 @@ class Band(Shown):
 
 
 def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
-    """Train `members` models from keys split off `key`; `options` as for `train`.
+    """Train `members` models from keys split off `key`, shared among all JAX processes; `options` as for `train`.
 
     Args:
-        nominal, records: as for `train`.
+        nominal, records: as for `train`, the same in every process.
         members: models, at least 2.
         key: JAX key.
         **options: as for `train`.
@@ -90,8 +96,11 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
     _enough(members)
     check_set(records)
     records, _ = in_motion(records)
+    keys, processes = jax.random.split(key, members), jax.process_count()
+    mine = range(jax.process_index(), members, processes)
     # the same records for all: what differs is the start of the nets and the order of minibatches
-    models = tuple(train(nominal, records, key=k, **options).model for k in jax.random.split(key, members))
+    models = tuple(train(nominal, records, key=keys[k], **options).model for k in mine)
+    models = _gathered(models, members) if processes > 1 else models
     bands = predict_band(Ensemble(models, 0.0), records)
     errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
     return Ensemble(models, float(np.sqrt(np.mean(np.square(errors)))))
@@ -141,6 +150,26 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
 def _enough(members: int) -> None:
     if members < 2:
         raise ValueError(f"an ensemble needs at least 2 members, got {members}")
+
+
+def _gathered(own: Sequence[Model], members: int) -> tuple[Model, ...]:
+    """Gather the members of all processes in order; model files also hold what each was made from."""
+    processes = jax.process_count()
+    with TemporaryDirectory() as folder:
+        path, packed = Path(folder) / "member.pitp", []
+        for model in own:
+            save(path, model)
+            packed.append(np.frombuffer(path.read_bytes(), np.uint8))
+        # every process brings arrays of one shape: blanks where it trained fewer
+        packed += [np.zeros(0, np.uint8)] * (-(-members // processes) - len(packed))
+        sizes = np.asarray(process_allgather(np.array([len(p) for p in packed])))
+        padded = np.stack([np.pad(p, (0, sizes.max() - len(p))) for p in packed])
+        files, models = np.asarray(process_allgather(padded)), []
+        for k in range(members):
+            slot = k % processes, k // processes
+            path.write_bytes(files[slot][: sizes[slot]].tobytes())
+            models.append(load(path))
+    return tuple(models)
 
 
 def _stacked(models: Sequence[Model]) -> Model:
