@@ -49,7 +49,7 @@ def test_demo_quick(call, tmp_path):
     assert code == 0
     assert "Table I" in text
     assert all(table["title"] in text for table in json.loads((tmp_path / "j").read_text())["tables"])
-    left = {*files.FILES, *files.recordings("cone100", quick=True), files.RECORDS, files.HELD_OUT}
+    left = {*files.FILES, *files.recordings("cone100", quick=True), files.RECORDS, files.HELD_OUT, "figures"}
     assert tree(tmp_path / "d") == sorted(left)
     assert call("predict", tmp_path / "d" / "model.pitp", tmp_path / "d" / "held_out")[0] == 0
     assert model_file.load(tmp_path / "d" / "model.pitp").order >= 2
