@@ -197,8 +197,8 @@ def run(name: str, joint: Joint, right: tuple[str, ...], seconds: float, seed: i
     began = time.perf_counter()
     found = pitp.diagnose(robot, against=simulated)
     took = time.perf_counter() - began
-    said, ties = set(found.effects), [set(t) for t in getattr(found.robot, "ties", ())]
-    fits = said == set(right) or (bool(right) and set(right) in ties)
+    said, tied = set(found.effects), set(found.robot.equivalent)
+    fits = said == set(right) or (len(right) == len(said) == 1 and set(right) <= tied)
     gap = misfit(robot, recordings(IDEAL, seconds, seed))
     left = misfit(robot, recordings(put_back(found), seconds, seed)) / gap if said and gap > 0.1 else None
     return {"case": name, "right": right, "said": sorted(said), "verdict": found.verdict, "fits": fits,
