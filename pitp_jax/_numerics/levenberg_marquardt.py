@@ -31,16 +31,25 @@ class Normal(NamedTuple):
         return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
 
 
-def minimise(normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, bool]:
+def minimise(
+    normal: Callable[[np.ndarray], Normal],
+    params: np.ndarray,
+    upper: np.ndarray,
+    most: int = _MAX_STEPS,
+    least: float = 0.0,
+) -> tuple[np.ndarray, bool]:
     """Parameters of least cost from `params` on, none above `upper`, and whether the tolerance was met.
+
+    `most`: steps; `least`: a step that lowers the cost by a smaller share than that is the last one.
 
     Those with a finite `upper` are taken for logarithms, in which a long step is never to be trusted.
     """
     slow, before, found, converged = 0, np.inf, params, False
-    for found, here, met in islice(steps(normal, params, upper), _MAX_STEPS):
+    for found, here, met in islice(steps(normal, params, upper), most):
         slow = slow + 1 if before - here.cost < _SLOW * before else 0
-        before, converged = here.cost, met
-        if slow == _PATIENCE:
+        last = before - here.cost < least * before
+        before, converged = here.cost, met or last
+        if slow == _PATIENCE or last:
             return found, True
     return found, converged
 
