@@ -109,7 +109,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
 
 def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
     """Poles (`linear_ode`) of some records, and every record beside them."""
-    begun, roots = find_beginnings([small[k] for k in sorted(kept)], "linear")
+    begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
     logs, found = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))

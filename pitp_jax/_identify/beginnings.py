@@ -30,13 +30,17 @@ _STRUCTURE, _ROUNDS = Structure(2), 4
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
 
-def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None]:
-    """How every record begins, and the roots of order 2 found on the way (rad/s; None: none could be fitted)."""
+def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None, float]:
+    """How every record begins, the roots of order 2 found on the way (rad/s), and the fraction of the output it leaves.
+
+    The roots are None and the fraction 1 where no such model could be fitted.
+    """
     begun = [from_known(r) for r in records]
     chosen, small = _decimated(begun, input_map)
-    poles = _first_poles(small)
-    if poles is None:
-        return [_at_rest(r) for r in begun], None
+    first = _first_poles(small)
+    if first is None:
+        return [_at_rest(r) for r in begun], None, 1.0
+    cost, poles = first
     found: list[Beginning] = []
     for _ in range(_ROUNDS):
         rows = [_columns(r, input_map, *poles) for r in begun]
@@ -49,8 +53,8 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
         better = _fitted(poles[0], some)
         if better is None:
             break
-        poles = better[1]
-    return found, np.roots(polynomial(poles[0])[::-1])
+        cost, poles = better
+    return found, np.roots(polynomial(poles[0])[::-1]), float(np.sqrt(cost))
 
 
 def _at_rest(record: Record) -> Beginning:
@@ -96,13 +100,13 @@ def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], li
     return list(chosen), [averaged(records[k], forces[k], size) for k in chosen]
 
 
-def _first_poles(small: Sequence[Record]) -> tuple[np.ndarray, float] | None:
-    """Logarithms of the pole coefficients (rad/s) and gain (m per V^2 or V), nothing known of how records begin."""
+def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, float]] | None:
+    """What `_fitted` returns, nothing known of how records begin."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
     found = []
     for _ in range(2):  # once more with the directions that the first poles tell
-        starts = best_starts(_STRUCTURE, problem, guesses(_STRUCTURE.order, problem, None), most=2)
+        starts = best_starts(_STRUCTURE, problem, guesses(_STRUCTURE.order, problem), most=2)
         found = [f for f in (_fitted(s, problem) for s in starts) if f is not None]
         if not found:
             return None
@@ -110,7 +114,7 @@ def _first_poles(small: Sequence[Record]) -> tuple[np.ndarray, float] | None:
         if [b.direction for b in directed] == [b.direction for b in problem.beginnings]:
             break
         problem = build_problem(small, "linear", directed)
-    return min(found, key=lambda f: f[0])[1]
+    return min(found, key=lambda f: f[0])
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:

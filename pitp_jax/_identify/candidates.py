@@ -3,13 +3,15 @@
     score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, nothing below 0.1 % of the output counting
     fewest poles and delays;  of as many the lower order within 1 %, else the better score;  of those the better hold
 
-Every order stands under its own best hold, since half a sample of lag is a pole: compared under one hold, a plant of
-order 2 behind a held voltage becomes one of order 3. More than 3 % would take zoh for half a sample of delay
-(+6.5 %); no delay is kept that buys nothing held out (two servo joints: 7 to 14 % in sample, -8 % on other records).
+Every order stands under its own best hold (in sample: as many parameters), since half a sample of lag is a pole:
+compared under one hold, a plant of order 2 behind a held voltage becomes one of order 3. More than 3 % would take zoh
+for half a sample of delay (+6.5 %); no delay is kept that buys nothing held out (two servo joints: 7 to 14 % in sample,
+-8 % on other records).
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -18,13 +20,15 @@ from .frequency_fit import fit_response
 from .frequency_response import FrequencyResponse
 from .heldout import HeldOut, held_out
 from .output_error import Problem, Structure, least_squares
-from .starts import best_starts, guesses
+from .starts import best_starts, guesses, one_more
 
 NEAR, TIE, LEAST = 1.03, 1.01, 1e-3
-_ALWAYS = 3  # orders that are tried in any case; a higher one only where the last one wins
+_ALWAYS = 3  # orders that are tried in any case; a higher one where the last or the one before wins: a mode is two
 _NO_WORSE = 1.001  # an order holds every lower one: a higher cost means that the search stopped short
-_STEPS, _LEAST_STEP = 40, 1e-6  # of a fit that is only to be compared; the chosen one goes on
-_SHORTEST = 0.05  # samples of delay to start from, since none has no slope
+_STEPS, _LEAST_STEP = 40, 1e-5  # of a fit that is only to be compared; the chosen one goes on
+_DELAY = 0.05  # samples: a shorter delay is none; to start from, since none has no slope
+
+Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
 
 
 @dataclass(frozen=True)
@@ -53,16 +57,25 @@ def search(
     progress: Callable[[str], None],
 ) -> list[Candidate]:
     """All candidates that could be fitted, in ascending order."""
-    told = fit_response(response, problem.fine) if response.rich else {}
+    told = fit_response(response, problem.fine, orders, delays) if response.rich else {}
+    roots = cache(lambda order: guesses(order, problem))
     found: list[Candidate] = []
     for order in orders:
-        if order > _ALWAYS and len(orders) > 1 and choose(found).structure.order < order - 1:
+        if order > _ALWAYS and len(orders) > 1 and choose(found).structure.order < order - 2:
             break
         here: list[Candidate] = []
         for delayed in delays:
+            ends: list[tuple[Structure, Ending]] = []
             for hold in holds:
-                fit = _fitted(Structure(order, hold, delayed), problem, told, [*found, *here])
-                here += [] if fit is None else [fit]
+                structure = Structure(order, hold, delayed)
+                end = _fitted(structure, problem, told, roots, found + here, ends[0][1] if ends else None)
+                ends += [] if end is None else [(structure, end)]
+            if not ends:
+                continue
+            structure, (params, cost, converged) = min(ends, key=lambda e: e[1][1])
+            if not delayed or len(delays) == 1 or np.exp(params[-1]) > _DELAY * problem.fine:
+                with np.errstate(all="ignore"):
+                    here.append(Candidate(structure, params, cost, converged, held_out(params, structure, problem)))
         if not here:
             continue
         found += here
@@ -71,33 +84,25 @@ def search(
     return found
 
 
-def _fitted(structure: Structure, problem: Problem, told, found: Sequence[Candidate]) -> Candidate | None:
-    """The candidate from where the frequency response leads; where it tells nothing, from the best of others."""
+def _fitted(structure: Structure, problem: Problem, told, roots, found: Sequence[Candidate], other) -> Ending | None:
+    """Where the fit ends from where the frequency response leads; where that tells nothing, from the best of others."""
     order, delayed = structure.order, structure.delayed
-    known = {(c.structure.order, c.structure.delayed, c.structure.hold): c for c in found}
-    lower, prompt = known.get((order - 1, delayed, structure.hold)), known.get((order, False, structure.hold))
-    other = next((c for (n, late, _), c in known.items() if (n, late) == (order, delayed)), None)
-    start, short = told.get((order, delayed)), np.log(_SHORTEST * problem.fine)
+    known = {(c.structure.order, c.structure.delayed): c for c in found}
+    lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None
+    start, short = told.get((order, delayed)), np.log(_DELAY * problem.fine)
     if other is not None:  # under another hold: what is best there is near
-        start = other.params
+        start = other[0]
     elif start is not None and delayed:
         start = np.append(start[:-1], max(start[-1], short))
     ends = [] if start is None else [least_squares(start, structure, problem, _STEPS, _LEAST_STEP)]
-    bound = _NO_WORSE * min(
-        (c.cost for c in (lower, prompt) if c is not None and c.structure != structure), default=np.inf
-    )
+    bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
     if not ends or min(e[1] for e in ends) > bound:
-        roots = guesses(order, problem, None if lower is None else lower.params[: lower.structure.order])
-        some = best_starts(structure, problem, roots, most=2)
-        some += [np.append(prompt.params, short)] if delayed and prompt is not None else []
+        sets = roots(order) + ([] if lower is None else one_more(lower.params[: order - 1]))
+        some = best_starts(structure, problem, sets, most=2)
+        some += [np.append(prompt.params, short)] if prompt is not None else []
         ends += [least_squares(s, structure, problem, _STEPS, _LEAST_STEP) for s in some]
     ends = [e for e in ends if np.isfinite(e[1])]
-    return _candidate(structure, problem, *min(ends, key=lambda e: e[1])) if ends else None
-
-
-def _candidate(structure: Structure, problem: Problem, params, cost: float, converged: bool) -> Candidate:
-    with np.errstate(all="ignore"):
-        return Candidate(structure, params, cost, converged, held_out(params, structure, problem))
+    return min(ends, key=lambda e: e[1]) if ends else None
 
 
 def choose(candidates: Sequence[Candidate]) -> Candidate:

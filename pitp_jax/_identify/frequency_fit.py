@@ -8,6 +8,8 @@ the linear equation-error fit in frequency leads (iterated with its own denomina
 Source: Sanathanan & Koerner (1963); Pintelon & Schoukens (2012), 9.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,10 +24,13 @@ _PAIRS = 3
 _LEAST = 0.02  # of |G|: a response is not linear to more than that
 _LINES = 256
 _ROUNDS, _STEPS = 8, 60
+_DELAYS = np.geomspace(0.5, 45.0, 8)  # samples, from which one is sought
 _RIDGE = 1e-4
 
 
-def fit_response(response: FrequencyResponse, dt: float) -> dict[tuple[int, bool], np.ndarray]:
+def fit_response(
+    response: FrequencyResponse, dt: float, orders: Sequence[int] = ORDERS, delays: Sequence[bool] = (False, True)
+) -> dict[tuple[int, bool], np.ndarray]:
     """Parameters of every (order, delayed): logarithms of the pole coefficients (rad/s), then of the delay (s)."""
     known = np.flatnonzero(response.coherent)
     hz, value = response.hz[known], response.value[known]
@@ -33,7 +38,7 @@ def fit_response(response: FrequencyResponse, dt: float) -> dict[tuple[int, bool
     unit = 2 * np.pi * float(np.exp(np.log(hz).mean()))
     s = 2j * np.pi * hz / unit
     held = np.sinc(hz * dt) ** 2
-    lanes = [(order, delayed) for order in ORDERS for delayed in (False, True)]
+    lanes = [(order, delayed) for order in orders for delayed in delays]
     rows = [(_start(*lane, s, value / held, weight * held, unit * dt), _mask(*lane)) for lane in lanes]
     pad = _LINES - len(hz)
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
@@ -66,7 +71,7 @@ def _mask(order: int, delayed: bool) -> np.ndarray:
 def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.ndarray:
     """Poles of the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, for the best of a few delays."""
     best, chosen = np.inf, np.zeros(2 * _PAIRS + 2)
-    for late in (0.5, 2.0, 8.0) if delayed else (0.0,):
+    for late in _DELAYS if delayed else (0.0,):
         target = np.exp(-s * late * sample) / value
         powers, size = s[:, None] ** np.arange(order + 1), np.abs(value)
         a = np.ones(order + 1)

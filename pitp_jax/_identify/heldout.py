@@ -14,7 +14,7 @@ import numpy as np
 
 from .output_error import Problem, Structure, driven, least_squares, masked, own_columns, poles_of, solve
 
-_FOLDS, _STEPS, _LEAST_STEP = 3, 6, 1e-4
+_FOLDS, _STEPS, _LEAST_STEP = 3, 4, 1e-3
 _DECAYS = 3.0
 
 
@@ -62,19 +62,22 @@ def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
 
 def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> HeldOut:
     """Refit from `params` on all folds but one, and run on that one."""
-    edges = [np.linspace(0, len(w), _FOLDS + 1).astype(int) for w in problem.weight]
+    edges = [np.linspace(0, len(w), 3 * _FOLDS + 1).astype(int) for w in problem.weight]
     error = [np.zeros(len(w)) for w in problem.weight]
     scored = [np.zeros(len(w)) for w in problem.weight]
     left = whole = 0.0
     for fold in range(_FOLDS):
-        blocks = [slice(*e[(fold + k) % _FOLDS : (fold + k) % _FOLDS + 2]) for k, e in enumerate(edges)]
+        parts = [
+            [slice(*e[j : j + 2]) for j in range((fold + k) % _FOLDS, 3 * _FOLDS, _FOLDS)] for k, e in enumerate(edges)
+        ]
         keep = [np.ones(len(w)) for w in problem.weight]
-        for mask, block in zip(keep, blocks, strict=True):
-            mask[block] = 0.0
+        for mask, some in zip(keep, parts, strict=True):
+            for block in some:
+                mask[block] = 0.0
         rest = masked(problem, keep)
         refitted = least_squares(params, structure, rest, _STEPS, _LEAST_STEP)[0]
         solved = solve(refitted, structure, rest)
-        for k, block in enumerate(blocks):
+        for k, block in ((k, b) for k, some in enumerate(parts) for b in some):
             run = solved.gains[0] * driven(refitted, structure, problem, k)
             own, rings = own_columns(refitted, structure, problem, k)
             run = run + own[:, ~rings] @ solved.own[k][~rings]

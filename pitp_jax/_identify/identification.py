@@ -37,8 +37,8 @@ from .output_error import Problem, build_problem, check_motion, least_squares, s
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
 _BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wrong one costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
-_SAMPLES = 40_000  # of which candidates are compared: more are averaged over blocks,
-_PER_PERIOD, _PER_RESONANCE = 50, 20  # but not below so many a period of the drive's band, and of the resonance
+_SAMPLES = 10_000  # of which candidates are compared: more are averaged over blocks, as long as these hide no more than
+_HIDDEN = 0.1  # of what a linear model leaves: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 _FREED = 0.99  # of the held-out score that a fitted zero has to leave at most, beside one from the first samples
 
 
@@ -128,9 +128,10 @@ def identify(
         raise BadInput("a delay cannot be both learned and left out: choose one")
     check_set(records)
     check_motion(records)
-    begun, roots = find_beginnings(records, input_map)
+    begun, roots, misfit = find_beginnings(records, input_map)
+    finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
     whole = build_problem(records, input_map, begun)
-    small = _averaged(records, input_map, begun, roots)
+    small = _averaged(records, input_map, begun, roots, finest)
     response = frequency_response(whole)
     asked = {
         "orders": ORDERS if order == "auto" else (int(order),),
@@ -141,7 +142,7 @@ def identify(
     if not candidates:
         raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
     chosen = choose(candidates) if order != "auto" else _known(candidates, small)
-    freed, begun = _zeros_by_score(chosen, records, input_map, begun, roots)
+    freed, begun = _zeros_by_score(chosen, records, input_map, begun, roots, finest)
     whole = whole if freed is chosen else build_problem(records, input_map, begun)
     chosen = _refined(freed, whole, [hold] if hold else [*_HOLDS] if chosen.structure.delayed or small.fine < small.dt
                       else [chosen.structure.hold], bandlimited=hold is None)  # fmt: skip
@@ -179,12 +180,10 @@ def _known(candidates: Sequence[Candidate], problem: Problem) -> Candidate:
     )
 
 
-def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots) -> Problem:
+def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
     """The problem on which candidates are compared: means over blocks where there are more samples than it takes."""
     whole = build_problem(records, input_map, begun)
-    fastest = max(whole.omega * _PER_PERIOD, *(np.abs(roots) * _PER_RESONANCE if roots is not None else ())) / (
-        2 * np.pi
-    )
+    fastest = finest * max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
     size = min(
         int(1 / (fastest * whole.dt)), int(np.ceil(whole.samples / _SAMPLES)), min(len(d) for d in whole.drive) // 64
     )
@@ -195,7 +194,7 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
     return replace(build_problem(small, "linear", begun), fine=whole.dt)
 
 
-def _zeros_by_score(chosen: Candidate, records, input_map: str, begun: Sequence[Beginning], roots):
+def _zeros_by_score(chosen: Candidate, records, input_map: str, begun: Sequence[Beginning], roots, finest: float):
     """Whether zeros read at rest are better fitted: under a nonlinear plant the poles bend to make up for a zero held.
 
     Right for a linear plant, where the first samples tell most; the blocks left out decide.
@@ -203,7 +202,7 @@ def _zeros_by_score(chosen: Candidate, records, input_map: str, begun: Sequence[
     if all(b.free for b in begun):
         return chosen, begun
     free = [replace(b, free=True) for b in begun]
-    problem = _averaged(records, input_map, free, roots)
+    problem = _averaged(records, input_map, free, roots, finest)
     params, cost, converged = least_squares(chosen.params, chosen.structure, problem)
     heldout = held_out(params, chosen.structure, problem)
     if heldout.score < _FREED * chosen.heldout.score and np.isfinite(cost):

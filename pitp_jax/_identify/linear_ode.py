@@ -5,8 +5,11 @@
     m_i(t+1) = e^z m_i(t) + f_1 F_t + f_2 (F_{t+1} - F_t) + f_3 (u_{t+1} - u_t)^2,    x = sum_i r_i m_i,    z = p_i h
     f_1 = phi_1(z),   f_2 = phi_2(z),   f_3 = 2 phi_3(z) - phi_2(z),    phi_k(z) = sum_j z^j / (j + k)!
 
-Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not; f_3 is what the square of a line has
-beside the line between squares. A mode is one first-order filter, ten times faster than the chained state space.
+Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not, and for any delay; f_3 is what the square of a line has beside the line between squares, or half the second difference of a force that is cubic
+between samples. A mode is one first-order filter, ten times faster than the chained state space. Its slope is another:
+
+    m'(t+1) = e^z m'(t) + e^z m(t) + sum_k f_k'(z) ...,    phi_k' = phi_k - k phi_{k+1}
+    (2 p + e^a) dp = -e^a p da - e^b db       of a pole p of  s^2 + e^a s + e^b
 """
 
 from math import factorial
@@ -98,6 +101,18 @@ def _phi(z: complex, k: int) -> complex:
     return closed
 
 
+def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
+    """Derivatives dp_i / dlogs_j of the poles, in the order of `poles`."""
+    known, slopes = poles(logs), np.zeros((len(logs), len(logs)), complex)
+    for k, factor in enumerate(_factors(logs)):
+        for i in range(2 * k, 2 * k + len(factor) - 1):
+            if len(factor) == 2:
+                slopes[i, i] = known[i]
+                continue
+            slopes[i, 2 * k : 2 * k + 2] = -np.array([factor[1] * known[i], factor[0]]) / (2 * known[i] + factor[1])
+    return slopes
+
+
 def respond(
     logs: Float[np.ndarray, " n"],
     drive: Float[np.ndarray, " time"],
@@ -106,6 +121,7 @@ def respond(
     square: bool,
     hold: str,
     settled: bool = False,
+    late: float = 0.0,
 ) -> Float[np.ndarray, " time"]:
     """Response with unit static gain to the force drive^2 (or drive).
 
@@ -114,35 +130,121 @@ def respond(
         drive: voltage at the samples.
         step: duration of one sample in the unit of time of the poles.
         square: whether the force is the square of the voltage.
-        hold: "foh", "zoh" or "bandlimited" (foh on the voltage read four times a sample).
+        hold: "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth force).
         settled: from the equilibrium of the first sample, not from rest.
+        late: delay in samples; exact between them.
     """
     if hold == "bandlimited":
-        fine = between(drive, hold, np.arange(_FINER) / _FINER, np).reshape(-1)
-        return respond(logs, fine, step=step / _FINER, square=square, hold="foh", settled=settled)[::_FINER]
-    force = drive**2 if square else drive
-    level = force[0] if settled else 0.0
-    now = force[:-1] - level
-    z = poles(logs) * step
-    change, bend = np.diff(force), np.diff(drive) ** 2 if square else None
-    found = np.zeros(len(drive))
-    for k, pole in enumerate(z):
-        if pole.imag < 0:
-            continue
-        others = np.delete(z, k)
-        residue = np.prod(-z) / np.prod(pole - others)
-        one, two, three = (_phi(pole, j) for j in (1, 2, 3))
-        pushed = one * now
-        if hold == "foh":
-            pushed = pushed + two * change
-            if bend is not None:
-                pushed = pushed + (2 * three - two) * bend
-        decay = np.exp(pole)
-        if pole.imag == 0:  # real arithmetic is three times as fast
-            residue, pushed, decay = residue.real, pushed.real, decay.real
-        mode = np.asarray(lfilter([1.0], [1.0, -decay], pushed))
-        found[1:] += (2 if pole.imag > 0 else 1) * np.real(residue * mode)
+        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
+        return respond(logs, _finer(drive), **how)[::_FINER]
+    rows, level = _inputs(drive, square, hold, settled)
+    z, found = poles(logs) * step, np.zeros(len(drive))
+    whole, part = _split(late, len(drive))
+    for pole in z[np.imag(z) >= 0]:
+        mode = _later(_filtered(_weights(pole)[0, : len(rows)] @ rows, pole), pole, part, rows, whole)
+        found[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z) * mode)
     return found + level
+
+
+def respond_with_slopes(
+    logs: Float[np.ndarray, " n"],
+    drive: Float[np.ndarray, " time"],
+    *,
+    step: float,
+    square: bool,
+    hold: str,
+    settled: bool = False,
+    late: float = 0.0,
+) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "n time"], Float[np.ndarray, " time"]]:
+    """The response of `respond`, its derivatives by the logarithms, and its rate (per unit of time)."""
+    if hold == "bandlimited":
+        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
+        run, slopes, rate = respond_with_slopes(logs, _finer(drive), **how)
+        return run[::_FINER], slopes[:, ::_FINER], rate[::_FINER]
+    rows, level = _inputs(drive, square, hold, settled)
+    z, moves = poles(logs) * step, pole_slopes(logs) * step
+    whole, part = _split(late, len(drive))
+    found = np.zeros((len(logs) + 2, len(drive)))
+    for i in np.flatnonzero(np.imag(z) >= 0):
+        pole, others = z[i], np.delete(z, i)
+        weights = _weights(pole)[:, : len(rows)]
+        mode = _filtered(weights[0] @ rows, pole)
+        slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)
+        slope = _later(slope + part * mode, pole, part, rows, whole, 1)
+        mode = _later(mode, pole, part, rows, whole)
+        relative = 1 / z  # d log(residue) / dz
+        relative[np.arange(len(z)) != i] += 1 / (pole - others)
+        relative[i] -= (1 / (pole - others)).sum()
+        residue = _residue(pole, z)
+        of_mode = residue * np.concatenate([[1.0], relative @ moves, [pole / step]])
+        of_slope = residue * np.concatenate([[0.0], moves[i], [0.0]])
+        for series, factors in ((mode, of_mode), (slope, of_slope)):
+            for number, size in zip(found, factors, strict=True):  # by hand: BLAS would start its threads for this
+                if pole.imag:
+                    number[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
+                elif size:
+                    number[whole:] += size.real * series
+    if len(z) == 1:  # the force itself acts on the rate of a first order
+        rows = np.column_stack([rows, rows[:, -1]])
+        force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
+        found[-1, whole:] -= np.real(z[0]) / step * force[: len(drive) - whole]
+    return found[0] + level, found[1:-1], found[-1]
+
+
+def _finer(drive: np.ndarray) -> np.ndarray:
+    return between(drive, "bandlimited", np.arange(_FINER) / _FINER, np).reshape(-1)
+
+
+def _split(late: float, samples: int) -> tuple[int, float]:
+    """A delay as whole samples, less a part of one."""
+    whole = min(int(np.ceil(late)), samples - 1)
+    return whole, max(whole - late, 0.0)
+
+
+def _residue(pole: complex, z: np.ndarray) -> complex:
+    residue = complex(np.prod(-z) / np.prod(pole - z[z != pole]))
+    return residue if pole.imag else residue.real
+
+
+def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[np.ndarray, float]:
+    """What f_1, f_2, f_3 multiply, (1 to 3, T - 1), and the force from which it counts."""
+    force = drive**2 if square else drive
+    level = float(force[0]) if settled else 0.0
+    rows = [force[:-1] - level]
+    if hold != "zoh":
+        rows.append(np.diff(force))
+    if hold == "cubic":
+        bend = np.pad(np.diff(force, 2), 1, mode="edge")
+        rows.append((bend[:-1] + bend[1:]) / 4)
+    elif hold == "foh" and square:
+        rows.append(np.diff(drive) ** 2)
+    return np.stack(rows), level
+
+
+def _weights(z: complex, part: float = 1.0) -> np.ndarray:
+    """f_1, f_2, f_3 for a part of a sample, and their derivatives by z, (2, 3); real where z is."""
+    s = part
+    one, two, three, four = (_phi(z * s, k) * s**k for k in (1, 2, 3, 4))
+    both = np.array([[one, two, 2 * three - two],
+                     [s * one - two, s * two - 2 * three, 2 * s * three - 6 * four - s * two + 2 * three]])  # fmt: skip
+    return both if z.imag else np.real(both)  # real arithmetic is three times as fast
+
+
+def _later(mode: np.ndarray, pole: complex, part: float, rows: np.ndarray, whole: int, slope: int = 0) -> np.ndarray:
+    """A mode (or its slope, where `slope` is 1) a part of a sample on, without its last `whole` samples."""
+    kept = len(mode) - whole
+    if not part:
+        return mode[:kept]
+    return _decay(part * pole) * mode[:kept] + _weights(pole, part)[slope, : len(rows)] @ rows[:, :kept]
+
+
+def _decay(z: complex) -> complex:
+    return np.exp(z) if z.imag else np.exp(z.real)
+
+
+def _filtered(pushed: np.ndarray, z: complex) -> np.ndarray:
+    """A mode from 0 on, one longer than what pushes it."""
+    return np.asarray(lfilter([1.0], [1.0, -_decay(z)], np.append(0.0, pushed)))
 
 
 def coast(
@@ -156,4 +258,4 @@ def coast(
         mode = np.exp(pole * np.arange(samples))
         columns += [mode.real, mode.imag] if pole.imag > 0 else [mode.real]
         rings += [True, True] if pole.imag > 0 else [False]
-    return np.column_stack(columns) if columns else np.zeros((samples, 0)), np.array(rings, bool)
+    return np.array(columns).reshape(-1, samples).T, np.array(rings, bool)

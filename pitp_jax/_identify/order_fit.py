@@ -18,7 +18,7 @@ from .._model.model import Hold
 from .._shown import Shown
 from .candidates import Candidate
 from .linear_ode import polynomial, polynomial_slopes
-from .output_error import FASTEST, Problem, Structure, inverse, own_columns, poles_of, solve, steps
+from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
 
 _BLOCKS = 64
 _BEYOND = 1.5  # rad a sample: a faster pole is none that these samples show
@@ -143,24 +143,14 @@ def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> 
 
 def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
     """Covariance of (logarithms, gain, fitted zeros, log delay): see the head of this file."""
-    n, solved = structure.order, solve(params, structure, problem)
-    moves = steps(params, structure, problem)
-    slopes = []
-    for j, move in enumerate(moves):
-        up, down = (
-            solve(params + s * move * np.eye(len(params))[j], structure, problem, solved.gains).left for s in (1, -1)
-        )
-        slopes.append([(a - b) / (2 * move) for a, b in zip(up, down, strict=True)])
-    gains = []
-    for j in range(len(solved.gains)):
-        moved = solve(params, structure, problem, solved.gains + np.eye(len(solved.gains))[j]).left
-        gains.append([a - b for a, b in zip(moved, solved.left, strict=True)])
-    columns = [*slopes[:n], *gains, *slopes[n:]]
-    size = len(columns)
+    n, (solved, slopes) = structure.order, jacobians(params, structure, problem)
+    linear = 1 + problem.free_zeros
+    order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]
+    size = len(order)
     hessian, scores = np.zeros((size, size)), np.zeros((_BLOCKS, size))
     by_zero, cost, seen = {b.group: np.zeros(size) for b in problem.beginnings}, 0.0, 0.0
     for k, (weight, b) in enumerate(zip(problem.weight, problem.beginnings, strict=True)):
-        jacobian = -np.column_stack([column[k] for column in columns])
+        jacobian = slopes[k][order, : len(weight)].T
         left, one = solved.left[k], b.direction * weight
         own = own_columns(params, structure, problem, k)[0] * weight[:, None]
         if own.shape[1]:

@@ -22,11 +22,9 @@ from .._numerics.levenberg_marquardt import Normal, minimise
 from .._record.initial_state import Beginning, from_known
 from .._record.preprocess import force_band
 from .._record.record import Record
-from .linear_ode import coast, poles, respond
+from .linear_ode import coast, pole_slopes, poles, respond, respond_with_slopes
 
 _RIDGE = 1e-3  # per sample, on an initial state in units of the output's rms
-_STEP = 1e-6  # of a logarithm, for its slope by a difference
-_LATER = 0.02  # samples, the same for the delay: its shift is linear between samples
 _SLOWEST = 0.01  # rad a record: a slower pole integrates, as far as the records show
 FASTEST = 3.0  # rad a sample: a faster pole is none that these samples show
 
@@ -102,18 +100,18 @@ class Solved:
 
     Attributes:
         gains: g, then the fitted zeros; own: per record its c.
-        left: weighted residual of every record; penalty: of the ridge.
+        left: weighted residual of every record; penalty: of its ridge.
     """
 
     gains: Float[np.ndarray, " gains"]
     own: tuple[np.ndarray, ...]
     left: tuple[np.ndarray, ...]
-    penalty: Float[np.ndarray, " rows"]
+    penalty: tuple[np.ndarray, ...]
 
     @property
     def rows(self) -> Float[np.ndarray, " rows"]:
-        """All of it in one vector."""
-        return np.concatenate([*self.left, self.penalty])
+        """All of it in one vector, record by record."""
+        return np.concatenate([part for both in zip(self.left, self.penalty, strict=True) for part in both])
 
 
 def check_motion(records: Sequence[Record]) -> None:
@@ -141,11 +139,6 @@ def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequenc
     )  # fmt: skip
 
 
-def shifted(drive: Float[np.ndarray, " time"], samples: float, before: float) -> Float[np.ndarray, " time"]:
-    """The drive so many samples later, linear between samples, `before` its first one."""
-    return np.interp(np.arange(len(drive)) - samples, np.arange(len(drive)), drive, left=before)
-
-
 def poles_of(params: np.ndarray, structure: Structure) -> Complex[np.ndarray, " poles"]:
     """The fitted poles, rad/s."""
     return poles(params[: structure.order])
@@ -153,15 +146,23 @@ def poles_of(params: np.ndarray, structure: Structure) -> Complex[np.ndarray, " 
 
 def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> Float[np.ndarray, " time"]:
     """Response of record k to its drive, unit static gain."""
-    begins = problem.beginnings[k].begins
-    drive, square, hold = problem.drive[k], problem.square, structure.hold
-    late = float(np.exp(params[-1])) / problem.dt if structure.delayed else 0.0
-    if hold == "zoh" and problem.fine < problem.dt:  # of a held drive the means are half a fine sample early
-        late, hold = late + problem.fine / problem.dt / 2, "foh"
-    if late:
-        drive = shifted(drive, late, 0.0 if begins == "rest" else drive[0])
-    logs = params[: structure.order]
-    return respond(logs, drive, step=problem.dt, square=square, hold=hold, settled=begins != "rest")
+    return respond(params[: structure.order], problem.drive[k], **_how(params, structure, problem, k))
+
+
+def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same, and its derivatives by the parameters, (parameters, T)."""
+    how = _how(params, structure, problem, k)
+    found, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
+    return found, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
+
+
+def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> dict:
+    """How the drive of record k acts on the plant."""
+    late, hold = float(np.exp(params[-1])) / problem.dt if structure.delayed else 0.0, structure.hold
+    if problem.fine < problem.dt:  # means are smooth; of a held drive they are half a fine sample early
+        late, hold = late + (problem.fine / problem.dt / 2 if hold == "zoh" else 0.0), "cubic"
+    settled = problem.beginnings[k].begins != "rest"
+    return {"step": problem.dt, "square": problem.square, "hold": hold, "settled": settled, "late": late}
 
 
 def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -172,31 +173,70 @@ def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: i
     return coast(params[: structure.order], samples, step=problem.dt)
 
 
-def solve(params: np.ndarray, structure: Structure, problem: Problem, gains: np.ndarray | None = None) -> Solved:
-    """Gain, zeros and initial states of least squares at these poles; `gains`: those two, where they are given."""
-    columns, parts = [], []
-    for k, (output, weight) in enumerate(zip(problem.output, problem.weight, strict=True)):
-        common = np.zeros((len(output), 1 + problem.free_zeros))
-        common[:, 0] = driven(params, structure, problem, k)
-        if problem.zeros[k] >= 0:
-            common[:, 1 + problem.zeros[k]] = problem.beginnings[k].direction
-        own, _ = own_columns(params, structure, problem, k)
-        rows = np.column_stack([own, common, output]) * weight[:, None]
-        gram, n = rows.T @ rows, own.shape[1]
-        ridge = np.full(n, _RIDGE**2 * weight.sum())
-        own_inverse = inverse(gram[:n, :n] + np.diag(ridge))
-        parts.append(gram[n:, n:] - gram[n:, :n] @ own_inverse @ gram[:n, n:])
-        columns.append((rows, own_inverse @ gram[:n, n:], np.sqrt(ridge)))
-    whole = np.sum(parts, 0)
-    gains = np.asarray(inverse(whole[:-1, :-1]) @ whole[:-1, -1]) if gains is None else gains
-    own, left, penalty = [], [], []
-    for rows, projected, ridge in columns:
-        n = len(ridge)
-        c = projected[:, -1] - projected[:, :-1] @ gains
-        own.append(c)
-        left.append(rows[:, -1] - rows[:, n:-1] @ gains - rows[:, :n] @ c)
-        penalty.append(-ridge * c)
-    return Solved(gains, tuple(own), tuple(left), np.concatenate(penalty))
+def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int, own: np.ndarray) -> np.ndarray:
+    """Derivatives of what record k has of its own, at the sizes `own`, by the parameters, (parameters, T)."""
+    time = np.arange(len(problem.drive[k])) * problem.dt
+    found = np.zeros((len(params), len(time)))
+    at, moves = 0, pole_slopes(params[: structure.order])
+    for pole, move in zip(poles_of(params, structure), moves, strict=True):
+        if pole.imag < 0:
+            continue
+        size = own[at] - 1j * own[at + 1] if pole.imag else own[at]
+        at += 2 if pole.imag else 1
+        found[: structure.order] += np.real(move[:, None] * (size * time * np.exp(pole * time)))
+    return found
+
+
+def solve(
+    params: np.ndarray, structure: Structure, problem: Problem, runs: Sequence[np.ndarray] | None = None
+) -> Solved:
+    """Gain, zeros and initial states of least squares at these poles; `runs`: the responses, where they are known."""
+    parts, whole = [], 0.0
+    for k, output in enumerate(problem.output):
+        run = driven(params, structure, problem, k) if runs is None else runs[k]
+        rows, n, ridge = _linear(params, structure, problem, k, run, output)
+        gram = rows @ rows.T
+        own = inverse(gram[:n, :n] + np.diag(ridge)) @ gram[:n, n:]
+        whole = whole + gram[n:, n:] - gram[n:, :n] @ own
+        parts.append((rows, own, np.sqrt(ridge)))
+    whole = np.asarray(whole)
+    gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]
+    sizes = [own[:, -1] - own[:, :-1] @ gains for _, own, _ in parts]
+    left = [rows[-1] - np.concatenate([c, gains]) @ rows[:-1] for (rows, _, _), c in zip(parts, sizes, strict=True)]
+    penalty = [-ridge * c for (_, _, ridge), c in zip(parts, sizes, strict=True)]
+    return Solved(gains, tuple(sizes), tuple(left), tuple(penalty))
+
+
+def _linear(
+    params: np.ndarray, structure: Structure, problem: Problem, k: int, *series: np.ndarray
+) -> tuple[np.ndarray, int, np.ndarray]:
+    """Weighted rows of record k (its own, response, zeros, other series), how many are its own, their ridge."""
+    own, weight = own_columns(params, structure, problem, k)[0].T, problem.weight[k]
+    zeros = np.zeros((problem.free_zeros, len(weight)))
+    if problem.zeros[k] >= 0:
+        zeros[problem.zeros[k]] = problem.beginnings[k].direction
+    rows = np.vstack([own, series[0], zeros, *series[1:]])
+    return rows * weight, len(own), np.full(len(own), _RIDGE**2 * weight.sum())
+
+
+def jacobians(
+    params: np.ndarray, structure: Structure, problem: Problem
+) -> tuple[Solved, list[Float[np.ndarray, "numbers samples"]]]:
+    """What is solved here, and per record the weighted slopes of its run by (gain, zeros, parameters).
+
+    A record's own columns are projected out of them; at the end stand those of the ridge.
+    """
+    runs = [driven_slopes(params, structure, problem, k) for k in range(len(problem.drive))]
+    solved, found = solve(params, structure, problem, [run for run, _ in runs]), []
+    for k, (run, slopes) in enumerate(runs):
+        slopes = solved.gains[0] * slopes
+        if len(solved.own[k]):
+            slopes = slopes + _own_slopes(params, structure, problem, k, solved.own[k])
+        rows, n, ridge = _linear(params, structure, problem, k, run, slopes)
+        own, rest = rows[:n], rows[n:]
+        factors = (rest @ own.T) @ inverse(own @ own.T + np.diag(ridge))
+        found.append(np.hstack([rest - factors @ own, -np.sqrt(ridge) * factors]) if n else rest)
+    return solved, found
 
 
 def inverse(gram: np.ndarray) -> np.ndarray:
@@ -209,25 +249,17 @@ def inverse(gram: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(root, root)
 
 
-def steps(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, " parameters"]:
-    """By how much every parameter is moved to see its slope."""
-    moves = np.full(len(params), _STEP)
-    if structure.delayed:
-        moves[-1] = min(_LATER * problem.dt / max(float(np.exp(params[-1])), 1e-300), 0.5)
-    return moves
-
-
 def normal_equations(params: np.ndarray, structure: Structure, problem: Problem) -> Normal:
-    """Sum of squares, half gradient and J'J of the projected residual."""
+    """Sum of squares, half gradient and J'J of the projected residual (Kaufman, 1975)."""
     with np.errstate(all="ignore"):
-        here = solve(params, structure, problem).rows
-        if not np.isfinite(here).all():
-            return Normal.of(np.inf, np.zeros(len(params)), np.zeros((len(params),) * 2))
-        jacobian = np.empty((len(here), len(params)))
-        for j, move in enumerate(steps(params, structure, problem)):
-            moved = params + move * np.eye(len(params))[j]
-            jacobian[:, j] = (solve(moved, structure, problem).rows - here) / move
-    return Normal.of(here @ here, jacobian.T @ here, jacobian.T @ jacobian)
+        solved, slopes = jacobians(params, structure, problem)
+        here, n = solved.rows, len(params)
+        if not (np.isfinite(here).all() and all(np.isfinite(j).all() for j in slopes)):
+            return Normal.of(np.inf, np.zeros(n), np.zeros((n, n)))
+        whole = np.hstack(slopes)
+        linear, moved = whole[:-n], whole[-n:]
+        moved = moved - (moved @ linear.T) @ inverse(linear @ linear.T) @ linear
+        return Normal.of(here @ here, -moved @ here, moved @ moved.T)
 
 
 def least_squares(

@@ -19,7 +19,7 @@ _SIZES = (1, 4, 16)
 _ROUNDS = 4
 _GRID, _DAMPING = 7, (0.1, 0.7)
 _APART = 0.3  # of a logarithm: starts nearer than that lead to the same place
-_DELAYS = (0.5, 1.5, 4.0)  # samples, from which a delay is sought
+_DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples, from which a delay is sought
 
 
 def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray], most: int) -> list[np.ndarray]:
@@ -45,8 +45,8 @@ def _cost(params, structure: Structure, problem: Problem) -> float:
     return float(rows @ rows) if np.isfinite(rows).all() else np.inf
 
 
-def guesses(order: int, problem: Problem, lower: np.ndarray | None) -> list[np.ndarray]:
-    """Sets of poles (rad/s) of an order; `lower`: logarithms of the next lower one's, to which one is added."""
+def guesses(order: int, problem: Problem) -> list[np.ndarray]:
+    """Sets of poles (rad/s) of an order."""
     found = list(_arx(order, problem))
     longest = max(len(d) for d in problem.drive)
     grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
@@ -57,11 +57,14 @@ def guesses(order: int, problem: Problem, lower: np.ndarray | None) -> list[np.n
                   for w in grid[1:] for z in _DAMPING]  # fmt: skip
     if order >= 2:
         found += [-np.geomspace(grid[a], grid[b], order) for a, b in ((0, 3), (2, 5), (3, 6), (0, 6))]
-    if lower is not None and len(lower) == order - 1:
-        known = poles(lower)
-        found += [np.append(known, -factor * size) for factor, size in (
-            (0.1, np.abs(known).min()), (4.0, np.abs(known).max()), (15.0, np.abs(known).max()))]  # fmt: skip
     return found
+
+
+def one_more(logs: np.ndarray) -> list[np.ndarray]:
+    """The poles of a lower order and a slow or a fast one beside them (rad/s)."""
+    known = poles(logs)
+    size = np.abs(known)
+    return [np.append(known, -pole) for pole in (0.1 * size.min(), 4.0 * size.max(), 15.0 * size.max())]
 
 
 def _arx(order: int, problem: Problem) -> Iterator[np.ndarray]:
