@@ -20,12 +20,13 @@ from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
 from .._record.preprocess import force_band
 from .._record.record import Record
-from .linear_ode import coast, polynomial, respond
+from .linear_ode import coast, logs_from_roots, polynomial, respond
 from .output_error import Problem, Structure, build_problem, driven, least_squares, own_columns, solve
-from .starts import best_starts, guesses
+from .starts import cost_of, guesses
 
 _PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that tell beginnings apart
 _MOST = 100_000  # samples from which the poles are found
+_STARTS = 3  # of the guesses, each with the directions that it tells, that are followed
 _STRUCTURE, _ROUNDS = Structure(2), 4
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
@@ -104,17 +105,17 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
     """What `_fitted` returns, nothing known of how records begin."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
+    starts = [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
+    scored = []
+    for start in starts:
+        logs = np.minimum(start, problem.upper(_STRUCTURE) - 1e-3)
+        same = build_problem(small, "linear", _directed(logs, problem))
+        scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
     found = []
-    for _ in range(2):  # once more with the directions that the first poles tell
-        starts = best_starts(_STRUCTURE, problem, guesses(_STRUCTURE.order, problem), most=2)
-        found = [f for f in (_fitted(s, problem) for s in starts) if f is not None]
-        if not found:
-            return None
-        directed = _directed(min(found, key=lambda f: f[0])[1][0], problem)
-        if [b.direction for b in directed] == [b.direction for b in problem.beginnings]:
-            break
-        problem = build_problem(small, "linear", directed)
-    return min(found, key=lambda f: f[0])
+    for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
+        fit = _fitted(logs, same)
+        found += [] if fit is None else [fit]
+    return min(found, key=lambda f: f[0]) if found else None
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
@@ -131,12 +132,10 @@ def _directed(logs: np.ndarray, problem: Problem) -> list[Beginning]:
         unit = driven(logs, _STRUCTURE, problem, k)
         free, _ = own_columns(logs, _STRUCTURE, problem, k)
         columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), free])
-        gain = project(weight * output, columns)[0][0] * np.std(unit)
-        gains.append(problem.beginnings[k].direction * gain)
+        gains.append(project(weight * output, columns)[0][0] * np.std(unit))
     most = 1.0 if np.sum(gains) >= 0 else -1.0
-    return [
-        replace(b, direction=1.0 if most * g >= 0 else -1.0) for b, g in zip(problem.beginnings, gains, strict=True)
-    ]
+    directions = [1.0 if most * g >= 0 else -1.0 for g in gains]
+    return [replace(b, direction=d) for b, d in zip(problem.beginnings, directions, strict=True)]
 
 
 def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:

@@ -39,7 +39,7 @@ _BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wron
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _SAMPLES = 10_000  # of which candidates are compared: more are averaged over blocks, as long as these hide no more than
 _HIDDEN = 0.1  # of what a linear model leaves: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
-_FREED = 0.99  # of the held-out score that a fitted zero has to leave at most, beside one from the first samples
+_FREED = 0.97  # of the held-out score that a fitted zero has to leave at most, beside one from the first samples
 
 
 @dataclass(frozen=True)

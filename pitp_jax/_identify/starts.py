@@ -17,7 +17,7 @@ from .output_error import Problem, Structure, solve
 
 _SIZES = (1, 4, 16)
 _ROUNDS = 4
-_GRID, _DAMPING = 7, (0.1, 0.7)
+_GRID, _PAIRS, _DAMPING = 7, 16, (0.1, 0.7)
 _APART = 0.3  # of a logarithm: starts nearer than that lead to the same place
 _DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples, from which a delay is sought
 
@@ -31,7 +31,7 @@ def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray],
         logs = np.minimum(logs_from_roots(some), problem.upper(structure)[: structure.order] - 1e-3)
         for delay in _DELAYS if structure.delayed else (None,):
             params = logs if delay is None else np.append(logs, np.log(delay * problem.dt))
-            scored.append((params, _cost(params, structure, problem)))
+            scored.append((params, cost_of(params, structure, problem)))
     chosen: list[np.ndarray] = []
     for params, cost in sorted(scored, key=lambda s: s[1]):
         if np.isfinite(cost) and all(np.abs(params - other).max() > _APART for other in chosen):
@@ -39,7 +39,8 @@ def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray],
     return chosen[:most]
 
 
-def _cost(params, structure: Structure, problem: Problem) -> float:
+def cost_of(params, structure: Structure, problem: Problem) -> float:
+    """Sum of squares of what these leave; infinite where they run away."""
     with np.errstate(all="ignore"):
         rows = solve(params, structure, problem).rows
     return float(rows @ rows) if np.isfinite(rows).all() else np.inf
@@ -54,7 +55,7 @@ def guesses(order: int, problem: Problem) -> list[np.ndarray]:
         found += [-grid[k : k + 1] for k in range(_GRID)]
     if order == 2:
         found += [w * np.array([-z + 1j * np.sqrt(1 - z * z), -z - 1j * np.sqrt(1 - z * z)])
-                  for w in grid[1:] for z in _DAMPING]  # fmt: skip
+                  for w in np.geomspace(grid[1], grid[-1], _PAIRS) for z in _DAMPING]  # fmt: skip
     if order >= 2:
         found += [-np.geomspace(grid[a], grid[b], order) for a, b in ((0, 3), (2, 5), (3, 6), (0, 6))]
     return found
