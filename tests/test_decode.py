@@ -103,6 +103,7 @@ def test_holds_against_scipy(linear, double, coefficients, hold):
     np.testing.assert_allclose(np.asarray(found)[:, 0] * 1e-3, truth, rtol=0, atol=1e-7 * np.abs(truth).max())
 
 
+@pytest.mark.slow
 def test_a_frozen_step_is_affine_in_the_force(nonlinear, double):
     with jax.enable_x64(True):
         model = double(nonlinear(2, size=0.5))

@@ -25,6 +25,7 @@ def pair(name, hz, error, *, lost=False):
     return pitp.Record(name, t, 1000 * np.abs(np.sin(np.pi * hz * t)), x, displacement_unit="mm"), run
 
 
+@pytest.mark.slow
 def test_every_record_stands_there_the_worst_first(fitted):
     pairs = [pair("calm", 2, 0.5), pair("<wild>", 5, 3.0), pair("gone", 3, 0.0, lost=True)]
     records, runs = zip(*pairs, strict=True)

@@ -142,6 +142,7 @@ def test_every_plan_keeps_the_limits_and_turns_no_more_than_the_cut_one(
     keeps_the_bars(bounded(nonlinear(order, key=key)), target, max_voltage=high, max_slew=slew)
 
 
+@pytest.mark.slow
 def test_a_push_is_approached(actuator):
     """A quarter of this sine asks for a negative force: half of what the cut plan leaves at most."""
     target = Target(TIME, swing(1e-3, 9e-4, 8.0))

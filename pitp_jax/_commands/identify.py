@@ -7,9 +7,8 @@ from .._record.writing import write_text_atomic
 from .._report.description import describe
 from .._simulate.prediction import predict
 from .._table.units import from_base
-from .bode_page import bode_page
 from .console import number, print_table, say
-from .outputs import REPORT, check_files, check_folder, staged_files, staged_folder, write_json
+from .outputs import REPORT, check_outputs, staged
 from .predict import score
 from .recordings import read_records, warn
 from .reports import print_beginnings, print_model
@@ -32,24 +31,22 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_files(out, json_file, inputs=records)
+    check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, *validate])
     read_in = read_records(records, reading, square=input_map == "square")
-    check_files(out, json_file, inputs=[r.source for r in read_in])
     warn(read_in)
-    if report is not None:
-        check_folder(report, [REPORT], inputs=[out, *records])
     apart = read_records(validate, reading, square=input_map == "square") if validate else []
     found = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
     told = describe(found.model)
     scores = {r.name: score(r, p) for r, p in zip(apart, predict(found.model, apart), strict=True)} if apart else {}
-    with staged_files(out, json_file) as (out_stage, json_stage):
-        save(out_stage, found.model)
-        if json_file:
-            write_json(json_stage, {**told, "orders": [vars(fit) for fit in found.orders], "rest": found.rest,
-                                    "beginnings": {name: vars(b) for name, b in found.beginnings.items()},
-                                    "remarks": list(found.remarks), "validation": scores})  # fmt: skip
+    orders, beginnings = [vars(fit) for fit in found.orders], {name: vars(b) for name, b in found.beginnings.items()}
+    value = {**told, "orders": orders, "rest": found.rest, "beginnings": beginnings,
+             "remarks": list(found.remarks), "validation": scores}  # fmt: skip
+    with staged(file=out, json_file=json_file, value=value) as stage:
+        save(stage, found.model)
     if report is not None:
-        with staged_folder(report) as stage:
+        from .bode_page import bode_page  # with it comes matplotlib: half a second
+
+        with staged(folder=report) as stage:
             write_text_atomic(stage / REPORT, bode_page(found, out))
     unit = read_in[0].displacement_unit
     print_orders(found, unit)

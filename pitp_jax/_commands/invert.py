@@ -11,7 +11,7 @@ from .._record.writing import write_csv
 from .._table.units import from_base, to_base
 from .compatibility import check_kind
 from .console import number, say
-from .outputs import check_files, staged_files, write_json
+from .outputs import check_outputs, staged
 
 _UNITS = {"V": 1.0, "kV": 1e-3}
 
@@ -40,7 +40,7 @@ def invert(
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_files(out, json_file, inputs=[model, target])
+    check_outputs(out, json_file, inputs=[model, target])
     loaded = load(model)
     wanted = read_target(target, **reading)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
@@ -70,10 +70,8 @@ def invert(
         "infeasible": found.infeasible,
         "saturated": found.saturated,
     }
-    with staged_files(out, json_file) as (out_stage, json_stage):
-        write_csv(out_stage, columns)
-        if json_file:
-            write_json(json_stage, result)
+    with staged(file=out, json_file=json_file, value=result) as stage:
+        write_csv(stage, columns)
     _summarise(found, out, input_scale)
 
 

@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
+from urllib.parse import quote
 
 import numpy as np
 from matplotlib import rc_context
@@ -73,6 +74,11 @@ def page(title: str, parts: Iterable[str]) -> str:
 def tag(name: str, text: str, css: str = "") -> str:
     """An element around escaped text; no line breaks between a number and its %."""
     return f"<{name}{_class(css)}>{_text(text)}</{name}>"
+
+
+def link(place: str, text: str) -> str:
+    """A line that leads to another page, by its path from this one."""
+    return f'<p><a href="{escape(quote(place))}">{_text(place)}</a> {tag("span", text, "soft")}</p>'
 
 
 def _text(text: str) -> str:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._model.model import Model, check_model
 from .._model.programs import jit, on_device
+from .._model.substeps import substeps
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
@@ -63,9 +64,9 @@ def estimate_start(
 
 
 def at_rate(model: Model, dt: float) -> Model:
-    """The same model with enough substeps for records sampled more coarsely than those it was trained on."""
-    factor = max(1, round(dt / model.provenance.dt))
-    return replace(model, substeps=model.substeps * factor) if factor > 1 else model
+    """The same model with the substeps that this sampling interval asks for, never fewer than it has."""
+    count = max(model.substeps * max(1, round(dt / model.provenance.dt)), substeps(model.physical_coefficients, dt))
+    return replace(model, substeps=count) if count > model.substeps else model
 
 
 @dataclass(frozen=True)

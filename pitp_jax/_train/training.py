@@ -25,6 +25,7 @@ from .._errors import BadInput, ComputationFailed
 from .._model.memory import RingingMemory
 from .._model.model import Hold, Model
 from .._model.programs import jit
+from .._model.substeps import substeps
 from .._model_file.lineage import descended
 from .._record.initial_state import aligned, in_motion
 from .._record.long_record import LongRecord
@@ -150,8 +151,8 @@ def train(
 
 def _at(model: Model, dt: float, hold: Hold) -> Model:
     """The model for records of this sampling interval."""
-    substeps = max(1, round(model.substeps * dt / model.provenance.dt))
-    return replace(model, substeps=substeps, hold=hold, provenance=model.provenance.with_(dt=dt))
+    count = max(round(model.substeps * dt / model.provenance.dt), substeps(model.physical_coefficients, dt))
+    return replace(model, substeps=count, hold=hold, provenance=model.provenance.with_(dt=dt))
 
 
 def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:
