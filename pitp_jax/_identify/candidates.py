@@ -19,6 +19,7 @@ from .._model.model import Hold
 from .frequency_fit import fit_response
 from .frequency_response import FrequencyResponse
 from .heldout import HeldOut, held_out
+from .linear_ode import logs_from_roots
 from .output_error import Problem, Structure, least_squares
 from .starts import best_starts, guesses, one_more
 
@@ -50,15 +51,16 @@ class Candidate:
 def search(
     problem: Problem,
     response: FrequencyResponse,
+    pair: np.ndarray | None,
     *,
     orders: Sequence[int],
     holds: Sequence[Hold],
     delays: Sequence[bool],
     progress: Callable[[str], None],
 ) -> list[Candidate]:
-    """All candidates that could be fitted, in ascending order."""
+    """All candidates that could be fitted, in ascending order; `pair`: poles of order 2 known beforehand (rad/s)."""
     told = fit_response(response, problem.fine, orders, delays) if response.rich else {}
-    roots = cache(lambda order: guesses(order, problem))
+    roots = cache(lambda order: guesses(order, problem) + _with_pair(pair, order))
     found: list[Candidate] = []
     for order in orders:
         if order > _ALWAYS and len(orders) > 1 and choose(found).structure.order < order - 2:
@@ -96,6 +98,8 @@ def _fitted(structure: Structure, problem: Problem, told, roots, found: Sequence
         start = np.append(start[:-1], max(start[-1], short))
     ends = [] if start is None else [least_squares(start, structure, problem, _STEPS, _LEAST_STEP)]
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
+    if lower is None and order > 1 and other is None:  # asked for alone: no start is taken unseen
+        bound = -np.inf
     if not ends or min(e[1] for e in ends) > bound:
         sets = roots(order) + ([] if lower is None else one_more(lower.params[: order - 1]))
         some = best_starts(structure, problem, sets, most=2)
@@ -103,6 +107,12 @@ def _fitted(structure: Structure, problem: Problem, told, roots, found: Sequence
         ends += [least_squares(s, structure, problem, _STEPS, _LEAST_STEP) for s in some]
     ends = [e for e in ends if np.isfinite(e[1])]
     return min(ends, key=lambda e: e[1]) if ends else None
+
+
+def _with_pair(pair: np.ndarray | None, order: int) -> list[np.ndarray]:
+    if pair is None or order not in (2, 3):
+        return []
+    return [pair] if order == 2 else one_more(logs_from_roots(pair))
 
 
 def choose(candidates: Sequence[Candidate]) -> Candidate:

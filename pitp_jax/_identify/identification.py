@@ -139,7 +139,7 @@ def identify(
         "holds": _HOLDS if hold is None else (hold,),
         "delays": [True] if "delay" in learn else [False] if "delay" in leave_out else [False, True],
     }
-    candidates = search(small, response, **asked, progress=progress)
+    candidates = search(small, response, roots, **asked, progress=progress)
     if not candidates:
         raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
     chosen = choose(candidates) if order != "auto" else _known(candidates, small)
