@@ -21,6 +21,7 @@ from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._model.programs import in_double
 from pitp_jax._numerics.spline_derivative import derivatives
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -107,7 +108,7 @@ def export(model, folder, precision="double"):
 
 def double(model):
     with jax.enable_x64(True):
-        return steps.in_double(model)
+        return in_double(model)
 
 
 def inputs(model, inverse):

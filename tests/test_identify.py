@@ -65,6 +65,7 @@ def test_planted_orders_come_back(coefficients, order):
         assert found.chosen.damping == pytest.approx([0.1], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 3])
 def test_auto_picks_the_planted_order(coefficients, order):
     a = coefficients(order)
@@ -170,6 +171,7 @@ def test_a_planted_delay_comes_back(coefficients, samples):
         identify([record], learn=("mass",))
 
 
+@pytest.mark.slow
 def test_order_two_behind_a_held_voltage_is_order_two(coefficients):
     """Under foh alone half a sample of lag would be a third pole."""
     found = identify([sweep(coefficients(2), 28, hold="zoh")])
@@ -177,6 +179,7 @@ def test_order_two_behind_a_held_voltage_is_order_two(coefficients):
     assert found.chosen.identifiable
 
 
+@pytest.mark.slow
 def test_an_oscillation_that_no_drive_excites_is_no_mode(coefficients):
     """A slow first-order plant and, from the start on, a hum beside it: in sample a second mode halves the error."""
     a = coefficients(1, hz=2.0)
@@ -187,6 +190,7 @@ def test_an_oscillation_that_no_drive_excites_is_no_mode(coefficients):
     assert found.chosen.natural_hz == pytest.approx([1.0], rel=0.05)
 
 
+@pytest.mark.slow
 def test_without_a_spring(coefficients):
     """Torque to angle: the slowest pole is open, which is told and no refusal."""
     drive = np.sin(2 * np.pi * (0.3 * TIME + 0.6 * TIME**2))

@@ -86,6 +86,7 @@ def score(record: Record, prediction: Prediction) -> dict:
         "direction": int(prediction.direction),
         "samples": record.samples,
         "missing": record.missing,
+        "initial_samples": int((~prediction.scored).sum()),
         "diverged": bool(prediction.diverged),
         "outside_training_share": float(prediction.outside_training_share),
     }
@@ -149,6 +150,8 @@ def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
     infinite = any(row["diverged"] for row in result["records"].values())
     print(f"median e_rms: {'infinite' if median is None and infinite else number(median, 3)} %")
     for p in predictions:
+        if p.outside_training:
+            print(f"{p.name}: outside the trained region: {p.outside_training}")
         if p.estimated_start:
             used = int((~p.scored).sum())
             print(f"{p.name}: starts moving; initial state estimated from the first {used} samples, which do not count")

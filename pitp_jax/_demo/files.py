@@ -100,7 +100,7 @@ def _loops(demo: Demo):
     axes = None
     for t in demo.tracks:
         r = nearest(demo.train, demo.name, t.frequency)
-        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)
+        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the drive: x turns twice as often
         predicted = demo.predicted[r.name].displacement
         axes = paper_figures.hysteresis_loops(
             r.voltage[last], r.displacement[last], predicted[last], axes, label=f"{t.frequency:g} Hz"

@@ -140,6 +140,7 @@ def run(
     if trained.interrupted:  # a half-trained model beside the paper's figures would mislead
         raise KeyboardInterrupt
     say(f"predicting {len(sines)} in-sample and {len(test)} held-out records")
+    # every record once with both models: tables and figures read the same runs
     predicted = {r.name: p for part in (sines, test) for r, p in _pairs(trained.model, part)}
     linear = {r.name: p for part in (sines, test, (swept,)) for r, p in _pairs(identified.model, part)}
     say("tracking sines")
@@ -197,7 +198,7 @@ def swing(training: Record) -> tuple[float, float]:
     """Choose amplitude and mean (m) of a target: half the range of a training sine's second half, about its mean."""
     # half of what was reached: a target at the edge would need voltages that training never saw
     settled = training.displacement[training.samples // 2 :]
-    return 0.25 * float(np.ptp(settled)), float(settled.mean())
+    return 0.25 * float(np.ptp(settled)), float(settled.mean())  # amplitude: a quarter of peak to peak
 
 
 def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> Track:
@@ -236,7 +237,7 @@ def tables(demo: Demo) -> tuple[Table, ...]:
         in_sample.append((f"{f:g}", paper, *ours))
     for r in demo.test:
         ours = (error(demo, r.name), error(demo, r.name, linear=True), noise_floor(demo, r.name))
-        held_out.append((r.name, *ours))
+        held_out.append((r.name, *ours))  # the paper has no such records to stand beside
     held_out.append(("median", *(float(np.median([row[k] for row in held_out])) for k in (1, 2, 3))))
     for t in demo.tracks:
         tracking.append((f"{t.frequency:g}", TRACKING_PAPER[demo.name][int(t.frequency)], t.e_rms, t.self_check))

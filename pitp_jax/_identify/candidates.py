@@ -98,8 +98,8 @@ def _fitted(structure: Structure, problem: Problem, told, roots, found: Sequence
         start = np.append(start[:-1], max(start[-1], short))
     ends = [] if start is None else [least_squares(start, structure, problem, _STEPS, _LEAST_STEP)]
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
-    if lower is None and order > 1 and other is None:  # asked for alone: no start is taken unseen
-        bound = -np.inf
+    if lower is None and order > 1 and other is None and len(problem.drive) > 1:
+        bound = -np.inf  # asked for alone: the lines of several sines together pass for a sweep's
     if not ends or min(e[1] for e in ends) > bound:
         sets = roots(order) + ([] if lower is None else one_more(lower.params[: order - 1]))
         some = best_starts(structure, problem, sets, most=2)

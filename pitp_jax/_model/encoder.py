@@ -77,6 +77,7 @@ class _Net(eqx.Module):
     readout: eqx.nn.Linear
 
     def __init__(self, features, outputs, width, key):
+        # the hidden layer is random: with zeros in both no gradient would reach either
         first, second = jax.random.split(key)
         self.hidden = _linear(features, width, key=first)
         self.readout = _zero(_linear(width, outputs, key=second))
@@ -109,6 +110,7 @@ def _side_by_side(nets: Sequence[tuple[_Net, list[int]]]) -> Callable[[Rows], Se
     wide = [
         jnp.zeros((len(w), width), w.dtype).at[:, jnp.array(c)].set(w) for w, (_, c) in zip(weights, nets, strict=True)
     ]
+    # a column that a net does not see has weight zero
     hidden = as_product(jnp.concatenate(wide), jnp.concatenate(inner))
     readout = as_product(jax.scipy.linalg.block_diag(*readouts), jnp.concatenate(outer))
     ends = np.cumsum([len(w) for w in readouts])[:-1]
@@ -163,6 +165,7 @@ class CompactEncoder(AbstractEncoder):
     ):
         first, second, third = jax.random.split(key, 3)
         self.order, self.offset, self.frugal = order, offset, frugal
+        # at order 1 sigma_0 and sigma_n are all the tokens: there is no damping between them
         moving, reads_past = order + (0 if frugal else memories), offset and not frugal
         self.spring = _Net(1, 2, width, first)
         self.damping = _Net(moving, order - 1, width, second) if order > 1 else None
@@ -190,6 +193,7 @@ class CompactEncoder(AbstractEncoder):
         nets = _nets([(net, c) for net, c in seen_by if net is not None], "records" if wide else way)
 
         def logits(features: Rows) -> Rows:
+            # a cubic would run away outside the data; clipped, the tokens stay and the spring goes on linearly
             seen = [jnp.clip(f, low[i], high[i]) for i, f in enumerate(features)]
             (x, *_), state, memory, outputs = seen, seen[:n], seen[n:], iter(nets(seen))
             powers = [x, x * x, x * x * x]
@@ -260,6 +264,7 @@ class AdaptedEncoder(AbstractEncoder):
 
     def _seen(self, features: list[Array]) -> list[Array]:
         first = len(features) - len(self.creep)
+        # by the distance from x: what has settled is seen as it is
         lags = [features[0] + c * (m - features[0]) for c, m in zip(self.creep, features[first:], strict=True)]
         return [*features[:first], *lags]
 
@@ -335,7 +340,7 @@ class PaperEncoder(AbstractEncoder):
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant; the offset logit is always zero."""
         count = self.networks.readout.weight.shape[0]
-        if key is None:
+        if key is None:  # without a key no dropout: a rollout must not draw numbers
             logits = eqx.filter_vmap(lambda net: net(features, None))(self.networks)
         else:
             keys = jax.random.split(key, count)

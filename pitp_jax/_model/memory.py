@@ -104,7 +104,7 @@ class FadingMemory(AbstractMemory):
 
     def rate(self):
         """Build the function (x - z_k) / tau_k."""
-        pace = jnp.exp(-self.log_tau)
+        pace = jnp.exp(-self.log_tau)  # outside the function: once for a rollout, not at every step
         return lambda memory, x: [(x - z) * pace[k] for k, z in enumerate(memory)]
 
     def trajectory(self, x, dt, start):
@@ -141,6 +141,7 @@ class RingingMemory(AbstractMemory):
 
     def rate(self):
         """Build the function (w v, w (x - r - 2 zeta v)) with v = r' / w, then (x - z_k) / tau_k."""
+        # v = r' / w, so that place and speed are of one size and float32 keeps both
         (omega, zeta), lags = self.ring, FadingMemory(self.log_tau).rate()
 
         def rates(memory: Rows, x: Array) -> list[Array]:

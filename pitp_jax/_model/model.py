@@ -7,6 +7,7 @@ In scaled coordinates X_i = x^(i) / scale_i and force / force_scale everything i
 nominal coefficient times a positive factor, so a zero encoder is exactly the identified linear model.
 """
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -66,6 +67,14 @@ class Provenance:
         """Copy it with some fields replaced."""
         return replace(self, **changes)
 
+    def noted(self) -> dict:
+        """Read the notes as values; none where they are a text of the user's own."""
+        try:
+            values = json.loads(self.notes)
+        except ValueError:
+            return {}
+        return values if isinstance(values, dict) else {}
+
     def age(self, time: float) -> float:
         """Compute how long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""
         # a record that counts from its own start says nothing about a session dated by the calendar
@@ -74,7 +83,7 @@ class Provenance:
 
     def driven_by(self, records: Sequence[Record]) -> "Provenance":
         """Widen range and slew of the voltage to those of these records."""
-        low, high = self.voltage_range
+        low, high = self.voltage_range  # never narrower: what an earlier session has shown is still known
         return self.with_(
             voltage_range=(
                 min(low, *(float(r.voltage.min()) for r in records)),
@@ -194,6 +203,7 @@ class Model(eqx.Module):
 
         A bare integrator has none: there it is that of the motion it was identified on.
         """
+        # the scale of x' over that of x
         return dominant_frequency(self.physical_coefficients) or float(self.scales.rates[0])
 
     def tokens(
@@ -219,7 +229,7 @@ class Model(eqx.Module):
 
     def changed(self, factors: np.ndarray) -> "Model":
         """Multiply the nominal coefficients by these factors, shape (n + 1,)."""
-        coefficients = np.asarray(self.coefficients, np.float64) * factors
+        coefficients = np.asarray(self.coefficients, np.float64) * factors  # rounded once, at the end
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
 

@@ -15,6 +15,7 @@ from typing import ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -28,6 +29,11 @@ T = TypeVar("T")
 def on_device(values, dtype=None) -> Array:
     """Copy an array of the host's to the device; `jnp.asarray` compiles a program for every shape, 20 ms each."""
     return jax.device_put(np.asarray(values, dtype))
+
+
+def in_double(tree: T) -> T:
+    """Convert the arrays of numbers in a tree to float64; call it under `jax.enable_x64(True)`."""
+    return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, tree)
 
 
 def bare(tree: T) -> T:

@@ -74,6 +74,7 @@ def _body(model: Model) -> bytes:
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:
             raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
+    # a part whose arrays were changed by hand: its sizes no longer say their shapes
     if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in leaves]:
         raise BadInput("cannot save the model: its arrays are not those its parts are built with")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
@@ -212,7 +213,7 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
         with jax.enable_x64(True):  # else float64 leaves would come back as float32
             arrays.append(on_device(plain))
     check_leaves([name for name, _, _ in leaves], [np.asarray(array) for array in arrays])
-    if stream.read(1):
+    if stream.read(1):  # bytes that mean nothing could be something to another reader
         raise ValueError("more bytes than leaves")
     treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))
     return eqx.combine(jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True))

@@ -170,6 +170,7 @@ def _effect(effect) -> dict:
 def _packed(long: LongRecord | None) -> dict | None:
     if long is None:
         return None
+    # bytes as text: as JSON numbers the long record would be most of the file
     voltage, displacement = (base64.b64encode(b).decode("ascii") for b in (long.voltage, long.displacement))
     return {"dt": long.dt, "step": long.step, "rest": long.rest, "voltage": voltage, "displacement": displacement}
 
@@ -212,7 +213,7 @@ def build(header: dict) -> Model:
     """Build the model the header describes; its leaves are placeholders."""
     source, output, scales = header["provenance"], header["output"], header["scales"]
     notes = header["notes"] if isinstance(header["notes"], str) else json.dumps(header["notes"])
-    known = source if "misfit" in source else _from_notes(notes, header["order"])
+    known = source if "misfit" in source else _from_notes(notes, header["order"])  # files older than the field
     low, high = source["voltage_range"]
     provenance = Provenance(
         dt=float(source["dt"]),
@@ -272,6 +273,7 @@ def _notes_out(notes: str):
         values = json.loads(notes)
     except ValueError:
         return notes
+    # text that would come back changed is kept to the letter
     return values if isinstance(values, dict) and json.dumps(decode(encode(values))) == notes else notes
 
 

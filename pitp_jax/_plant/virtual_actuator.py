@@ -120,7 +120,8 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
         else:
             x = jnp.stack([adaptive(plant, row, dt, hold) for row in rows])
         x = np.asarray(x)
-    if not (plant.rest_position + x < plant.last_position).all():  # nan fails too
+    # beyond it the Gent spring would change its sign, and the motion mean nothing; nan fails too
+    if not (plant.rest_position + x < plant.last_position).all():
         raise ComputationFailed(
             f"{plant.name} left the range of its spring: keep the voltage below {plant.max_voltage:g} V"
         )
@@ -192,6 +193,7 @@ def _interval(time, voltage) -> float:
     if time.ndim != 1 or len(time) < 2 or voltage.shape[-1:] != time.shape:
         raise ValueError(f"time must be (T,) and voltage (..., T), T > 1; got {time.shape} and {voltage.shape}")
     dt = float((time[-1] - time[0]) / (len(time) - 1))
+    # the scan knows one dt: a jitter of a hundredth is that of a logged clock, more is another experiment
     if dt <= 0.0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
         raise ValueError("time must increase uniformly, to 1 % of a sample")
     return dt

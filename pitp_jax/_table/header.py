@@ -18,8 +18,8 @@ from .table import Column
 from .units import plain, spelt
 
 _NUMBER = {
-    ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"),
-    ",": re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?$"),
+    ".": re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eE][+-]?\d++)?$"),
+    ",": re.compile(r"[+-]?(\d++,?\d*+|,\d++)([eE][+-]?\d++)?$"),
 }
 MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "null", "none"))
 _WORDS = MISSING | {"inf", "-inf", "+inf", "infinity", "-infinity"}

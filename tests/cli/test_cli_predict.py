@@ -48,9 +48,9 @@ def test_predict_counts_missing_samples_and_names_moving_records(call, bench, tm
     assert call("predict", bench / "nominal", moving, "--json", tmp_path / "j", "--out", tmp_path / "d")[0] == 0
     code, text, _ = call("predict", bench / "nominal", moving, "--json", tmp_path / "j")
     assert code == 0
-    assert "moving: starts moving; initial state estimated from the first 50 samples" in text
+    assert "moving: starts moving; initial state estimated from the first 150 samples" in text  # 1.5 periods of 5 Hz
     row = json.loads((tmp_path / "j").read_text())["records"]["moving"]
-    assert (row["samples"], row["missing"]) == (1685, 20)
+    assert (row["samples"], row["missing"], row["initial_samples"]) == (1685, 20, 150)
     assert row["e_rms_percent"] < 2
     _, values = columns_of(tmp_path / "d" / "moving.csv")
     assert np.isnan(values[:, 2]).sum() == 20
