@@ -154,7 +154,7 @@ _ADVICE = (
 def known_level(model: Model) -> float:
     """Read what a model left of the records it was made from, in % of their range, from its notes."""
     try:
-        notes = json.loads(model.provenance.notes)
+        notes = model.provenance.noted()
         if not isinstance(plain(model.encoder), ConstantEncoder):
             history = notes["training"]["history"]
             # the history holds means of squares, and the best step is the one handed back
@@ -163,7 +163,7 @@ def known_level(model: Model) -> float:
         long = model.provenance.long_record
         if long is None:
             return _UNKNOWN
-        y = np.frombuffer(long.displacement, "<f4")
+        y = np.frombuffer(long.displacement, "<f4")  # the records are not in a model file; its long one has their range
         return 100 * float(row["rms"]) / float(np.nanmax(y) - np.nanmin(y))
     except (AttributeError, KeyError, StopIteration, ValueError, TypeError):
         return _UNKNOWN
@@ -208,10 +208,7 @@ def _made(model: Model, factors: Factors, z: np.ndarray, records: Sequence[Recor
     """Build the adapted model, with what was done to it in its notes."""
     new, source = adapted(model, factors, z, records[0].dt), model.provenance
     rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
-    try:
-        notes = json.loads(source.notes)
-    except ValueError:
-        notes = {}
+    notes = source.noted()
     notes["adapted"] = [*notes.get("adapted", []), {"records": [r.name for r in records], "changed": rows}]
     if model.order >= 3:
         # under an encoder the sections are the units of its logits, and stay those it was trained in

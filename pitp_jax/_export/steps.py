@@ -26,7 +26,7 @@ from .._model.drive import DirectDrive
 from .._model.model import Model
 from .._numerics.intersample import weights
 from .._simulate import ports
-from .._simulate.decoder import settled_state, step
+from .._simulate.decoder import settled_state, stage_fractions, step
 from .._simulate.prediction import at_rate
 
 _HUGE = 1e3  # of the training force: what stands for a force no field makes, as in `_invert.equation`
@@ -58,7 +58,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     """
     model = at_rate(model, dt)
     scale = model.scales.state[0]
-    taps = weights("foh" if held else model.hold, np.arange(2 * model.substeps + 1) / (2 * model.substeps))
+    taps = weights("foh" if held else model.hold, stage_fractions(model))
     delays = [e for e in model.effects if e.delays]
 
     def start(y, u):

@@ -12,14 +12,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from .._model.model import Model
 from .._model.programs import jit
 from .._numerics.intersample import between
 from .._simulate import ports
-from .._simulate.decoder import step
+from .._simulate.decoder import stage_fractions, step
 from .realtime import film_after
 
 
@@ -49,7 +48,7 @@ def linearise(
     """
     if model.hold == "bandlimited":  # its taps reach over 16 samples; for a slope, linear will do
         model = replace(model, hold="foh")
-    fractions = np.arange(2 * model.substeps + 1) / (2 * model.substeps)
+    fractions = stage_fractions(model)
     size = states.shape[-1]
     n, zero = size + 3, jnp.zeros((), states.dtype)
     # the electrode's lag is linear: its three numbers are its slopes, at any voltage

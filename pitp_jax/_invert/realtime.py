@@ -25,7 +25,7 @@ from .._model.memory import AbstractMemory, FadingMemory
 from .._model.model import Model
 from .._numerics.intersample import between
 from .._numerics.linear_recurrence import lag_after
-from .._simulate.decoder import film_voltage, rest_state, step
+from .._simulate.decoder import film_voltage, rest_state, stage_fractions, step
 from .._simulate.prediction import at_rate
 
 
@@ -110,7 +110,7 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
     if model.hold == "bandlimited":
         raise BadInput("a band-limited voltage is known between samples only later: no step in real time")
     model = at_rate(model, dt)
-    fractions = np.arange(2 * model.substeps + 1) / (2 * model.substeps)
+    fractions = stage_fractions(model)
 
     def one(carry: Float[Array, " carry"], drive: Float[Array, " one"]):
         state, (film, before) = carry[:-2], carry[-2:]

@@ -7,6 +7,7 @@ In scaled coordinates X_i = x^(i) / scale_i and force / force_scale everything i
 nominal coefficient times a positive factor, so a zero encoder is exactly the identified linear model.
 """
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -65,6 +66,14 @@ class Provenance:
     def with_(self, **changes) -> "Provenance":
         """Copy it with some fields replaced."""
         return replace(self, **changes)
+
+    def noted(self) -> dict:
+        """Read the notes as values; none where they are a text of the user's own."""
+        try:
+            values = json.loads(self.notes)
+        except ValueError:
+            return {}
+        return values if isinstance(values, dict) else {}
 
     def age(self, time: float) -> float:
         """Compute how long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""

@@ -32,7 +32,7 @@ def on_device(values, dtype=None) -> Array:
 
 
 def in_double(tree: T) -> T:
-    """The same with its arrays of numbers in float64; call it under `jax.enable_x64(True)`."""
+    """Convert the arrays of numbers in a tree to float64; call it under `jax.enable_x64(True)`."""
     return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, tree)
 
 

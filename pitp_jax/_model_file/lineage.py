@@ -36,20 +36,14 @@ def descended(model: Model, step: str, records: Sequence[Record], parent: Model 
     except BadInput:  # a part of one's own, which no file holds
         known = None
     entry = {"step": step, "versions": versions, "parent": known, "records": [_sum(r) for r in records]}
-    try:
-        notes = json.loads(model.provenance.notes)
-    except ValueError:  # notes are the user's to set: text of their own loses nothing but its lineage
-        notes = {}
+    notes = model.provenance.noted()
     notes["lineage"] = [*notes.get("lineage", []), entry]
     return replace(model, provenance=model.provenance.with_(notes=json.dumps(notes)))
 
 
 def lineage(model: Model) -> list[dict]:
     """List all steps, oldest first; none for a model of before there were any."""
-    try:
-        steps = json.loads(model.provenance.notes).get("lineage", [])
-    except (AttributeError, ValueError):
-        return []
+    steps = model.provenance.noted().get("lineage", [])
     # notes of a file are anybody's JSON: what is no step is passed over, so that `pitp info` still opens the model
     return [entry for entry in steps if isinstance(entry, dict)] if isinstance(steps, list) else []
 

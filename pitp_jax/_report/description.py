@@ -1,6 +1,5 @@
 """A model in plain values: what it is, its numbers with units and standard errors, its modes and its effects."""
 
-import json
 import math
 
 import numpy as np
@@ -13,12 +12,8 @@ from .numbers import number
 
 
 def notes(model: Model) -> dict:
-    """The summaries stored with a model; empty where there are none."""
-    try:
-        found = json.loads(model.provenance.notes)
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
+    """Read the summaries stored with a model; empty where there are none."""
+    return model.provenance.noted()
 
 
 def coefficient_units(model: Model) -> list[str]:

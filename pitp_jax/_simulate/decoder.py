@@ -39,9 +39,14 @@ def film_voltage(model: Model, force: Float[Array, "..."]) -> Float[Array, "..."
     return model.input_map.voltage(force * jnp.asarray(model.scales.force, force.dtype))
 
 
+def stage_fractions(model: Model) -> Float[np.ndarray, " stages"]:
+    """List the fractions of a sample at which the stages of a rollout stand: 2 substeps + 1, from 0 to 1."""
+    return np.arange(2 * model.substeps + 1) / (2 * model.substeps)
+
+
 def stage_voltages(model: Model, film: Float[Array, " time"]) -> Float[Array, "time stages"]:
     """Interpolate the film voltage at beginning, middle and end of every substep of a sample: 2 substeps + 1 stages."""
-    return between(film, model.hold, np.arange(2 * model.substeps + 1) / (2 * model.substeps), jnp)
+    return between(film, model.hold, stage_fractions(model), jnp)
 
 
 class Motion(NamedTuple):

@@ -227,7 +227,7 @@ def outside_fraction(model: Model, features: np.ndarray) -> float:
 
 
 def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
-    """How far every feature lies outside its trained range, over that range; negative inside."""
+    """Measure how far every feature lies outside its trained range, over that range; negative inside."""
     low, high = np.asarray(model.provenance.region).T
     return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
 

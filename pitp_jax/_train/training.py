@@ -327,6 +327,6 @@ def _second_mass_hz(model: Model) -> float | None:
 
 def _annotated(model: Model, region, records: Sequence[Record], notes: dict) -> Model:
     """Write the trained region, the drives it has seen and the training summary into the model's provenance."""
-    text = json.dumps({**json.loads(model.provenance.notes), "training": notes})
+    text = json.dumps({**model.provenance.noted(), "training": notes})
     seen = model.provenance.driven_by(records).with_(dt=records[0].dt, region=region, notes=text)
     return replace(model, provenance=seen.with_(covariance=(), misfit=float("inf")))  # an encoder stands beside it now
