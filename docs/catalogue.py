@@ -186,23 +186,26 @@ def _row(form: EffectSpec) -> str:
     return f"| {form.form} | {form.title} | `{equation}` | {units} |"
 
 
+def groups() -> dict[str, dict[str, str]]:
+    """The effects by the place where they act: of each its name and what happens, in plain words."""
+    first = {form.name: form for form in reversed(CATALOGUE)}
+    names = dict.fromkeys(form.name for form in CATALOGUE)
+    by_place = {place: {n: first[n].title for n in names if first[n].port == port} for port, place in PORTS.items()}
+    return {f"{place[:1].upper()}{place[1:]}": here for place, here in by_place.items() if here}
+
+
 def index(names: Sequence[str]) -> str:
     """The list, with what each is recognised by."""
     rows = rows_of_effects()
-    plain = {form.name: form.title for form in reversed(CATALOGUE)}
     head = [
         "# The catalogue",
         "What a diagnosis can name, a page each, by the place where it acts. Every page is made from the effect's rows "
         "when this site is built; all forms in one table stand in [effects](../effects.md).",
     ]
-    for port, place in PORTS.items():
-        here = [n for n in names if next(f.port for f in CATALOGUE if f.name == n) == port]
-        lines = [f"| [`{n}`]({n}.md) | {plain[n]} | {rows[n][-1]} |" for n in here]
+    for place, here in groups().items():
+        lines = [f"| [`{n}`]({n}.md) | {title} | {rows[n][-1]} |" for n, title in here.items() if n in names]
         if lines:
-            head += [
-                f"## {place[:1].upper()}{place[1:]}",
-                "| effect | what happens | recognised by |\n|---|---|---|\n" + "\n".join(lines),
-            ]
+            head += [f"## {place}", "| effect | what happens | recognised by |\n|---|---|---|\n" + "\n".join(lines)]
     return "\n\n".join(head) + "\n"
 
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-from catalogue import pages  # MkDocs loads hooks with their folder on the path
+from catalogue import groups, pages  # MkDocs loads hooks with their folder on the path
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = {
@@ -40,12 +40,20 @@ def on_files(files, config):
 
 
 def on_config(config):
-    """The menu lists every effect and every decision."""
+    """The menu lists every effect by the place where it acts, in plain words, and every decision."""
     folder = Path(__file__).with_name("decisions")
     for entry in config.nav:
         (title, listed) = next(iter(entry.items())) if isinstance(entry, dict) else ("", [])
         if title == "The catalogue":
-            listed += [f"catalogue/{name}" for name in pages() if name.endswith(".md") and name != "index.md"]
+            made = pages()
+            for place, here in groups().items():
+                listed.append(
+                    {
+                        place: [
+                            {title.rstrip("."): f"catalogue/{n}.md"} for n, title in here.items() if f"{n}.md" in made
+                        ]
+                    }
+                )
         for page in listed:
             if isinstance(page, dict) and "Decisions" in page:
                 page["Decisions"] += sorted(f"decisions/{p.name}" for p in folder.glob("*.md") if p.name != "README.md")

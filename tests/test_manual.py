@@ -17,6 +17,7 @@ from manual_blocks import ROOT, RUN, SHOWN, Block, blocks, commands, pages
 
 import pitp_jax
 from pitp_jax._commands.examples import EXAMPLES
+from pitp_jax._effects import CATALOGUE
 from pitp_jax._model_file import model_file
 from pitp_jax.cli import _parser, main
 
@@ -185,6 +186,15 @@ def test_likeness_and_what_a_refit_takes_up(monkeypatch):
     near, left = catalogue.resembles("a", {"a": d, "b": -0.5 * d, "c": own, "e": slopes[0]}, np.ones(5))
     assert near[0] == ("b", pytest.approx(1)) and near[1][0] == "c"
     assert max(left.values()) < 1e-9
+
+
+def test_the_menu_has_every_effect_once_in_plain_words_by_its_place(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    groups = importlib.import_module("catalogue").groups()
+    assert sorted(n for here in groups.values() for n in here) == sorted({form.name for form in CATALOGUE})
+    titles = [title for here in groups.values() for title in here.values()]
+    assert len(set(titles)) == len(titles) and "_" not in "".join(titles)
+    assert "coulomb_friction" in groups["The dissipation"]
 
 
 def test_links_out_of_docs_lead_into_the_site(monkeypatch):

@@ -163,7 +163,7 @@ def known_level(model: Model) -> float:
         long = model.provenance.long_record
         if long is None:
             return _UNKNOWN
-        y = np.frombuffer(long.displacement, "<f4")
+        y = np.frombuffer(long.displacement, "<f4")  # the records are not in a model file; its long one has their range
         return 100 * float(row["rms"]) / float(np.nanmax(y) - np.nanmin(y))
     except (AttributeError, KeyError, StopIteration, ValueError, TypeError):
         return _UNKNOWN

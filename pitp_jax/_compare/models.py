@@ -90,7 +90,7 @@ def _origin(a: Model, b: Model, names: tuple[str, str]) -> list[str]:
     if digests[0] == digests[1]:  # also of two files whose names or dates differ
         return ["Both hold the same model."]
     lines = []
-    for k in (0, 1):
+    for k in (0, 1):  # either may be the older one
         if digests[k] in parents[1 - k]:
             lines.append(f"{names[1 - k]} was made from {names[k]}.")
     for k, mine in enumerate(sums):

@@ -60,6 +60,7 @@ def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
         "sine_0.3Hz": windowed(lambda t: 0.50 * np.sin(2 * np.pi * 0.3 * t)),
         "sine_1Hz": windowed(lambda t: 0.12 * np.sin(2 * np.pi * t)),
         "sine_2.5Hz": windowed(lambda t: 0.30 * np.sin(2 * np.pi * 2.5 * t)),
+        # constant speed between sharp turns: what backlash and dry friction show most
         "triangle": windowed(lambda t: 0.20 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 0.5 * t))),
         "steps": windowed(lambda t: 0.10 * (np.floor(t / 1.5) % 5) * (-1.0) ** np.floor(t / 3.0)),
     }

@@ -189,6 +189,7 @@ def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " ti
 
 def advanced(values: Float[Array, " time"], samples) -> Float[Array, " time"]:
     """Read a series a number of samples later: what a delay must be given now. The last value is repeated."""
+    # by interp here: nothing is fitted through an inverse, and beyond the end it repeats the last value by itself
     place = jnp.arange(values.shape[0], dtype=values.dtype)
     return jnp.interp(place + samples, place, values)
 

@@ -24,6 +24,7 @@ def check_header(header: dict) -> None:
     """
     source, output, scales = header["provenance"], header["output"], header["scales"]
     low, high = source["voltage_range"]
+    # the text of each is what the user is shown, all that fail in one line
     checks = {
         f"order {header['order']!r}": 1 <= header["order"] <= _LARGEST["order"],
         f"{len(header['effects'])} effects": len(header["effects"]) <= _EFFECTS,

@@ -60,6 +60,7 @@ def rows_rollout(
     logits, constant = model.encoder.over("records" if many else "instants"), motion_of(model)
 
     def one(state, three):
+        # tokens at the midpoint, then frozen: four evaluations of the encoder a step become one
         frozen = held(*model.tokens_from(logits(midpoint(constant, state, h))), many)
         return moved(state, 1.0, runge_kutta(constant, state, frozen, three, h))
 

@@ -48,6 +48,7 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
     Returns:
         The total, and (L1, L2) apart.
     """
+    # a key for every sample: with one for all, dropout would cut the same units in the whole batch
     keys = None if key is None else jax.random.split(key, data.force.shape[0])
     logits = jax.vmap(lambda f, k: model.encoder(f, key=k), (0, None if key is None else 0))(data.features, keys)
     force, tokens = equation_force(model, list(logits.T), list(data.equation.T))

@@ -130,6 +130,7 @@ def memory_of(
     Or to a quarter of the `long` one, in which a lag can settle. With a second mass, where the motion shows one.
     """
     longest = max(len(s.time) * s.dt for s in states)
+    # a lag as long as the record would be a ramp in it: what it settles at no sample shows
     longest = longest if long is None else max(longest, long.seconds / 4)
     if settings.memory == "none":
         return NoMemory()
@@ -138,6 +139,7 @@ def memory_of(
     # faster than the resonance a lag is nothing but x and x', which the encoder sees already
     tau = np.geomspace(min(2.0 / nominal.natural_frequency, longest / 20), longest, settings.memories)
     lags = jnp.asarray(np.log(tau), jnp.float32)
+    # before any training: added later, the nets have already bent to imitate the mode
     mass = second_mass(states, nominal.natural_frequency, tau) if settings.ringing else None
     if mass is None:
         return FadingMemory(lags)
