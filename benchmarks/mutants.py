@@ -61,7 +61,7 @@ ROOMS = {
     "_effects": ("effect_equations", "effects", "inverse_effects"),
     "_simulate": ("decode", "rows", "rollout_fast", "effect_equations"),
     "_invert": ("inverse", "limits", "trim", "inverse_effects"),
-    "_identify": ("poles", "final_fit", "rest", "identify"),
+    "_identify": ("poles", "frequency_response", "rest", "identify"),
     "_train": ("residual", "free_runs", "sensitivity", "slow", "refine", "train"),
     "_diagnose": ("diagnose_parts", "intervals", "usable", "nominal_doubt", "second", "diagnose"),
 }

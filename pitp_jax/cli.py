@@ -292,9 +292,20 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="NOMINAL", help="model file to write")
     parser.add_argument("--order", type=_order, default="auto", metavar="N|auto", help="1 to 6, or auto (default)")
     parser.add_argument("--input-map", choices=("square", "linear"), default="square", help="F = u^2 (default) or u")
-    parser.add_argument(
-        "--learn", action="append", default=[], choices=("delay",), help="also fit a pure delay behind the drive"
+    delay = parser.add_mutually_exclusive_group()
+    delay.add_argument(
+        "--learn",
+        action="append",
+        default=[],
+        choices=("delay",),
+        help="keep a pure delay behind the drive in any case",
     )
+    delay.add_argument(
+        "--no-delay", action="store_const", const=("delay",), default=(), dest="leave_out",
+        help="without one (default: where it pays on blocks left out)",
+    )  # fmt: skip
+    parser.add_argument("--validate", nargs="+", default=[], metavar="RECORDS", help="only run the model on these")
+    parser.add_argument("--report", metavar="DIR", help="write the Bode page here")
     _columns(parser)
 
 

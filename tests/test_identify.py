@@ -1,8 +1,10 @@
 """Planted linear systems come back from noisy sweeps, within their own standard errors."""
 
+import json
+
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from scipy.signal import cont2discrete, lfilter, lsim
 from typed import of_kind
 
 from pitp_jax import BadInput, ComputationFailed, Record
@@ -63,6 +65,7 @@ def test_planted_orders_come_back(coefficients, order):
         assert found.chosen.damping == pytest.approx([0.1], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 3])
 def test_auto_picks_the_planted_order(coefficients, order):
     a = coefficients(order)
@@ -166,3 +169,45 @@ def test_a_planted_delay_comes_back(coefficients, samples):
     assert float(found.model.effects[0].time) == pytest.approx(found.chosen.delay)
     with pytest.raises(BadInput, match="'mass' cannot be learned"):
         identify([record], learn=("mass",))
+
+
+@pytest.mark.slow
+def test_order_two_behind_a_held_voltage_is_order_two(coefficients):
+    """Under foh alone half a sample of lag would be a third pole."""
+    found = identify([sweep(coefficients(2), 28, hold="zoh")])
+    assert (found.chosen.order, found.chosen.hold, found.chosen.delay) == (2, "zoh", 0.0)
+    assert found.chosen.identifiable
+
+
+@pytest.mark.slow
+def test_an_oscillation_that_no_drive_excites_is_no_mode(coefficients):
+    """A slow first-order plant and, from the start on, a hum beside it: in sample a second mode halves the error."""
+    a = coefficients(1, hz=2.0)
+    record = sweep(a, 29)
+    x = record.displacement
+    found = identify([changed(record, x + 0.1 * x.std() * np.sin(2 * np.pi * 8.3 * TIME + 1))])
+    assert found.chosen.order == 1
+    assert found.chosen.natural_hz == pytest.approx([1.0], rel=0.05)
+
+
+@pytest.mark.slow
+def test_without_a_spring(coefficients):
+    """Torque to angle: the slowest pole is open, which is told and no refusal."""
+    drive = np.sin(2 * np.pi * (0.3 * TIME + 0.6 * TIME**2))
+    x = of_kind(tuple, lsim(([50.0], [1.0, 20.0, 0.0]), drive, TIME))[1]
+    x = x + 1e-3 * np.ptp(x) * np.random.default_rng(5).standard_normal(SAMPLES)
+    found = identify([Record("motor", TIME, drive, x)], input_map="linear", leave_out=("delay",))
+    assert found.chosen.order == 2 and found.chosen.integrates
+    assert any("integrates" in remark for remark in found.remarks)
+    a = found.chosen.coefficients
+    assert (a[1], a[2]) == pytest.approx((20 / 50, 1 / 50), rel=0.02)
+
+
+def test_what_is_left_out_of_fold_by_band(coefficients):
+    """White noise alone is left of a linear plant: in every octave as much as its width says; the model carries it."""
+    found = identify([sweep(coefficients(2), 30)], order=2, hold="foh", leave_out=("delay",))
+    own, noise = found.out_of_fold, NOISE * simulate(coefficients(2), SWEEP).std()
+    assert np.sqrt(np.sum(np.square(own.error))) == pytest.approx(noise, rel=0.1)
+    width = np.diff(own.edges_hz)[6:-1] * 2 * DT
+    assert np.square(own.error)[6:-1] / noise**2 == pytest.approx(width, rel=0.5)
+    assert json.loads(found.model.provenance.notes)["identification"]["out_of_fold"]["error"] == list(own.error)

@@ -70,7 +70,7 @@ def begins(records, input_map="square"):
 def test_a_set_of_rest_and_motion_has_one_zero():
     zero, x = 12.345e-3, motion(SINE)
     records = [record(SINE, x + zero, 1), record(SINE, x + zero, 2, start=830), record(HIGH, motion(HIGH) + zero, 3)]
-    found, _ = find_beginnings(records, "square")
+    found, *_ = find_beginnings(records, "square")
     assert [b.begins for b in found] == ["rest", "moving", "rest"]
     assert {(b.zero, b.group) for b in found} == {(found[0].zero, 0)}
     assert found[0].zero == pytest.approx(zero, abs=3 * NOISE)
@@ -98,7 +98,7 @@ def test_a_slow_start_in_mid_motion_is_not_at_rest(start, others, sign):
     zero, x = 1e-3, sign * motion(SLOW)
     slow = record(SLOW, x + zero, 20, start=start)
     assert starts_at_rest(slow, slow.displacement[0])
-    found, _ = find_beginnings([slow, *[record(SINE, sign * motion(SINE) + zero, k) for k in range(others)]], "square")
+    found, *_ = find_beginnings([slow, *[record(SINE, sign * motion(SINE) + zero, k) for k in range(others)]], "square")
     assert [b.begins != "rest" for b in found] == [True] + [False] * others
     assert all(b.zero == pytest.approx(zero, abs=3 * NOISE) for b in found)
 
@@ -111,7 +111,7 @@ def test_a_turning_point_is_moving(first, turning):
     top = 1000 + int(np.argmax(x[1000:1300]))
     still = [record(SINE, x + zero, k, start=top) for k in range(turning)]
     resting = record(SINE, x + zero, 9)
-    found, _ = find_beginnings([*still, resting] if first else [resting, *still], "square")
+    found, *_ = find_beginnings([*still, resting] if first else [resting, *still], "square")
     order = ["moving"] * turning + ["rest"]
     assert [b.begins for b in found] == (order if first else order[::-1])
     assert all(b.zero == pytest.approx(zero, abs=3 * NOISE) for b in found)
@@ -177,7 +177,7 @@ def test_a_gap_at_the_start_leaves_it_unknown(gap, first):
     r = record(SINE, motion(SINE))
     r.displacement[:gap] = np.nan
     assert first_known(r) == first
-    (found,), _ = find_beginnings([r], "square")
+    (found,), *_ = find_beginnings([r], "square")
     assert np.isfinite(found.zero)
     assert (found.begins == "rest") == (first == 0)
 

@@ -109,7 +109,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
 
 def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
     """Poles (`linear_ode`) of some records, and every record beside them."""
-    begun, roots = find_beginnings([small[k] for k in sorted(kept)], "linear")
+    begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
     logs, found = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
@@ -162,9 +162,9 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
 def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:
     """Own gain and zero by least squares; the direction is the gain's sign."""
     dt, force, seen = record.dt, record.voltage, record.observed
-    driven, _ = respond(logs, force, step=dt, square=False, hold="foh")
-    held, _, free = coast(logs, np.array([force[0], 0.0]), record.samples, step=dt)
-    columns = [np.ones(len(driven)), driven + (held if begun.begins == "held" else 0.0)]
+    driven = respond(logs, force, step=dt, square=False, hold="foh", settled=begun.begins == "held")
+    free, _ = coast(logs, record.samples, step=dt)
+    columns = [np.ones(len(driven)), driven]
     stacked = np.column_stack([*columns, free] if begun.begins == "moving" else columns)[seen]
     y = record.displacement[seen]
     factors, error = project(y, stacked)

@@ -3,15 +3,18 @@
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
 from .._model_file.model_file import save
+from .._record.writing import write_text_atomic
 from .._report.description import describe
+from .._simulate.prediction import predict
 from .._table.units import from_base
 from .console import number, print_table, say
-from .outputs import check_outputs, staged
+from .outputs import REPORT, check_outputs, staged
+from .predict import score
 from .recordings import read_records, warn
 from .reports import print_beginnings, print_model
 
 
-def identify(records, out, order, input_map, learn, json_file, reading) -> None:
+def identify(records, out, order, input_map, learn, json_file, reading, leave_out=(), validate=(), report=None) -> None:
     """Identify, write the model file, and print the comparison of orders.
 
     Args:
@@ -19,28 +22,43 @@ def identify(records, out, order, input_map, learn, json_file, reading) -> None:
         out: model file to write.
         order: 1 to 6 or "auto".
         input_map: "square" or "linear".
-        learn: ("delay",) to fit a pure delay as well.
+        learn, leave_out: ("delay",) to keep a pure delay in any case, or to do without.
+        validate: files and folders of records that the model is only run on.
+        report: folder for the Bode page, or None.
         json_file: where to write the result for machines, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_outputs(out, json_file, inputs=records)
+    check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, *validate])
     read_in = read_records(records, reading, square=input_map == "square")
     warn(read_in)
-    found = run_identify(read_in, order=order, input_map=input_map, learn=learn, progress=say)
+    apart = read_records(validate, reading, square=input_map == "square") if validate else []
+    found = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
     told = describe(found.model)
+    scores = {r.name: score(r, p) for r, p in zip(apart, predict(found.model, apart), strict=True)} if apart else {}
     orders, beginnings = [vars(fit) for fit in found.orders], {name: vars(b) for name, b in found.beginnings.items()}
-    value = {**told, "orders": orders, "rest": found.rest, "beginnings": beginnings}
+    value = {**told, "orders": orders, "rest": found.rest, "beginnings": beginnings,
+             "remarks": list(found.remarks), "validation": scores}  # fmt: skip
     with staged(file=out, json_file=json_file, value=value) as stage:
         save(stage, found.model)
+    if report is not None:
+        from .bode_page import bode_page  # with it comes matplotlib: half a second
+
+        with staged(folder=report) as stage:
+            write_text_atomic(stage / REPORT, bode_page(found, out))
     unit = read_in[0].displacement_unit
     print_orders(found, unit)
     print_model(told)
     if found.chosen.delay:
         print(f"delay: {number(1e3 * found.chosen.delay, 3)} +- {number(1e3 * found.chosen.delay_stderr, 2)} ms")
     print_beginnings(found.beginnings, unit)
+    for remark in found.remarks:
+        print(remark)
+    if scores:
+        rows = [(name, number(s["e_rms_percent"], 3), number(s["nrmse_percent"], 3)) for name, s in scores.items()]
+        print_table(("validated on", "e_rms (% of range)", "nrmse (% of std)"), rows)
 
 
 def print_orders(found: Identification, unit: str) -> None:
@@ -50,10 +68,12 @@ def print_orders(found: Identification, unit: str) -> None:
             f"{fit.order}{' *' if fit.order == found.chosen.order else ''}",
             number(from_base(fit.mae, unit, "displacement")),
             number(from_base(fit.rms, unit, "displacement")),
-            f"{fit.bic:.0f}",
+            number(fit.heldout, 3),
             ", ".join(number(f, 3) for f in fit.natural_hz),
             "yes" if fit.identifiable else "no",
         )
         for fit in found.orders
     ]
-    print_table(("order", f"mae ({unit})", f"rms ({unit})", "bic", "natural (Hz)", "identifiable"), rows)
+    print_table(
+        ("order", f"mae ({unit})", f"rms ({unit})", "held out (% of std)", "natural (Hz)", "identifiable"), rows
+    )

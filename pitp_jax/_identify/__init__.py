@@ -2,8 +2,8 @@
 
     sum_i a_i x^(i) = u^2 (or u),    min over a, zeros and starts of  sum (y - x)^2     (output error; paper: tfest)
 
-Verb: `identify`. Poles are stable by construction (`linear_ode`), starts come from the equation error and the spectrum
-(`initial_guess`), the order from what the records can tell apart (`order_selection`).
+Verb: `identify`. Starts come from the frequency response (`frequency_response`, `frequency_fit`) or ARX (`starts`);
+order, delay and hold are chosen together by blocks left out (`heldout`, `candidates`).
 """
 
 from .identification import Identification as Identification

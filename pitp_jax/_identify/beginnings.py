@@ -15,28 +15,33 @@ import numpy as np
 
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, criterion, project, whitener
-from .._numerics.levenberg_marquardt import minimise
 from .._record.averaged import averaged
 from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
 from .._record.preprocess import force_band
 from .._record.record import Record
-from .initial_guess import equation_error_roots, linear_start, peak_roots
 from .linear_ode import coast, logs_from_roots, polynomial, respond
-from .output_error import OutputError, build_problem, normal_equations, upper_bounds
+from .output_error import Problem, Structure, build_problem, driven, least_squares, own_columns, solve
+from .starts import cost_of, guesses
 
 _PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that tell beginnings apart
 _MOST = 100_000  # samples from which the poles are found
-_ORDER, _ROUNDS = 2, 4
+_STARTS = 3  # of the guesses, each with the directions that it tells, that are followed
+_STRUCTURE, _ROUNDS = Structure(2), 4
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
 
-def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None]:
-    """How every record begins, and the roots of order 2 found on the way (rad/s; None: none could be fitted)."""
+def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None, float]:
+    """How every record begins, the roots of order 2 found on the way (rad/s), and the fraction of the output it leaves.
+
+    The roots are None and the fraction 1 where no such model could be fitted.
+    """
     begun = [from_known(r) for r in records]
-    poles = _first_poles(begun, input_map)
-    if poles is None:
-        return [_at_rest(r) for r in begun], None
+    chosen, small = _decimated(begun, input_map)
+    first = _first_poles(small)
+    if first is None:
+        return [_at_rest(r) for r in begun], None, 1.0
+    cost, poles = first
     found: list[Beginning] = []
     for _ in range(_ROUNDS):
         rows = [_columns(r, input_map, *poles) for r in begun]
@@ -45,13 +50,12 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
         before, found = found, _with_zeros(begun, rows, kinds)
         if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in found]:
             break
-        problem = build_problem(begun, input_map, found)
-        start = linear_start(np.roots(polynomial(poles[0])[::-1]) / problem.omega, _ORDER, problem)
-        better = None if start is None else _fitted(start, problem)
+        some = build_problem([begun[k] for k in chosen], input_map, [found[k] for k in chosen])
+        better = _fitted(poles[0], some)
         if better is None:
             break
-        poles = better[1]
-    return found, np.roots(polynomial(poles[0])[::-1])
+        cost, poles = better
+    return found, np.roots(polynomial(poles[0])[::-1]), float(np.sqrt(cost))
 
 
 def _at_rest(record: Record) -> Beginning:
@@ -88,62 +92,59 @@ class _Columns:
         return criterion(self.left(begins, direction)[0], extra, floor=_FINEST * self.size)
 
 
-def _decimated(records: Sequence[Record], input_map: str) -> list[Record]:
-    """Force and output as means over blocks of a tenth of the band's period: a linear system keeps their relation."""
+def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
+    """Some records in means over blocks of a tenth of the band's period, and which they are."""
     forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
     size = int(1 / (_PER_PERIOD * force_band(forces, records[0].dt) * records[0].dt))
     size = max(1, min(size, min(r.samples for r in records) // 64))
     chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))
-    return [averaged(records[k], forces[k], size) for k in chosen]
+    return list(chosen), [averaged(records[k], forces[k], size) for k in chosen]
 
 
-def _first_poles(records: Sequence[Record], input_map: str) -> tuple[np.ndarray, float] | None:
-    """Logarithms of the pole coefficients (rad/s) and gain (m per V^2 or V), nothing known of how records begin."""
-    small = _decimated(records, input_map)
+def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, float]] | None:
+    """What `_fitted` returns, nothing known of how records begin."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
-    first = peak_roots(problem, _ORDER)
-    problem = build_problem(small, "linear", _directed(first, problem))
-    starts = [linear_start(r, _ORDER, problem) for r in (equation_error_roots(small, _ORDER, problem), first)]
-    found = []
+    starts = [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
+    scored = []
     for start in starts:
-        if start is None:
-            continue
-        found += [f for f in [_fitted(start, problem)] if f is not None]
-    return min(found, key=lambda f: f[0])[1] if found else None
+        logs = np.minimum(start, problem.upper(_STRUCTURE) - 1e-3)
+        same = build_problem(small, "linear", _directed(logs, problem))
+        scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
+    found = []
+    for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
+        fit = _fitted(logs, same)
+        found += [] if fit is None else [fit]
+    return min(found, key=lambda f: f[0]) if found else None
 
 
-def _fitted(start: np.ndarray, problem: OutputError) -> tuple[float, tuple[np.ndarray, float]] | None:
+def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
     """Least output error from here: its cost, logarithms (rad/s) and gain (m per V^2 or V)."""
-    how = {"order": _ORDER, "hold": "foh"}
-    params, _ = minimise(lambda p: normal_equations(p, problem, **how), start, upper_bounds(_ORDER, problem))
-    cost = normal_equations(params, problem, **how).cost
-    logs = params[:_ORDER] + np.log(problem.omega) * np.array([1.0, 2.0])
-    scale = problem.voltage_scale ** (2 if problem.square else 1)
-    return (cost, (logs, float(params[_ORDER] * problem.output_scale / scale))) if np.isfinite(cost) else None
+    logs, cost, _ = least_squares(start, _STRUCTURE, problem)
+    gain = float(solve(logs, _STRUCTURE, problem).gains[0]) * problem.scale
+    return (cost, (logs, gain)) if np.isfinite(cost) else None
 
 
-def _directed(roots: np.ndarray, problem: OutputError) -> list[Beginning]:
+def _directed(logs: np.ndarray, problem: Problem) -> list[Beginning]:
     """Directions from each record's own gain, relative to most."""
-    logs, step = logs_from_roots(roots), problem.omega * problem.dt
     gains = []
-    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
-        unit, _ = respond(logs, drive, step=step, square=problem.square, hold="foh")
-        _, _, free = coast(logs, np.zeros(_ORDER), len(drive), step=step)
+    for k, (output, weight) in enumerate(zip(problem.output, problem.weight, strict=True)):
+        unit = driven(logs, _STRUCTURE, problem, k)
+        free, _ = own_columns(logs, _STRUCTURE, problem, k)
         columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), free])
         gains.append(project(weight * output, columns)[0][0] * np.std(unit))
     most = 1.0 if np.sum(gains) >= 0 else -1.0
-    return [
-        replace(b, direction=1.0 if most * g >= 0 else -1.0) for b, g in zip(problem.beginnings, gains, strict=True)
-    ]
+    directions = [1.0 if most * g >= 0 else -1.0 for g in gains]
+    return [replace(b, direction=d) for b, d in zip(problem.beginnings, directions, strict=True)]
 
 
 def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:
     """Whitened by the spectrum of what the richest explanation leaves, in blocks of a tenth of the resonance."""
     square, dt = input_map == "square", record.dt
-    unit, _ = respond(logs, record.voltage, step=dt, square=square, hold="foh")
-    first = record.voltage[0] ** (2 if square else 1)
-    held, _, free = coast(logs, np.array([first, 0.0]), record.samples, step=dt)
+    unit, settled = (
+        respond(logs, record.voltage, step=dt, square=square, hold="foh", settled=s) for s in (False, True)
+    )
+    held, (free, _) = settled - unit, coast(logs, record.samples, step=dt)
     period = 2 * np.pi / np.exp(logs[1] / 2)
     size = int(np.clip(period / _PER_PERIOD / dt, 1, record.samples // 64))
     y = np.where(record.observed, record.displacement, 0.0)

@@ -1,16 +1,17 @@
 """Identification (the paper's tfest step): a continuous-time ODE of order n, no zeros, fitted by output error.
 
-    F = map(u),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + zero_r + noise
+    F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + zero_r + noise
 
-    minimise  sum over observed samples of (y - y_model)^2     (Levenberg-Marquardt, whole records, float64)
+    minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
 
-Starts come from the equation error, from the spectrum's peak and from the next lower order plus a fast pole: order 3
-by plain output error diverges from a bad start. Poles are stable by construction (`linear_ode`).
+How records begin (`beginnings`), what they show without a model (`frequency_response`), starts from it by optimistix
+(`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by what is left out
+(`candidates`), and the chosen one in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 
 import json
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -20,33 +21,26 @@ from .._model.input_map import INPUT_MAPS
 from .._model.model import Hold, Model, Output, Provenance, linear_model
 from .._model.substeps import substeps
 from .._model_file.lineage import descended
-from .._numerics.levenberg_marquardt import minimise
-from .._record.initial_state import Beginning, aligned
+from .._record.averaged import averaged
+from .._record.initial_state import Beginning, aligned, noise_std
 from .._record.long_record import thinned
 from .._record.record import Record
 from .._record.sets import check_set
 from .._shown import Shown
 from .beginnings import find_beginnings
-from .final_fit import refine
-from .initial_guess import equation_error_roots, linear_start, peak_roots
-from .linear_ode import polynomial
-from .order_selection import Fit, OrderFit, advice, choose, describe, summary
-from .output_error import (
-    OutputError,
-    build_problem,
-    check_motion,
-    covariance,
-    normal_equations,
-    residual,
-    upper_bounds,
-)
+from .candidates import Candidate, choose, search
+from .frequency_fit import ORDERS
+from .frequency_response import FrequencyResponse, frequency_response
+from .heldout import OutOfFold, held_out, out_of_fold
+from .order_fit import OrderFit, covariance, describe, zero_of
+from .output_error import Problem, build_problem, check_motion, least_squares, solve
 
-ORDERS = tuple(range(1, 7))
-# Other holds than foh, and the share of its error each has to beat: a wrong one costs little, a right one more later
-_HOLDS: dict[Hold, float] = {"zoh": 0.98, "bandlimited": 0.997}
+_HOLDS: tuple[Hold, ...] = ("foh", "zoh")
+_BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wrong one costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
-_DELAYS = (0.5, 1.5, 4.0)  # samples, from which a delay is sought
-_NO_WORSE = 1.001  # an order holds every lower one, so its cost is no higher unless the search stopped short
+_SAMPLES = 10_000  # of which candidates are compared: more are averaged over blocks, as long as these hide no more than
+_HIDDEN = 0.1  # of what a linear model leaves: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
+_FREED = 0.97  # of the held-out score that a fitted zero has to leave at most, beside one from the first samples
 
 
 @dataclass(frozen=True)
@@ -55,14 +49,20 @@ class Identification(Shown):
 
     Attributes:
         model: its `output` is the zero and the direction of most records.
-        chosen, orders: the order taken, and all that were compared.
+        chosen, orders: the order taken, and the best candidate of all that were compared.
         beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
+        response: what the records show without a model.
+        out_of_fold: what fits that did not see them leave of these records, by band; in the model's notes too.
+        remarks: what the records leave open, a sentence each.
     """
 
     model: Model
     chosen: OrderFit
     orders: tuple[OrderFit, ...]
     beginnings: dict[str, Beginning]
+    response: FrequencyResponse
+    out_of_fold: OutOfFold
+    remarks: tuple[str, ...] = ()
 
     def _rows(self) -> list[dict]:
         return [vars(fit) for fit in self.orders]
@@ -90,17 +90,19 @@ def identify(
     input_map: str = "square",
     hold: Hold | None = None,
     learn: Sequence[str] = (),
+    leave_out: Sequence[str] = (),
     progress: Callable[[str], None] = lambda line: None,
 ) -> Identification:
     """Fit a linear ODE to records by output error.
 
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
-        order: 1 to 6, or "auto": the smallest order whose mean absolute error is within 10 % of the best.
+        order: 1 to 6, or "auto": the fewest poles and delays that leave, on blocks left out, within 3 % of the least.
         input_map: "square" (F = u^2) or "linear" (F = u).
-        hold: "foh", "zoh", "bandlimited", or None for the one that leaves least error: foh unless zoh wins by 2 %
-            or bandlimited by 0.3 %.
-        learn: ("delay",) to fit a pure delay between drive and motion as well; the model carries it as an effect.
+        hold: "foh", "zoh", "bandlimited", or None for the one that leaves least error: foh or zoh, or bandlimited where
+            it wins by 0.3 %.
+        learn: ("delay",) to keep a pure delay between drive and motion in any case; the model carries it as an effect.
+        leave_out: ("delay",) to do without; else a delay stays where it pays on blocks left out.
         progress: called with one line per finished order.
 
     Returns:
@@ -119,116 +121,168 @@ def identify(
         raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
     if order != "auto" and order not in ORDERS:
         raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
-    if hold is not None and hold not in ("foh", *_HOLDS):
-        raise BadInput(f"unknown hold {hold!r}: use one of foh, {', '.join(_HOLDS)}, or None")
-    if unknown := sorted(set(learn) - {"delay"}):
+    if hold is not None and hold not in (*_HOLDS, "bandlimited"):
+        raise BadInput(f"unknown hold {hold!r}: use one of {', '.join(_HOLDS)}, bandlimited, or None")
+    if unknown := sorted({*learn, *leave_out} - {"delay"}):
         raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
+    if "delay" in learn and "delay" in leave_out:
+        raise BadInput("a delay cannot be both learned and left out: choose one")
     check_set(records)
     check_motion(records)
-    begun, roots = find_beginnings(records, input_map)
-    problem = build_problem(records, input_map, begun, delayed="delay" in learn)
-    fits = _fit_orders(records, problem, roots, ORDERS if order == "auto" else range(1, int(order) + 1), progress)
-    described = [describe(f, problem) for f in fits]
-    chosen = choose(described, order)
-    fit = fits[described.index(chosen)]
-    rivals: list[tuple[Hold, float]] = list(_HOLDS.items()) if hold is None else [(hold, np.inf)]
-    for other, margin in rivals:
-        tried = _least_squares(fit.params, fit.order, other, problem) if _within(fit, other, margin, problem) else None
-        if tried is not None and tried.cost < margin**2 * fit.cost:
-            fit = tried
-    fit = _polished(fit, problem)
-    chosen = describe(fit, problem)
-    if order != "auto" and not chosen.identifiable:
-        raise ComputationFailed(advice(chosen, described))
-    orders = tuple(chosen if d.order == chosen.order else d for d in described)
-    orders = orders if order == "auto" else (chosen,)
-    begun = _fitted(begun, fit, problem)
-    model = descended(_to_model(chosen, records, begun, input_map, orders), "identify", records)
-    return Identification(model, chosen, orders, dict(zip([r.name for r in records], begun, strict=True)))
+    begun, roots, misfit = find_beginnings(records, input_map)
+    finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
+    whole = build_problem(records, input_map, begun)
+    small = _averaged(records, input_map, begun, roots, finest)
+    response = frequency_response(whole)
+    asked = {
+        "orders": ORDERS if order == "auto" else (int(order),),
+        "holds": _HOLDS if hold is None else (hold,),
+        "delays": [True] if "delay" in learn else [False] if "delay" in leave_out else [False, True],
+    }
+    candidates = search(small, response, roots, **asked, progress=progress)
+    if not candidates:
+        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
+    chosen = choose(candidates) if order != "auto" else _known(candidates, small)
+    freed, begun = _zeros_by_score(chosen, records, input_map, begun, roots, finest)
+    whole = whole if freed is chosen else build_problem(records, input_map, begun)
+    chosen = _refined(freed, whole, [hold] if hold else [*_HOLDS] if chosen.structure.delayed or small.fine < small.dt
+                      else [chosen.structure.hold], bandlimited=hold is None)  # fmt: skip
+    fit = describe(chosen, whole)
+    if order != "auto" and not fit.identifiable:
+        raise ComputationFailed(_refusal(fit))
+    best = [min((c for c in candidates if c.structure.order == n), key=lambda c: c.score)
+            for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
+    orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
+    begun = _fitted(begun, chosen, whole)
+    own = out_of_fold(chosen.heldout, small)
+    told = {**_summary(fit, orders, records), "out_of_fold": asdict(own), "remarks": remarks(fit, whole)}
+    model = descended(_to_model(fit, records, begun, input_map, told), "identify", records)
+    names = [r.name for r in records]
+    return Identification(
+        model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tuple(told["remarks"])
+    )
 
 
-def _fitted(begun: Sequence[Beginning], fit: Fit, problem: OutputError) -> list[Beginning]:
+def _known(candidates: Sequence[Candidate], problem: Problem) -> Candidate:
+    """The best candidate whose poles the records determine.
+
+    Raises:
+        ComputationFailed: there is none.
+    """
+    pool = list(candidates)
+    while pool:
+        chosen = choose(pool)
+        if describe(chosen, problem).identifiable:
+            return chosen
+        pool = [c for c in pool if c is not chosen]
+    raise ComputationFailed(
+        "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
+        "or check that the voltage and displacement columns belong together"
+    )
+
+
+def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
+    """The problem on which candidates are compared: means over blocks where there are more samples than it takes."""
+    whole = build_problem(records, input_map, begun)
+    fastest = finest * max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
+    size = min(
+        int(1 / (fastest * whole.dt)), int(np.ceil(whole.samples / _SAMPLES)), min(len(d) for d in whole.drive) // 64
+    )
+    if size < 2:
+        return whole
+    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
+    return replace(build_problem(small, "linear", begun), fine=whole.dt)
+
+
+def _zeros_by_score(chosen: Candidate, records, input_map: str, begun: Sequence[Beginning], roots, finest: float):
+    """Whether zeros read at rest are better fitted: under a nonlinear plant the poles bend to make up for a zero held.
+
+    Right for a linear plant, where the first samples tell most; the blocks left out decide.
+    """
+    if all(b.free for b in begun):
+        return chosen, begun
+    free = [replace(b, free=True) for b in begun]
+    problem = _averaged(records, input_map, free, roots, finest)
+    params, cost, converged = least_squares(chosen.params, chosen.structure, problem)
+    heldout = held_out(params, chosen.structure, problem)
+    if heldout.score < _FREED * chosen.heldout.score and np.isfinite(cost):
+        return replace(chosen, params=params, cost=cost, converged=converged, heldout=heldout), free
+    return chosen, begun
+
+
+def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
+    """The candidate on all samples, under the hold that leaves least where the blocks could not tell."""
+    ends = []
+    for hold in [*holds, *(["bandlimited"] if bandlimited else [])]:
+        structure = replace(chosen.structure, hold=hold)
+        params, cost, converged = least_squares(chosen.params, structure, problem)
+        worth = cost / _BANDLIMITED**2 if hold == "bandlimited" and bandlimited else cost
+        ends.append((worth, replace(chosen, structure=structure, params=params, cost=cost, converged=converged)))
+    return min(ends, key=lambda e: e[0])[1]
+
+
+def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> list[Beginning]:
     """Beginnings with fitted zeros and directions as the rig has them."""
-    polarity, first = float(np.sign(fit.params[fit.order]) or 1.0), fit.order + 1
-    errors = np.zeros(problem.free_zeros)
+    gains = solve(chosen.params, chosen.structure, problem).gains
+    polarity = float(np.sign(gains[0]) or 1.0)
+    errors, first = np.zeros(problem.free_zeros), chosen.structure.order + 1
     if problem.free_zeros:
-        variance = np.diag(covariance(fit.params, problem, order=fit.order, hold=fit.hold))
-        errors = problem.output_scale * np.sqrt(np.clip(variance[first : first + problem.free_zeros], 0, None))
+        variance = np.diag(covariance(chosen.params, chosen.structure, problem))
+        errors = problem.scale * np.sqrt(np.clip(variance[first : first + problem.free_zeros], 0, None))
     found = []
     for k, b in enumerate(begun):
         stderr = float(errors[problem.zeros[k]]) if b.free else b.stderr
-        zero = float(problem.zero(k, fit.params, fit.order))
-        found.append(replace(b, direction=polarity * b.direction, zero=zero, stderr=stderr, free=False))
+        found.append(
+            replace(b, direction=polarity * b.direction, zero=zero_of(k, gains, problem), stderr=stderr, free=False)
+        )
     return found
 
 
-def _fit_orders(records, problem: OutputError, roots, orders: Iterable[int], progress) -> list[Fit]:
-    """Every order from the best of its starts, refined to convergence."""
-    fits: list[Fit] = []
-    for order in orders:
-        if roots is not None and order == len(roots):
-            starts = [roots / problem.omega]
-        else:
-            starts = [equation_error_roots(records, order, problem), peak_roots(problem, order)]
-        if fits and fits[-1].order == order - 1:
-            lower = np.roots(polynomial(fits[-1].params[: order - 1])[::-1])
-            starts += [np.append(lower, -factor * max(np.abs(lower).max(), 1.0)) for factor in (3.0, 12.0)]
-        params = [linear_start(r, order, problem, d) for r in starts for d in (_DELAYS if problem.delayed else (1.0,))]
-        params = [p for p in params if p is not None]
-        if len(params) > 1:
-            params = sorted(params, key=lambda p: _cost(p, order, "foh", problem))[:2]
-        found = []
-        for start in params:  # the next start only where the last one failed or lost to the lower order
-            found += [f for f in [_least_squares(start, order, "foh", problem)] if f is not None]
-            if found and found[-1].converged and (not fits or found[-1].cost <= _NO_WORSE * fits[-1].cost):
-                break
-        if not found:
-            continue
-        best = min(found, key=lambda f: f.cost)
-        at_its_best = best.cost <= _NO_WORSE * min((f.cost for f in fits), default=np.inf)
-        fits.append(replace(best, converged=best.converged and at_its_best))
-        progress(f"order {order}: rms {100 * np.sqrt(best.cost):.2f} % of the output's")
-    if not fits:
-        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
-    return fits
+def _refusal(fit: OrderFit) -> str:
+    """Why the asked order was refused, and what to do."""
+    why = "its poles are not determined by the data" if fit.converged else "the least squares ran away"
+    where = f"order {fit.order} cannot be identified from these records ({why})"
+    return f"{where}; a lower one may be; record a sweep or use --order auto"
 
 
-def _polished(fit: Fit, problem: OutputError) -> Fit:
-    """The fit refined to the last digit; as it was where that leads nowhere."""
-    params = refine(fit.params, problem, order=fit.order, hold=fit.hold)
-    cost = _cost(params, fit.order, fit.hold, problem)
-    return replace(fit, params=params, cost=cost) if cost < fit.cost else fit
+def remarks(fit: OrderFit, problem: Problem) -> list[str]:
+    """What an engineer has to know beside the numbers, a sentence each."""
+    said, slowest = [], 2 * np.pi * float(fit.natural_hz[0])
+    if fit.static:
+        said.append(f"static within the band: no pole below {1.5 / (2 * np.pi * problem.fine):.3g} Hz is seen")
+    if fit.integrates:
+        said.append(
+            f"the output integrates the drive (a plant without a spring, a0 not known): free runs drift; an input "
+            f"off by 1 unit moves the output by {1 / fit.coefficients[1]:.3g} base units more every second"
+        )
+    elif slowest * problem.seconds < 1 and fit.order > 1:
+        said.append(
+            f"a pole at {slowest / (2 * np.pi):.2g} Hz is slower than these records: {3 / slowest:.2g} s would show it"
+        )
+    open_ones = [f"a{i}" for i, (a, e) in enumerate(zip(fit.coefficients, fit.stderr, strict=True)) if e > abs(a)]
+    if open_ones and not (fit.static or fit.integrates):
+        said.append(f"without influence on these records, and so not known: {', '.join(open_ones)}")
+    return said
 
 
-def _within(fit: Fit, hold: Hold, margin: float, problem: OutputError) -> bool:
-    """Whether another hold may leave less than its margin, by one Gauss-Newton step: C - g' H^-1 g."""
-    with np.errstate(all="ignore"):
-        here = normal_equations(fit.params, problem, order=fit.order, hold=hold)
-    if not (np.isfinite(here.cost) and np.isfinite(here.hessian).all()):
-        return False
-    root = np.sqrt(np.maximum(np.diag(here.hessian), 1e-300))
-    scaled = here.gradient / root
-    won = scaled @ np.linalg.lstsq(here.hessian / np.outer(root, root), scaled, rcond=1e-12)[0]
-    return bool((here.cost - won) / problem.weight.sum() < margin**2 * fit.cost)
+def _summary(chosen: OrderFit, orders: Sequence[OrderFit], records: Sequence[Record]) -> dict:
+    """The identification as plain numbers, for model files and `pitp info`."""
+    noise = float(np.median([noise_std(r.displacement) for r in records]))
+    rows = [{k: (v.tolist() if isinstance(v, np.ndarray) else v) for k, v in vars(f).items()} for f in orders]
+    return {
+        "order": chosen.order,
+        "hold": chosen.hold,
+        "noise_std": noise,
+        "records": [r.name for r in records],
+        "orders": rows,
+    }
 
 
-def _cost(params: np.ndarray, order: int, hold: Hold, problem: OutputError) -> float:
-    """Mean squared normalised output error."""
-    return float(np.sum(residual(params, problem, order=order, hold=hold) ** 2) / problem.weight.sum())
-
-
-def _least_squares(params: np.ndarray, order: int, hold: Hold, problem: OutputError) -> Fit | None:
-    """Levenberg-Marquardt on the output error; None where it is not finite."""
-    upper = upper_bounds(order, problem)
-    found, converged = minimise(lambda p: normal_equations(p, problem, order=order, hold=hold), params, upper)
-    cost = _cost(found, order, hold, problem)
-    return Fit(found, order, hold, cost, converged) if np.isfinite(cost) else None
-
-
-def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, orders) -> Model:
+def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, told: dict) -> Model:
     """Scaled model: state scales are the rms of the identified model's own derivatives over the records."""
     n = chosen.order
-    a, told = chosen.coefficients, summary(chosen, orders, records)
+    a = chosen.coefficients
     share = chosen.stderr / a
     output = Output(chosen.offset, chosen.polarity)
     moved = [output.to_model(aligned(r, b, output).displacement) for r, b in zip(records, begun, strict=True)]

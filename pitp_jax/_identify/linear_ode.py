@@ -1,21 +1,29 @@
-"""Stable linear ODEs by construction, and their exact response to a sampled voltage with its slopes.
+"""Stable linear ODEs by construction, and their exact response to a sampled drive.
 
-    P(s) = prod (s^2 + e^p s + e^q) [(s + e^r)]:  every p, q, r is stable, and every stable polynomial is reached
+    P(s) = prod (s^2 + e^p s + e^q) [(s + e^r)] = prod (s - p_i):  every stable polynomial is reached
+    P(0) / P(s) = sum_i r_i / (s - p_i),    r_i = P(0) / prod_{j != i} (p_i - p_j)            (partial fractions)
+    m_i(t+1) = e^z m_i(t) + f_1 F_t + f_2 (F_{t+1} - F_t) + f_3 (u_{t+1} - u_t)^2,    x = sum_i r_i m_i,    z = p_i h
+    f_1 = phi_1(z),   f_2 = phi_2(z),   f_3 = 2 phi_3(z) - phi_2(z),    phi_k(z) = sum_j z^j / (j + k)!
 
-    P x = c_0 F,   P w = c_0 x   =>   dx/dc_i = (delta_i0 x - w^(i)) / c_0       (from rest)
+Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not, and for any delay; f_3 is what the
+square of a line has beside the line between squares, or half the second difference of a force that is cubic between
+samples. A mode is one first-order filter, ten times faster than the chained state space. Its slope is another:
 
-The response is exact for a voltage linear (foh) or constant (zoh) between samples, squared or not: inside a step
-the force is a polynomial in time, so one matrix exponential of the chained system (F, x, w) gives the step. A second
-pass through the same poles is all that every slope takes.
+    m'(t+1) = e^z m'(t) + e^z m(t) + sum_k f_k'(z) ...,    phi_k' = phi_k - k phi_{k+1}
+    (2 p + e^a) dp = -e^a p da - e^b db       of a pole p of  s^2 + e^a s + e^b
 """
 
+from math import factorial
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
+from scipy.signal import lfilter
 
 from .._numerics.intersample import between
-from .._numerics.linear_recurrence import linear_recurrence, times
 
 _FINER = 4
+_APART = 1e-5  # of a pole: two nearer ones are moved apart, which shifts a response by less than 1e-9
+_TERMS = 24
 
 
 def _factors(logs: np.ndarray) -> list[np.ndarray]:
@@ -63,86 +71,192 @@ def logs_from_roots(roots: np.ndarray) -> np.ndarray:
     return np.array(logs + [np.log(r) for r in real])
 
 
-def exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """exp(M) = (sum_k (M / 2^s)^k / k!)^(2^s) to order 14, with the 1-norm of M / 2^s below 1/2.
+def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
+    """The poles, no two of them alike."""
+    found: list[complex] = []
+    for factor in _factors(logs):
+        if len(factor) == 2:
+            found.append(complex(-factor[0]))
+            continue
+        half = np.sqrt(complex(factor[1] ** 2 / 4 - factor[0]))
+        half = half if abs(half) > _APART * factor[1] else complex(_APART * factor[1])
+        far = -factor[1] / 2 - half  # the larger one, which does not cancel
+        found += [far, factor[0] / far if half.imag == 0 else far.conjugate()]
+    for k, pole in enumerate(found):
+        if any(abs(pole - other) < _APART * abs(pole) for other in found[:k]):
+            found[k] = pole * (1 + 3 * _APART * (k + 1))
+    return np.array(found)
 
-    Of a size where a library's threads take longer to start than the sum to form.
-    """
-    size = np.abs(matrix).sum(0).max()
-    squarings = max(int(np.ceil(np.log2(max(size, 1e-300)))) + 1, 0)
-    small = matrix / 2.0**squarings
-    power = total = np.eye(len(matrix))
-    for k in range(1, 15):
-        power = power @ small / k
-        total = total + power
-    for _ in range(squarings):
-        total = total @ total
-    return total
+
+def _phi(z: complex, k: int) -> complex:
+    """phi_k: by its series near zero, where the closed form cancels."""
+    if abs(z) < 1:
+        term = total = 1 / factorial(k) + 0j
+        for j in range(1, _TERMS):
+            term *= z / (j + k)
+            total += term
+        return total
+    closed = np.exp(z)
+    for j in range(k):
+        closed = (closed - 1 / factorial(j)) / z
+    return closed
 
 
-def _exact_step(poly: np.ndarray, step: float) -> np.ndarray:
-    """One step of (x, ..., x^(n-1), w, ..., w^(n-1), F, F', F''), time of the force in samples; nan if not finite.
-
-    The exponential is taken with derivatives in units of the fastest pole: in any other unit rounding grows with
-    the power n of its ratio to the slowest.
-    """
-    n = len(poly) - 1
-    fastest = (poly[:n] ** (1 / np.arange(n, 0, -1))).max()
-    poly, step = poly / fastest ** np.arange(n, -1, -1), step * fastest
-    block = np.zeros((2 * n + 3, 2 * n + 3))
-    for at, source in ((0, 2 * n), (n, 0)):
-        block[np.arange(at, at + n - 1), np.arange(at + 1, at + n)] = step
-        block[at + n - 1, at : at + n] = -step * poly[:n]
-        block[at + n - 1, source] += step * poly[0]
-    block[2 * n, 2 * n + 1] = block[2 * n + 1, 2 * n + 2] = 1.0
-    unit = np.concatenate([fastest ** np.arange(n), fastest ** np.arange(n), np.ones(3)])
-    return exponential(block) * unit[:, None] / unit if np.isfinite(block).all() else np.full_like(block, np.nan)
+def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
+    """Derivatives dp_i / dlogs_j of the poles, in the order of `poles`."""
+    known, slopes = poles(logs), np.zeros((len(logs), len(logs)), complex)
+    for k, factor in enumerate(_factors(logs)):
+        for i in range(2 * k, 2 * k + len(factor) - 1):
+            if len(factor) == 2:
+                slopes[i, i] = known[i]
+                continue
+            slopes[i, 2 * k : 2 * k + 2] = -np.array([factor[1] * known[i], factor[0]]) / (2 * known[i] + factor[1])
+    return slopes
 
 
 def respond(
-    logs: Float[np.ndarray, " n"], drive: Float[np.ndarray, " time"], *, step: float, square: bool, hold: str
-) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time n"]]:
-    """Response from rest, with unit static gain, to the force drive^2 (or drive); and its derivative by `logs`.
+    logs: Float[np.ndarray, " n"],
+    drive: Float[np.ndarray, " time"],
+    *,
+    step: float,
+    square: bool,
+    hold: str,
+    settled: bool = False,
+    late: float = 0.0,
+) -> Float[np.ndarray, " time"]:
+    """Response with unit static gain to the force drive^2 (or drive).
 
     Args:
-        logs: of the pole coefficients.
+        logs: of the pole coefficients, in rad per unit of time.
         drive: voltage at the samples.
         step: duration of one sample in the unit of time of the poles.
         square: whether the force is the square of the voltage.
-        hold: "foh", "zoh" or "bandlimited" (foh on the voltage read four times a sample).
+        hold: "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth force).
+        settled: from the equilibrium of the first sample, not from rest.
+        late: delay in samples; exact between them.
     """
     if hold == "bandlimited":
-        fine = between(drive, hold, np.arange(_FINER) / _FINER, np).reshape(-1)
-        x, slopes = respond(logs, fine, step=step / _FINER, square=square, hold="foh")
-        return x[::_FINER], slopes[::_FINER]
-    poly = polynomial(logs)
-    n = len(logs)
-    exact = _exact_step(poly, step)
-    now = drive[:-1]
-    change = np.diff(drive) if hold == "foh" else np.zeros_like(now)
-    force = [now**2, 2 * now * change, 2 * change**2] if square else [now, change, np.zeros_like(now)]
-    forced = np.zeros((len(drive), 2 * n))
-    forced[:-1] = times(np.stack(force, -1), exact[: 2 * n, 2 * n :].T)
-    states = linear_recurrence(exact[: 2 * n, : 2 * n], forced, np.zeros(2 * n))
-    slopes = polynomial_slopes(logs)[:n] / poly[0]
-    return states[:, 0], states[:, :1] * slopes[0] - times(states[:, n:], slopes)
+        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
+        return respond(logs, _finer(drive), **how)[::_FINER]
+    rows, level = _inputs(drive, square, hold, settled)
+    z, found = poles(logs) * step, np.zeros(len(drive))
+    whole, part = _split(late, len(drive))
+    for pole in z[np.imag(z) >= 0]:
+        mode = _later(_filtered(_weights(pole)[0, : len(rows)] @ rows, pole), pole, part, rows, whole)
+        found[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z) * mode)
+    return found + level
+
+
+def respond_with_slopes(
+    logs: Float[np.ndarray, " n"],
+    drive: Float[np.ndarray, " time"],
+    *,
+    step: float,
+    square: bool,
+    hold: str,
+    settled: bool = False,
+    late: float = 0.0,
+) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "n time"], Float[np.ndarray, " time"]]:
+    """The response of `respond`, its derivatives by the logarithms, and its rate (per unit of time)."""
+    if hold == "bandlimited":
+        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
+        run, slopes, rate = respond_with_slopes(logs, _finer(drive), **how)
+        return run[::_FINER], slopes[:, ::_FINER], rate[::_FINER]
+    rows, level = _inputs(drive, square, hold, settled)
+    z, moves = poles(logs) * step, pole_slopes(logs) * step
+    whole, part = _split(late, len(drive))
+    found = np.zeros((len(logs) + 2, len(drive)))
+    for i in np.flatnonzero(np.imag(z) >= 0):
+        pole, others = z[i], np.delete(z, i)
+        weights = _weights(pole)[:, : len(rows)]
+        mode = _filtered(weights[0] @ rows, pole)
+        slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)
+        slope = _later(slope + part * mode, pole, part, rows, whole, 1)
+        mode = _later(mode, pole, part, rows, whole)
+        relative = 1 / z  # d log(residue) / dz
+        relative[np.arange(len(z)) != i] += 1 / (pole - others)
+        relative[i] -= (1 / (pole - others)).sum()
+        residue = _residue(pole, z)
+        of_mode = residue * np.concatenate([[1.0], relative @ moves, [pole / step]])
+        of_slope = residue * np.concatenate([[0.0], moves[i], [0.0]])
+        for series, factors in ((mode, of_mode), (slope, of_slope)):
+            for number, size in zip(found, factors, strict=True):  # by hand: BLAS would start its threads for this
+                if pole.imag:
+                    number[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
+                elif size:
+                    number[whole:] += size.real * series
+    if len(z) == 1:  # the force itself acts on the rate of a first order
+        rows = np.column_stack([rows, rows[:, -1]])
+        force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
+        found[-1, whole:] -= np.real(z[0]) / step * force[: len(drive) - whole]
+    return found[0] + level, found[1:-1], found[-1]
+
+
+def _finer(drive: np.ndarray) -> np.ndarray:
+    return between(drive, "bandlimited", np.arange(_FINER) / _FINER, np).reshape(-1)
+
+
+def _split(late: float, samples: int) -> tuple[int, float]:
+    """A delay as whole samples, less a part of one."""
+    whole = min(int(np.ceil(late)), samples - 1)
+    return whole, max(whole - late, 0.0)
+
+
+def _residue(pole: complex, z: np.ndarray) -> complex:
+    residue = complex(np.prod(-z) / np.prod(pole - z[z != pole]))
+    return residue if pole.imag else residue.real
+
+
+def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[np.ndarray, float]:
+    """What f_1, f_2, f_3 multiply, (1 to 3, T - 1), and the force from which it counts."""
+    force = drive**2 if square else drive
+    level = float(force[0]) if settled else 0.0
+    rows = [force[:-1] - level]
+    if hold != "zoh":
+        rows.append(np.diff(force))
+    if hold == "cubic":
+        bend = np.pad(np.diff(force, 2), 1, mode="edge")
+        rows.append((bend[:-1] + bend[1:]) / 4)
+    elif hold == "foh" and square:
+        rows.append(np.diff(drive) ** 2)
+    return np.stack(rows), level
+
+
+def _weights(z: complex, part: float = 1.0) -> np.ndarray:
+    """f_1, f_2, f_3 for a part of a sample, and their derivatives by z, (2, 3); real where z is."""
+    s = part
+    one, two, three, four = (_phi(z * s, k) * s**k for k in (1, 2, 3, 4))
+    both = np.array([[one, two, 2 * three - two],
+                     [s * one - two, s * two - 2 * three, 2 * s * three - 6 * four - s * two + 2 * three]])  # fmt: skip
+    return both if z.imag else np.real(both)  # real arithmetic is three times as fast
+
+
+def _later(mode: np.ndarray, pole: complex, part: float, rows: np.ndarray, whole: int, slope: int = 0) -> np.ndarray:
+    """A mode (or its slope, where `slope` is 1) a part of a sample on, without its last `whole` samples."""
+    kept = len(mode) - whole
+    if not part:
+        return mode[:kept]
+    return _decay(part * pole) * mode[:kept] + _weights(pole, part)[slope, : len(rows)] @ rows[:, :kept]
+
+
+def _decay(z: complex) -> complex:
+    return np.exp(z) if z.imag else np.exp(z.real)
+
+
+def _filtered(pushed: np.ndarray, z: complex) -> np.ndarray:
+    """A mode from 0 on, one longer than what pushes it."""
+    return np.asarray(lfilter([1.0], [1.0, -_decay(z)], np.append(0.0, pushed)))
 
 
 def coast(
-    logs: Float[np.ndarray, " n"], start: Float[np.ndarray, " n"], samples: int, *, step: float
-) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time n"], Float[np.ndarray, "time n"]]:
-    """Free response from `start` = x(0), x'(0), ...; its derivatives by `logs` and by `start`.
-
-    The start is fixed while the poles move. w starts at rest, but its derivatives from the n-th on do not:
-    w^(n+j)(0) = c_0 x^(j)(0) - sum_m c_{n-m} w^(n+j-m)(0); what they would let coast on is taken off again.
-    """
-    poly = polynomial(logs)
-    n = len(logs)
-    exact = _exact_step(poly, step)[: 2 * n, : 2 * n]
-    by_start = linear_recurrence(exact[:n, :n].T, np.zeros((samples, n)), np.eye(n)[0])
-    states = linear_recurrence(exact, np.zeros((samples, 2 * n)), np.append(start, np.zeros(n)))
-    jumps = np.zeros(2 * n)  # w, w', ... w^(2n-1) at the first sample, over c_0
-    for j in range(n):
-        jumps[n + j] = start[j] - poly[:n] @ jumps[j : n + j]
-    taken = np.stack([jumps[i : i + n] for i in range(n)], -1)
-    return states[:, 0], (by_start @ taken - states[:, n:] / poly[0]) @ polynomial_slopes(logs)[:n], by_start
+    logs: Float[np.ndarray, " n"], samples: int, *, step: float
+) -> tuple[Float[np.ndarray, "time n"], np.ndarray]:
+    """Free responses of every mode, of size one at the start, and which of them oscillate."""
+    columns, rings = [], []
+    for pole in poles(logs) * step:
+        if pole.imag < 0:
+            continue
+        mode = np.exp(pole * np.arange(samples))
+        columns += [mode.real, mode.imag] if pole.imag > 0 else [mode.real]
+        rings += [True, True] if pole.imag > 0 else [False]
+    return np.array(columns).reshape(-1, samples).T, np.array(rings, bool)

@@ -1,61 +1,75 @@
-"""The output error of a linear ODE over a padded set of records, and the covariance of its parameters.
+"""The output error of a linear ODE over a set of records, by variable projection.
 
-    r_t = w_t (gain x_t(poles) + free_t(start) + d zero - d y_t)
-    x: response from rest, or from the equilibrium of u(0) where the record begins held;  free: where it begins moving
-    p = (log pole coefficients, gain, [zeros], [starts], [log delay / dt])
+    r_t = w_t (y_t - g x_t(poles, delay) - zero - sum_j c_j n_jt)     x: unit static gain;  n_j: a record's own columns
+    minimise over log pole coefficients and log delay;  inside, linearly:  gain g, zeros (one a group), c (one a record)
 
-    cov p = D H^-1 (sum_b g_b g_b') H^-1 D B / (B - P) + sum_z v v' var(z),    H = J'J,    v = dp/dz = H^-1 J'w
+    held:         x from the equilibrium of u(0)            moving:   n = free responses of every mode
 
-Zeros of records at rest are not fitted: a linear model's misfit would bend them by far more than the first samples
-leave open (cone100 sweep: 11 um against 1); v carries their error. Everything is normalised: voltage, output and
-frequency by their scales. g_b is the gradient over one of B = 64 blocks of samples (block sandwich): model error is
-strongly correlated, and the textbook sigma^2 H^-1 would understate the errors by an order of magnitude. Where few
-blocks tell of a parameter the sandwich is the smaller one: D >= 1 widens it to the textbook's variance.
+The inner problem is solved exactly (Golub & Pereyra, 1973), so a start is poles and a delay alone. A weak ridge holds
+what a record does not tell of its initial state. Zeros of records at rest are taken off beforehand where their first
+samples tell them better than a model's misfit would bend them. Everything is normalised by the output's rms.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from .._errors import BadInput
-from .._numerics.levenberg_marquardt import Normal
-from .._numerics.linear_recurrence import pieces
+from .._model.model import Hold
+from .._numerics.levenberg_marquardt import Normal, minimise
 from .._record.initial_state import Beginning, from_known
 from .._record.preprocess import force_band
 from .._record.record import Record
-from .linear_ode import coast, respond
+from .linear_ode import coast, pole_slopes, poles, respond, respond_with_slopes
 
-_BLOCKS = 64
-# A ridge per sample on the logarithms gives directions the data do not see (a pole far above the band) a minimum; it
-# moves identifiable poles by less than 1e-6 of themselves.
-_RIDGE = 1e-10
-_DELAY_STEP = 0.05  # samples, of the difference that gives the slope by a delay
+_RIDGE = 1e-3  # per sample, on an initial state in units of the output's rms
+_SLOWEST = 0.01  # rad a record: a slower pole integrates, as far as the records show
+FASTEST = 3.0  # rad a sample: a faster pole is none that these samples show
 
 
 @dataclass(frozen=True)
-class OutputError:
-    """The data of one identification: padded to (records, time), normalised by the scales it carries.
+class Structure:
+    """What distinguishes one candidate from another."""
 
-    `zeros`: which fitted zero a record has, -1 where its own was taken off beforehand.
+    order: int
+    hold: Hold = "foh"
+    delayed: bool = False
+
+    @property
+    def complexity(self) -> int:
+        """Number of parameters that a held-out score has to pay for."""
+        return self.order + self.delayed
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The records of one identification, normalised.
+
+    Attributes:
+        drive, output, weight: per record, shape (T_r,); output over `scale`, 0 where not measured.
+        beginnings: per record; `zeros`: which fitted zero it has, -1 where its own was taken off.
+        square, dt, scale: input map, sampling interval (s), the output's rms.
+        omega: rad/s, top of the drive's band.
+        fine: sampling interval that the drive was held over; shorter than `dt` where samples were averaged.
     """
 
-    drive: Float[np.ndarray, "records time"]
-    output: Float[np.ndarray, "records time"]
-    weight: Float[np.ndarray, "records time"]
+    drive: tuple[np.ndarray, ...]
+    output: tuple[np.ndarray, ...]
+    weight: tuple[np.ndarray, ...]
     beginnings: tuple[Beginning, ...]
     zeros: tuple[int, ...]
     square: bool
-    delayed: bool
     dt: float
+    scale: float
     omega: float
-    voltage_scale: float
-    output_scale: float
+    fine: float
 
-    def parameters(self, order: int) -> int:
-        """Number of parameters: poles, gain, fitted zeros, a start per moving record, a delay."""
-        return order + 1 + self.free_zeros + order * self.moving + self.delayed
+    @property
+    def samples(self) -> float:
+        """How many samples count."""
+        return float(sum(w.sum() for w in self.weight))
 
     @property
     def free_zeros(self) -> int:
@@ -63,20 +77,41 @@ class OutputError:
         return max(self.zeros) + 1
 
     @property
-    def moving(self) -> int:
-        """How many records begin in motion."""
-        return sum(b.begins == "moving" for b in self.beginnings)
-
-    @property
     def main(self) -> int:
         """A record with the zero that most have, one at rest before others: the zero that a model keeps."""
         groups = [b.group for b in self.beginnings]
         return max(range(len(groups)), key=lambda k: (groups.count(groups[k]), not self.beginnings[k].free, -k))
 
-    def zero(self, record: int, params: np.ndarray, order: int) -> float:
-        """The sensor's zero of a record, output unit."""
-        group = self.zeros[record]
-        return self.beginnings[record].zero + (self.output_scale * params[order + 1 + group] if group >= 0 else 0.0)
+    @property
+    def seconds(self) -> float:
+        """How long the longest record is."""
+        return max(len(d) for d in self.drive) * self.dt
+
+    def upper(self, structure: Structure) -> Float[np.ndarray, " parameters"]:
+        """Of the logarithms: no pole above the band that is sampled, no delay beyond a quarter of a record."""
+        fastest, n = np.log(FASTEST / self.dt), structure.order
+        bounds = [np.log(2) + fastest, 2 * fastest] * (n // 2) + [fastest] * (n % 2)
+        return np.array(bounds + [np.log(self.seconds / 4)] * structure.delayed)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Linear parameters at some poles, and what is left.
+
+    Attributes:
+        gains: g, then the fitted zeros; own: per record its c.
+        left: weighted residual of every record; penalty: of its ridge.
+    """
+
+    gains: Float[np.ndarray, " gains"]
+    own: tuple[np.ndarray, ...]
+    left: tuple[np.ndarray, ...]
+    penalty: tuple[np.ndarray, ...]
+
+    @property
+    def rows(self) -> Float[np.ndarray, " rows"]:
+        """All of it in one vector, record by record."""
+        return np.concatenate([part for both in zip(self.left, self.penalty, strict=True) for part in both])
 
 
 def check_motion(records: Sequence[Record]) -> None:
@@ -87,151 +122,168 @@ def check_motion(records: Sequence[Record]) -> None:
         raise BadInput("the displacement never changes in these records: check the sensor and its column")
 
 
-def build_problem(
-    records: Sequence[Record], input_map: str, beginnings: Sequence[Beginning], *, delayed: bool = False
-) -> OutputError:
-    """Normalise and pad the records, each from its first known state, less its zero and in one direction."""
+def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequence[Beginning]) -> Problem:
+    """Normalise the records, each from its first known state, less its zero and in one direction."""
     records = [from_known(r) for r in records]
-    dt, size = records[0].dt, max(r.samples for r in records)
-    output, drive, weight = (np.zeros((len(records), size)) for _ in range(3))
-    for k, (r, b) in enumerate(zip(records, beginnings, strict=True)):
-        drive[k, : r.samples], drive[k, r.samples :] = r.voltage, r.voltage[-1]
-        weight[k, : r.samples] = r.observed
-        output[k, : r.samples] = np.where(r.observed, b.direction * (r.displacement - b.zero), 0.0)
-    voltage_scale, output_scale = float(np.abs(drive).max()), float(np.sqrt((output**2).sum() / weight.sum()))
-    band = force_band([np.asarray(r.voltage ** (2 if input_map == "square" else 1)) for r in records], dt)
+    moved = [np.where(r.observed, b.direction * (r.displacement - b.zero), 0.0)
+             for r, b in zip(records, beginnings, strict=True)]  # fmt: skip
+    weight = tuple(r.observed.astype(float) for r in records)
+    scale = float(np.sqrt(sum((m**2).sum() for m in moved) / max(sum(w.sum() for w in weight), 1.0))) or 1.0
+    square, dt = input_map == "square", records[0].dt
+    band = force_band([r.voltage**2 if square else r.voltage for r in records], dt)
     free = sorted({b.group for b in beginnings if b.free})
-    return OutputError(
-        drive / voltage_scale, output / output_scale, weight, tuple(beginnings),
-        zeros=tuple(free.index(b.group) if b.free else -1 for b in beginnings), square=input_map == "square",
-        delayed=delayed, dt=dt, omega=float(2 * np.pi * min(band, 0.1 / dt)), voltage_scale=voltage_scale,
-        output_scale=output_scale,
+    return Problem(
+        tuple(r.voltage for r in records), tuple(m / scale for m in moved), weight, tuple(beginnings),
+        zeros=tuple(free.index(b.group) if b.free else -1 for b in beginnings), square=square, dt=dt, scale=scale,
+        omega=float(2 * np.pi * min(band, 0.1 / dt)), fine=dt,
     )  # fmt: skip
 
 
-def shifted(drive: Float[np.ndarray, " time"], delay: float, before: float) -> Float[np.ndarray, " time"]:
-    """The drive `delay` samples earlier, linear between samples, `before` the first one."""
-    return np.interp(np.arange(len(drive)) - delay, np.arange(len(drive)), drive, left=before)
+def poles_of(params: np.ndarray, structure: Structure) -> Complex[np.ndarray, " poles"]:
+    """The fitted poles, rad/s."""
+    return poles(params[: structure.order])
 
 
-def _driven(logs, drive, begins: str, problem: OutputError, hold: str) -> tuple[np.ndarray, np.ndarray]:
-    """Response with unit static gain from rest or from the equilibrium of u(0), and its derivative by `logs`."""
-    step = problem.omega * problem.dt
-    unit, by_logs = respond(logs, drive, step=step, square=problem.square, hold=hold)
-    if begins == "held":
-        first = drive[0] ** (2 if problem.square else 1)
-        free, free_by_logs, _ = coast(logs, first * np.eye(len(logs))[0], len(drive), step=step)
-        unit, by_logs = unit + free, by_logs + free_by_logs
-    return unit, by_logs
+def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> Float[np.ndarray, " time"]:
+    """Response of record k to its drive, unit static gain."""
+    return respond(params[: structure.order], problem.drive[k], **_how(params, structure, problem, k))
 
 
-def _responses(logs, params, drive, begins: str, problem: OutputError, hold: str):
-    """`_driven`, its derivative by the logarithm of the delay last where there is one."""
-    if not problem.delayed:
-        return _driven(logs, drive, begins, problem, hold)
-    delay, before = float(np.exp(params[-1])), 0.0 if begins == "rest" else drive[0]
-
-    def late(samples):
-        return _driven(logs, shifted(drive, samples, before), begins, problem, hold)
-
-    unit, by_logs = late(delay)
-    by_delay = (late(delay + _DELAY_STEP)[0] - late(delay - _DELAY_STEP)[0]) / (2 * _DELAY_STEP)
-    return unit, np.column_stack([by_logs, delay * by_delay])
+def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same, and its derivatives by the parameters, (parameters, T)."""
+    how = _how(params, structure, problem, k)
+    found, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
+    return found, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
 
 
-def terms(
-    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Per record: weighted output error (time,), its Jacobian (time, columns), and the parameters of the columns."""
-    shared, moving = order + 1 + problem.free_zeros, 0
-    logs, gain = params[:order], params[order]
-    inner = np.append(np.arange(order), [len(params) - 1] * problem.delayed).astype(int)
-    step = problem.omega * problem.dt
-    for k, (drive, output, weight, b) in enumerate(
-        zip(problem.drive, problem.output, problem.weight, problem.beginnings, strict=True)
-    ):
-        unit, by_inner = _responses(logs, params, drive, b.begins, problem, hold)
-        modelled, slopes, columns = gain * unit, [gain * by_inner, unit[:, None]], [inner, [order]]
-        if problem.zeros[k] >= 0:
-            place = order + 1 + problem.zeros[k]
-            modelled = modelled + b.direction * params[place]
-            slopes, columns = [*slopes, np.full((len(drive), 1), b.direction)], [*columns, [place]]
-        if b.begins == "moving":  # the free response is linear in the start: added outside the gain
-            own = shared + order * moving + np.arange(order)
-            free, free_by_logs, by_start = coast(logs, params[own], len(drive), step=step)
-            modelled = modelled + free
-            slopes[0][:, :order] += free_by_logs
-            slopes, columns, moving = [*slopes, by_start], [*columns, own], moving + 1
-        yield weight * (modelled - output), weight[:, None] * np.concatenate(slopes, 1), np.concatenate(columns)
+def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> dict:
+    """How the drive of record k acts on the plant."""
+    late, hold = float(np.exp(params[-1])) / problem.dt if structure.delayed else 0.0, structure.hold
+    if problem.fine < problem.dt:  # means are smooth; of a held drive they are half a fine sample early
+        late, hold = late + (problem.fine / problem.dt / 2 if hold == "zoh" else 0.0), "cubic"
+    settled = problem.beginnings[k].begins != "rest"
+    return {"step": problem.dt, "square": problem.square, "hold": hold, "settled": settled, "late": late}
 
 
-def residual(
-    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
-) -> Float[np.ndarray, "records time"]:
-    """Weighted output error."""
-    with np.errstate(all="ignore"):
-        return np.stack([left for left, *_ in terms(params, problem, order=order, hold=hold)])
+def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """What record k has beside its response to the drive, (T, columns), and which columns oscillate."""
+    samples = len(problem.drive[k])
+    if problem.beginnings[k].begins != "moving":
+        return np.zeros((samples, 0)), np.zeros(0, bool)
+    return coast(params[: structure.order], samples, step=problem.dt)
 
 
-def upper_bounds(order: int, problem: OutputError) -> Float[np.ndarray, " parameters"]:
-    """Of the logarithms: poles that decay by e^30 a sample, a delay of a quarter of the record; infinite elsewhere."""
-    fastest = np.log(30.0 / (problem.omega * problem.dt))
-    pairs = [np.log(2) + fastest, 2 * fastest] * (order // 2)
-    bounds = np.full(problem.parameters(order), np.inf)
-    bounds[:order] = pairs + [fastest] * (order % 2)
-    if problem.delayed:
-        bounds[-1] = np.log(problem.drive.shape[1] / 4)
-    return bounds
+def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int, own: np.ndarray) -> np.ndarray:
+    """Derivatives of what record k has of its own, at the sizes `own`, by the parameters, (parameters, T)."""
+    time = np.arange(len(problem.drive[k])) * problem.dt
+    found = np.zeros((len(params), len(time)))
+    at, moves = 0, pole_slopes(params[: structure.order])
+    for pole, move in zip(poles_of(params, structure), moves, strict=True):
+        if pole.imag < 0:
+            continue
+        size = own[at] - 1j * own[at + 1] if pole.imag else own[at]
+        at += 2 if pole.imag else 1
+        found[: structure.order] += np.real(move[:, None] * (size * time * np.exp(pole * time)))
+    return found
 
 
-def normal_equations(
-    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
-) -> Normal:
-    """Sum of squares, half gradient and J'J over all records, with a ridge on the logarithms."""
-    ridge = _RIDGE * problem.weight.sum() * (np.arange(len(params)) < order)
-    cost, gradient, hessian = float(ridge @ params**2), ridge * params, np.diag(ridge)
-    with np.errstate(all="ignore"):
-        for left, jacobian, columns in terms(params, problem, order=order, hold=hold):
-            products = _gram(np.column_stack([jacobian, left]))
-            cost += float(products[-1, -1])
-            gradient[columns] += products[:-1, -1]
-            hessian[np.ix_(columns, columns)] += products[:-1, :-1]
-    return Normal(cost, gradient, hessian)
+def solve(
+    params: np.ndarray, structure: Structure, problem: Problem, runs: Sequence[np.ndarray] | None = None
+) -> Solved:
+    """Gain, zeros and initial states of least squares at these poles; `runs`: the responses, where they are known."""
+    parts, whole = [], 0.0
+    for k, output in enumerate(problem.output):
+        run = driven(params, structure, problem, k) if runs is None else runs[k]
+        rows, n, ridge = _linear(params, structure, problem, k, run, output)
+        gram = rows @ rows.T
+        own = inverse(gram[:n, :n] + np.diag(ridge)) @ gram[:n, n:]
+        whole = whole + gram[n:, n:] - gram[n:, :n] @ own
+        parts.append((rows, own, np.sqrt(ridge)))
+    whole = np.asarray(whole)
+    gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]
+    sizes = [own[:, -1] - own[:, :-1] @ gains for _, own, _ in parts]
+    left = [rows[-1] - np.concatenate([c, gains]) @ rows[:-1] for (rows, _, _), c in zip(parts, sizes, strict=True)]
+    penalty = [-ridge * c for (_, _, ridge), c in zip(parts, sizes, strict=True)]
+    return Solved(gains, tuple(sizes), tuple(left), tuple(penalty))
 
 
-def _gram(rows: np.ndarray) -> np.ndarray:
-    return np.sum([(p.swapaxes(1, 2) @ p).sum(0) for p in pieces(rows)], 0)
+def _linear(
+    params: np.ndarray, structure: Structure, problem: Problem, k: int, *series: np.ndarray
+) -> tuple[np.ndarray, int, np.ndarray]:
+    """Weighted rows of record k (its own, response, zeros, other series), how many are its own, their ridge."""
+    own, weight = own_columns(params, structure, problem, k)[0].T, problem.weight[k]
+    zeros = np.zeros((problem.free_zeros, len(weight)))
+    if problem.zeros[k] >= 0:
+        zeros[problem.zeros[k]] = problem.beginnings[k].direction
+    rows = np.vstack([own, series[0], zeros, *series[1:]])
+    return rows * weight, len(own), np.full(len(own), _RIDGE**2 * weight.sum())
 
 
-def covariance(
-    params: Float[np.ndarray, " parameters"], problem: OutputError, *, order: int, hold: str
-) -> Float[np.ndarray, "parameters parameters"]:
-    """Covariance of the parameters (see the head of this file); huge where the data leave one open."""
-    size = len(params)
-    hessian, scores = np.zeros((size, size)), np.zeros((_BLOCKS, size))
-    by_zero, cost = {b.group: np.zeros(size) for b in problem.beginnings}, 0.0
-    block = (np.cumsum(problem.weight) - problem.weight.flat[0]) * _BLOCKS // problem.weight.sum()
-    block = np.minimum(block.astype(int), _BLOCKS - 1).reshape(problem.weight.shape)
-    for k, (left, jacobian, columns) in enumerate(terms(params, problem, order=order, hold=hold)):
-        b = problem.beginnings[k]
-        products = _gram(np.column_stack([jacobian, b.direction * problem.weight[k], left]))
-        hessian[np.ix_(columns, columns)] += products[:-2, :-2]
-        by_zero[b.group][columns] += products[:-2, -2] * (0.0 if b.free else b.stderr / problem.output_scale)
-        cost += float(products[-1, -1])
-        edges = np.flatnonzero(np.diff(block[k], prepend=-1))
-        scores[np.ix_(block[k, edges], columns)] += np.add.reduceat(jacobian * left[:, None], edges)
-    inverse = _inverse(hessian)
-    moves = scores @ inverse
-    sandwich = moves.T @ moves * (_BLOCKS / max(_BLOCKS - size, 1))
-    textbook = cost / max(problem.weight.sum() - size, 1) * inverse
-    wider = np.sqrt(np.maximum(np.diag(textbook) / (np.diag(sandwich) + 1e-300), 1.0))
-    moved = [inverse @ v for v in by_zero.values()]
-    return sandwich * np.outer(wider, wider) + sum(np.outer(v, v) for v in moved)
+def jacobians(
+    params: np.ndarray, structure: Structure, problem: Problem
+) -> tuple[Solved, list[Float[np.ndarray, "numbers samples"]]]:
+    """What is solved here, and per record the weighted slopes of its run by (gain, zeros, parameters).
+
+    A record's own columns are projected out of them; at the end stand those of the ridge.
+    """
+    runs = [driven_slopes(params, structure, problem, k) for k in range(len(problem.drive))]
+    solved, found = solve(params, structure, problem, [run for run, _ in runs]), []
+    for k, (run, slopes) in enumerate(runs):
+        slopes = solved.gains[0] * slopes
+        if len(solved.own[k]):
+            slopes = slopes + _own_slopes(params, structure, problem, k, solved.own[k])
+        rows, n, ridge = _linear(params, structure, problem, k, run, slopes)
+        own, rest = rows[:n], rows[n:]
+        factors = (rest @ own.T) @ inverse(own @ own.T + np.diag(ridge))
+        found.append(np.hstack([rest - factors @ own, -np.sqrt(ridge) * factors]) if n else rest)
+    return solved, found
 
 
-def _inverse(hessian: np.ndarray) -> np.ndarray:
+def inverse(gram: np.ndarray) -> np.ndarray:
     """Inverse of J'J; a direction that rounding hides has the largest variance it may have, not a negative one."""
-    diagonal = np.diag(hessian)
-    root = np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max()))
-    values, vectors = np.linalg.eigh(hessian / np.outer(root, root))
-    return (vectors / np.maximum(values, 1e-15)) @ vectors.T / np.outer(root, root)
+    if not len(gram) or not np.isfinite(gram).all():
+        return np.full_like(gram, np.nan)
+    diagonal = np.diag(gram)
+    root = np.sqrt(np.maximum(diagonal, 1e-30 * max(diagonal.max(), 1e-300)))
+    values, vectors = np.linalg.eigh(gram / np.outer(root, root))
+    return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(root, root)
+
+
+def normal_equations(params: np.ndarray, structure: Structure, problem: Problem) -> Normal:
+    """Sum of squares, half gradient and J'J of the projected residual (Kaufman, 1975)."""
+    with np.errstate(all="ignore"):
+        solved, slopes = jacobians(params, structure, problem)
+        here, n = solved.rows, len(params)
+        if not (np.isfinite(here).all() and all(np.isfinite(j).all() for j in slopes)):
+            return Normal.of(np.inf, np.zeros(n), np.zeros((n, n)))
+        whole = np.hstack(slopes)
+        linear, moved = whole[:-n], whole[-n:]
+        moved = moved - (moved @ linear.T) @ inverse(linear @ linear.T) @ linear
+        return Normal.of(here @ here, -moved @ here, moved @ moved.T)
+
+
+def least_squares(
+    params: np.ndarray, structure: Structure, problem: Problem, most: int = 60, least: float = 1e-9
+) -> tuple[np.ndarray, float, bool]:
+    """Parameters of least output error from a start, their mean square (of the output's), and whether it converged."""
+    upper = problem.upper(structure)
+    params, converged = minimise(lambda p: normal_equations(p, structure, problem), params, upper, most, least)
+    params = _not_slower(params, structure, _SLOWEST / problem.seconds)
+    rows = solve(params, structure, problem).rows
+    cost = float(rows @ rows) / problem.samples
+    return params, cost if np.isfinite(cost) else np.inf, converged
+
+
+def _not_slower(params: np.ndarray, structure: Structure, slowest: float) -> np.ndarray:
+    """No pole of a plant that integrates goes on to zero, where nothing is left of it in sample."""
+    params = params.copy()
+    for k in range(0, structure.order - 1, 2):
+        params[k + 1] = max(params[k + 1], params[k] + np.log(slowest))
+    if structure.order % 2:
+        params[structure.order - 1] = max(params[structure.order - 1], np.log(slowest))
+    return params
+
+
+def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
+    """The problem with some samples left out of every sum."""
+    return replace(problem, weight=tuple(w * k for w, k in zip(problem.weight, keep, strict=True)))

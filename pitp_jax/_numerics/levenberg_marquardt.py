@@ -32,16 +32,24 @@ class Normal(NamedTuple):
         return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
 
 
-def minimise(normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, bool]:
+def minimise(
+    normal: Callable[[np.ndarray], Normal],
+    params: np.ndarray,
+    upper: np.ndarray,
+    most: int = _MAX_STEPS,
+    least: float = 0.0,
+) -> tuple[np.ndarray, bool]:
     """Find the parameters of least cost from `params` on, none above `upper`; and whether the tolerance was met.
 
-    Those with a finite `upper` are taken for logarithms, in which a long step is never to be trusted.
+    At most `most` steps; one that lowers the cost by less than the fraction `least` is the last. Parameters with a
+    finite `upper` are taken for logarithms, in which a long step is never to be trusted.
     """
     slow, before, fitted, converged = 0, np.inf, params, False
-    for fitted, here, met in islice(steps(normal, params, upper), _MAX_STEPS):
+    for fitted, here, met in islice(steps(normal, params, upper), most):
         slow = slow + 1 if before - here.cost < _SLOW * before else 0
-        before, converged = here.cost, met
-        if slow == _PATIENCE:
+        last = before - here.cost < least * before
+        before, converged = here.cost, met or last
+        if slow == _PATIENCE or last:
             return fitted, True
     return fitted, converged
 

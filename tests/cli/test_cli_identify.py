@@ -23,6 +23,20 @@ def test_identify_writes_and_reports(call, bench, tmp_path, quick_identify):
     assert json.loads((tmp_path / "j").read_text())["order"] == 2
 
 
+def test_identify_validates_and_draws(call, bench, tmp_path):
+    """Other records are only run; the page and the scores are there, and a delay left out stays out."""
+    records = bench / "records"
+    options = ["--order", "2", "--no-delay", "--validate", records / "sine2.csv", "--report", tmp_path / "page"]
+    code, text, _ = call("identify", records / "sweep.csv", "--out", tmp_path / "m", *options, "--json", tmp_path / "j")
+    told = json.loads((tmp_path / "j").read_text())
+    assert code == 0 and "validated on" in text
+    assert told["validation"]["sine2"]["nrmse_percent"] < 1
+    assert all(order["delay"] == 0 for order in told["orders"])
+    page = next((tmp_path / "page").glob("*.html")).read_text()
+    assert "Order 2" in page and page.count("<svg") == 2
+    refused(call("identify", records, "--out", tmp_path / "n", "--no-delay", "--learn", "delay"))
+
+
 def test_info(call, tmp_path, identified):
     model_file.save(tmp_path / "m", identified.model)
     code, text, err = call("info", tmp_path / "m", "--json", tmp_path / "j")

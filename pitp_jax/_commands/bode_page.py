@@ -1,0 +1,82 @@
+"""The page of an identification: measured frequency response, every order's model beside it, poles, why this order.
+
+G(jw) = polarity e^{-jw delay} / sum_i a_i (jw)^i
+"""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .._identify.identification import Identification
+from .._identify.order_fit import OrderFit
+from .._report import html
+from .._report.html import tag
+from .._report.lines import CYCLE, MEASURED, finish, own_axes
+from .._report.numbers import figure, with_error
+
+
+def bode_page(found: Identification, name: str) -> str:
+    """A self-contained HTML page on the identification written to `name`."""
+    chosen = found.chosen
+    kind = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
+    delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
+    parts = [
+        tag("p", f"Identification of {name} on {len(found.beginnings)} recordings", "soft"),
+        tag("h1", f"Order {chosen.order}, {kind}{delay}"),
+        *[tag("p", remark, "lead") for remark in found.remarks],
+        '<div class="figures">',
+        html.picture("bode", _bode(found), "Grey: measured, with two standard errors; lines: the models compared."),
+        html.picture("coherence", _coherence(found), "How much of the output the drive explains, linearly."),
+        "</div>",
+        tag("h2", "Orders compared"),
+        html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in found.orders], {}),
+        tag("h2", "Poles of the model"),
+        html.table(("pole", "damping"), [("", row) for row in _poles(chosen)], {0: "left"}),
+    ]
+    return html.page(f"Order {chosen.order}", parts)
+
+
+_ORDERS = ("order", "hold", "delay, ms", "left out, % of std", "in sample, rms", "known")
+
+
+def _order(fit: OrderFit) -> tuple[str, ...]:
+    delay = figure(1e3 * fit.delay, 3) if fit.delay else "–"
+    return str(fit.order), fit.hold, delay, figure(fit.heldout), figure(fit.rms), "yes" if fit.identifiable else "no"
+
+
+def _poles(fit: OrderFit) -> list[tuple[str, str]]:
+    rows = zip(fit.natural_hz, fit.natural_stderr, fit.damping, strict=True)
+    return [(with_error(float(hz), float(error), "Hz"), figure(float(damping))) for hz, error, damping in rows]
+
+
+def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
+    """The model's frequency response, output over force."""
+    s = 2j * np.pi * hz
+    return fit.polarity * np.exp(-s * fit.delay) / np.polyval(fit.coefficients[::-1], s)
+
+
+def _bode(found: Identification) -> Figure:
+    axes = own_axes(None, 2, (5.0, 4.4))
+    seen = found.response.coherent
+    hz, value, stderr = (v[seen] for v in (found.response.hz, found.response.value, found.response.stderr))
+    if len(hz):
+        grid = np.geomspace(hz.min(), hz.max(), 300)
+        size = np.abs(value)
+        axes[0].fill_between(
+            hz, np.maximum(size - 2 * stderr, 1e-3 * size), size + 2 * stderr, color=MEASURED, alpha=0.4
+        )
+        axes[0].loglog(hz, size, ".", ms=3, color=MEASURED, label="measured")
+        axes[1].semilogx(hz, np.unwrap(np.angle(value)) * 180 / np.pi, ".", ms=3, color=MEASURED)
+        for fit, color in zip(found.orders, CYCLE, strict=False):
+            model = response_of(fit, grid)
+            width = 1.8 if fit is found.chosen else 0.8
+            axes[0].loglog(grid, np.abs(model), color=color, lw=width, label=f"order {fit.order}")
+            axes[1].semilogx(grid, np.unwrap(np.angle(model)) * 180 / np.pi, color=color, lw=width)
+    finish(axes, "frequency (Hz)", ["output / force", "phase (deg)"], 4)
+    return axes[0].figure  # pyright: ignore[reportReturnType]
+
+
+def _coherence(found: Identification) -> Figure:
+    ax = own_axes(None, 1, (5.0, 2.2))[0]
+    ax.semilogx(found.response.hz, found.response.coherence, ".", ms=3, color=MEASURED)
+    finish(np.array([ax]), "frequency (Hz)", ["coherence"])
+    return ax.figure  # pyright: ignore[reportReturnType]

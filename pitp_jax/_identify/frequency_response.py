@@ -1,0 +1,88 @@
+"""The frequency response that records show without a model, with its standard error and coherence.
+
+    Y(k + r) = (G + g_1 r + g_2 r^2) U(k + r) + t_0 + t_1 r + t_2 r^2 + e,    r = -6 ... 6     (least squares)
+    coherence = |G|^2 S_uu / (|G|^2 S_uu + s_e^2)
+
+U, Y: transforms of force and output over the whole record. What the record began with, and goes on with after its end,
+is smooth in frequency: the t take it up, so no window is needed, and no time in which a transient dies away.
+Source: Pintelon & Schoukens (2012), System Identification, 7.2 (local polynomial method).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.signal.windows import tukey
+
+from .output_error import Problem
+
+_HALF, _DEGREE = 6, 2  # lines on either side; of the polynomials
+_LINES = 256  # at most, in all records
+_EXCITED = 1e-3  # of the largest local energy: below it a line is not excited
+_TAPER = 0.2  # of the record: untapered, the jump from its end to its beginning would pass for excitation everywhere
+_COHERENT = 0.8
+_FEWEST, _SPAN = 24, 3.0  # coherent lines, and the ratio of their highest to lowest, that tell of orders
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Output over force (base units) at some frequencies (Hz), its standard error, and the coherence of both."""
+
+    hz: Float[np.ndarray, " lines"]
+    value: Complex[np.ndarray, " lines"]
+    stderr: Float[np.ndarray, " lines"]
+    coherence: Float[np.ndarray, " lines"]
+
+    @property
+    def coherent(self) -> np.ndarray:
+        """Lines whose coherence is at least 0.8."""
+        return self.coherence >= _COHERENT
+
+    @property
+    def rich(self) -> bool:
+        """Whether it is known at enough lines, far enough apart, that orders and delays can be told from it."""
+        known = self.hz[self.coherent]
+        return len(known) >= _FEWEST and float(known.max()) >= _SPAN * float(known.min())
+
+
+def frequency_response(problem: Problem) -> FrequencyResponse:
+    """Of every record on lines spaced by their logarithm; the records' lines stand beside each other."""
+    each = max(_LINES // len(problem.drive), 8)
+    parts = []
+    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+        seen = np.flatnonzero(weight)
+        if len(seen) < 0.9 * len(weight) or len(weight) < 8 * _HALF:
+            continue
+        filled = np.interp(np.arange(len(output)), seen, output[seen])
+        force = drive**2 if problem.square else drive
+        parts.append(_local(force - force.mean(), filled - filled.mean(), problem.dt, each))
+    if not parts:
+        return FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros(0), np.zeros(0))
+    hz, value, stderr, coherence = (np.concatenate(p) for p in zip(*parts, strict=True))
+    order = np.argsort(hz)[-_LINES:]
+    return FrequencyResponse(hz[order], problem.scale * value[order], problem.scale * stderr[order], coherence[order])
+
+
+def _local(force: np.ndarray, output: np.ndarray, dt: float, most: int) -> Sequence[np.ndarray]:
+    """Frequencies, response, standard error and coherence of one record."""
+    u, y = np.fft.rfft(force)[1:], np.fft.rfft(output)[1:]
+    last = len(u) - 2 * _HALF - 2
+    middle = np.unique(np.geomspace(_HALF, max(last, _HALF + 1), 4 * most).astype(int))
+    tapered = np.fft.rfft(force * tukey(len(force), _TAPER))[1:]
+    energy = np.convolve(np.abs(tapered) ** 2, np.ones(2 * _HALF + 1), "same")[middle]
+    middle = middle[energy > _EXCITED * energy.max()]
+    middle = middle[:: max(-(-len(middle) // most), 1)]
+    r = np.arange(-_HALF, _HALF + 1)
+    powers = (r / _HALF)[:, None] ** np.arange(_DEGREE + 1)
+    at = middle[:, None] + r
+    design = np.concatenate([powers * u[at][..., None], np.broadcast_to(powers, (*at.shape, _DEGREE + 1))], -1)
+    inverse = np.linalg.pinv(design, rcond=1e-8)
+    found = (inverse @ y[at][..., None])[..., 0]
+    left = y[at] - (design @ found[..., None])[..., 0]
+    variance = (np.abs(left) ** 2).sum(-1) / (len(r) - design.shape[-1])
+    stderr = np.sqrt(variance * (np.abs(inverse[:, 0]) ** 2).sum(-1))
+    value, drive = found[:, 0], (np.abs(u[at]) ** 2).mean(-1)
+    moved = np.abs(value) ** 2 * drive
+    hz = (middle + 1) / ((2 * len(u) + 1) * dt)
+    return hz, value, stderr, moved / np.maximum(moved + variance, 1e-300)

@@ -1,0 +1,171 @@
+"""One identified order in physical units, with the covariance of its numbers.
+
+    a_i = c_i / (c_0 |g|)
+    cov p = D H^-1 (sum_b g_b g_b') H^-1 D B / (B - P) + sum_z v v' var(z),    H = J'J,    v = dp/dz = H^-1 J'w
+
+g_b: the gradient over one of B = 64 blocks of samples (block sandwich): model error is strongly correlated, and the
+textbook sigma^2 H^-1 would understate the errors by an order of magnitude. Where few blocks tell of a parameter the
+sandwich is the smaller one: D >= 1 widens it to the textbook's variance. J: initial states projected out. The zero of a
+record at rest is not fitted; v carries its error.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from .._model.model import Hold
+from .._shown import Shown
+from .candidates import Candidate
+from .linear_ode import polynomial, polynomial_slopes
+from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
+
+_BLOCKS = 64
+_BEYOND = 1.5  # rad a sample: a faster pole is none that these samples show
+_INTEGRATES = 0.1  # rad in the longest record
+_KNOWN = 3.0  # largest standard error of a logarithm: poles that no data see are open by hundreds
+
+
+@dataclass(frozen=True, repr=False)
+class OrderFit(Shown):
+    """One identified order under its best hold, with or without a delay.
+
+    Attributes:
+        order: n.
+        hold: how the voltage was taken between samples.
+        coefficients, stderr: a_0 ... a_n in V^2 s^i / m (V s^i / m for a linear input) and their standard errors,
+            robust to correlated residuals, the error of an offset taken from rest included.
+        correlation: of those errors, shape (n + 1, n + 1).
+        mae, rms: mean absolute and root mean square error of the free run over observed samples, m (paper, III-D).
+        heldout: rms error on blocks left out, % of the output's standard deviation there (`heldout`).
+        natural_hz, damping: of every real pole and pole pair, ascending in frequency.
+        natural_stderr: of the natural frequencies, Hz.
+        offset, polarity: the sensor's zero (m) and direction (+1 or -1).
+        converged: the least squares met its tolerance.
+        identifiable: converged, and every pole is known: its logarithm to better than +-3 (a strong nonlinearity
+            inflates the errors of a perfectly good linear fit). The pole may be open that makes it `static`, or the
+            one by which it `integrates`; none stands at the fastest that is sought.
+        static: order 1, and its pole lies beyond what the samples show.
+        integrates: the slowest pole turns less than 0.1 rad in the longest record: a plant without a spring.
+        delay, delay_stderr: of the drive in s, where one was fitted.
+    """
+
+    order: int
+    hold: Hold
+    coefficients: np.ndarray
+    stderr: np.ndarray
+    correlation: np.ndarray
+    mae: float
+    rms: float
+    heldout: float
+    natural_hz: np.ndarray
+    damping: np.ndarray
+    natural_stderr: np.ndarray
+    offset: float
+    polarity: float
+    converged: bool
+    identifiable: bool
+    static: bool = False
+    integrates: bool = False
+    delay: float = 0.0
+    delay_stderr: float = 0.0
+
+
+def describe(candidate: Candidate, problem: Problem) -> OrderFit:
+    """Physical coefficients, their errors, and the figures orders are compared by."""
+    structure, params = candidate.structure, candidate.params
+    n, poles = structure.order, poles_of(params, structure)
+    solved, spread = solve(params, structure, problem), covariance(params, structure, problem)
+    left = np.concatenate(solved.left) * problem.scale
+    coefficients, jacobian = _physical(params, float(solved.gains[0]), structure, problem)
+    main = spread[: structure.order + 1, : structure.order + 1]
+    of_coefficients = jacobian @ main @ jacobian.T
+    stderr = np.sqrt(np.clip(np.diag(of_coefficients), 0, None))
+    known = np.sqrt(np.clip(np.diag(spread), 0, None))[: structure.order]
+    open_ones = int((known >= _KNOWN).sum())
+    fast = bool(n == 1 and (open_ones or np.abs(poles).max() > _BEYOND / problem.fine))
+    slow = bool(np.abs(poles).min() * problem.seconds < _INTEGRATES)
+    static = fast and not slow
+    bounded = bool(np.abs(poles).max() > 0.97 * FASTEST / problem.fine)
+    upper = sorted(poles[np.imag(poles) >= 0], key=abs)
+    delay = float(np.exp(params[-1])) if structure.delayed else 0.0
+    return OrderFit(
+        order=n,
+        hold=structure.hold,
+        coefficients=coefficients,
+        stderr=stderr,
+        correlation=of_coefficients / np.maximum(np.outer(stderr, stderr), 1e-300),
+        mae=float(np.abs(left).sum() / problem.samples),
+        rms=float(np.sqrt((left**2).sum() / problem.samples)),
+        heldout=100 * candidate.heldout.score,
+        natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
+        damping=np.array([-r.real / abs(r) for r in upper]),
+        natural_stderr=_of_frequencies(params, main, upper, structure),
+        offset=zero_of(problem.main, solved.gains, problem),
+        polarity=float(np.sign(solved.gains[0]) or 1.0),
+        converged=candidate.converged,
+        identifiable=bool(candidate.converged and (static or open_ones <= slow and not bounded)),
+        static=static,
+        integrates=slow,
+        delay=delay,
+        delay_stderr=delay * float(np.sqrt(max(spread[-1, -1], 0.0))) if structure.delayed else 0.0,
+    )
+
+
+def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:
+    """The sensor's zero of a record, output unit."""
+    group, b = problem.zeros[record], problem.beginnings[record]
+    return float(b.zero + (problem.scale * gains[1 + group] if group >= 0 else 0.0))
+
+
+def _physical(params, gain: float, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """a_i and their Jacobian by the logarithms and the gain."""
+    logs = params[: structure.order]
+    poly, slopes = polynomial(logs), polynomial_slopes(logs)
+    a = poly / poly[0] / (abs(gain) * problem.scale)
+    relative = np.concatenate([slopes / poly[:, None] - slopes[0] / poly[0], np.full((len(poly), 1), -1 / gain)], 1)
+    return a, a[:, None] * relative
+
+
+def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> np.ndarray:
+    """Standard errors of |p| / 2 pi by differences along the logarithms, in the order of `upper`."""
+    found = []
+    for pole in upper:
+        slope = np.zeros(structure.order + 1)
+        for j in range(structure.order):
+            moved = params.copy()
+            moved[j] += 1e-5
+            other = poles_of(moved, structure)
+            slope[j] = (np.abs(other[np.argmin(np.abs(other - pole))]) - abs(pole)) / 1e-5
+        found.append(float(np.sqrt(max(slope @ spread @ slope, 0.0)) / (2 * np.pi)))
+    return np.array(found)
+
+
+def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
+    """Covariance of (logarithms, gain, fitted zeros, log delay): see the head of this file."""
+    n, (solved, slopes) = structure.order, jacobians(params, structure, problem)
+    linear = 1 + problem.free_zeros
+    order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]
+    size = len(order)
+    hessian, scores = np.zeros((size, size)), np.zeros((_BLOCKS, size))
+    by_zero, cost, seen = {b.group: np.zeros(size) for b in problem.beginnings}, 0.0, 0.0
+    for k, (weight, b) in enumerate(zip(problem.weight, problem.beginnings, strict=True)):
+        jacobian = slopes[k][order, : len(weight)].T
+        left, one = solved.left[k], b.direction * weight
+        own = own_columns(params, structure, problem, k)[0] * weight[:, None]
+        if own.shape[1]:
+            one = one - own @ np.linalg.lstsq(own, one, rcond=1e-10)[0]
+        hessian += jacobian.T @ jacobian
+        by_zero[b.group] += jacobian.T @ one * (0.0 if b.free else b.stderr / problem.scale)
+        cost += float(left @ left)
+        block = np.minimum((seen + np.cumsum(weight) - 1) * _BLOCKS / problem.samples, _BLOCKS - 1).astype(int)
+        seen += weight.sum()
+        edges = np.flatnonzero(np.diff(block, prepend=-1))
+        np.add.at(scores, block[edges], np.add.reduceat(jacobian * left[:, None], edges))
+    inverted = inverse(hessian)
+    moves = scores @ inverted
+    sandwich = moves.T @ moves * (_BLOCKS / max(_BLOCKS - size, 1))
+    textbook = cost / max(problem.samples - size, 1) * inverted
+    wider = np.sqrt(np.maximum(np.diag(textbook) / (np.diag(sandwich) + 1e-300), 1.0))
+    moved = [inverted @ v for v in by_zero.values()]
+    return sandwich * np.outer(wider, wider) + sum(np.outer(v, v) for v in moved)

@@ -1,0 +1,84 @@
+"""The empirical frequency response against the plant's own, and what optimistix makes of it in an identification."""
+
+import numpy as np
+import optimistix
+import pytest
+from scipy.signal import lsim
+
+from pitp_jax._identify.frequency_fit import fit_response
+from pitp_jax._identify.frequency_response import frequency_response
+from pitp_jax._identify.identification import identify
+from pitp_jax._identify.linear_ode import poles
+from pitp_jax._identify.output_error import build_problem
+from pitp_jax._record.initial_state import Beginning
+from pitp_jax._record.record import Record
+
+DT, SAMPLES = 2e-3, 8000
+TIME = np.arange(SAMPLES) * DT
+SWEEP = np.sin(2 * np.pi * (0.2 * TIME + 12 * TIME**2 / 16 / 2))
+A = np.array([(2 * np.pi * 4.0) ** 2, 2 * 0.1 * 2 * np.pi * 4.0, 1.0])
+
+
+def swept(noise=0.0, seed=0, start=0):
+    x = lsim(([A[0]], A[::-1]), SWEEP, TIME)[1]
+    x = x + noise * x.std() * np.random.default_rng(seed).standard_normal(SAMPLES)
+    return Record("sweep", TIME[start:], SWEEP[start:], x[start:])
+
+
+def response(record):
+    return frequency_response(build_problem([record], "linear", [Beginning("moving", 1.0, 0.0, 0.0, 0, True)]))
+
+
+@pytest.mark.parametrize("start", [0, 900])  # at rest; in motion, which only the transient's polynomial explains
+def test_it_is_the_plants(start):
+    found = response(swept(start=start))
+    seen = found.coherent & (found.hz > 0.5) & (found.hz < 10)
+    s = 2j * np.pi * found.hz[seen]
+    truth = A[0] / np.polyval(A[::-1], s)
+    assert seen.sum() > 40 and found.rich
+    assert np.median(np.abs(found.value[seen] / truth - 1)) < 0.01
+
+
+def test_its_standard_error_covers():
+    """Over lines and seeds, of the real and the imaginary part together."""
+    z = []
+    for seed in range(4):
+        found = response(swept(0.05, seed))
+        seen = (found.hz > 0.5) & (found.hz < 8)
+        truth = A[0] / np.polyval(A[::-1], 2j * np.pi * found.hz[seen])
+        z.append(np.abs(found.value[seen] - truth) / found.stderr[seen])
+    assert 0.7 < np.sqrt(np.mean(np.concatenate(z) ** 2)) < 1.5
+
+
+def test_one_sine_is_not_rich():
+    sine = np.sin(2 * np.pi * 3 * TIME)
+    x = lsim(([A[0]], A[::-1]), sine, TIME)[1]
+    x = x + 1e-3 * np.random.default_rng(0).standard_normal(SAMPLES)
+    assert not response(Record("sine", TIME, sine, x)).rich
+
+
+@pytest.mark.parametrize("late", [0.0, 5.5])
+def test_poles_and_delay_from_the_response(late):
+    drive = np.interp(np.arange(SAMPLES) - late, np.arange(SAMPLES), SWEEP, left=0.0)
+    x = lsim(([A[0]], A[::-1]), drive, TIME)[1] + 1e-3 * np.random.default_rng(0).standard_normal(SAMPLES)
+    fits = fit_response(response(Record("late", TIME, SWEEP, x)), DT)
+    found = fits[2, late > 0]
+    np.testing.assert_allclose(np.abs(poles(found[:2])), 2 * np.pi * 4.0, rtol=0.01)
+    if late:
+        assert np.exp(found[2]) == pytest.approx(late * DT, rel=0.05)
+
+
+def test_the_identified_coefficients_come_from_it(monkeypatch):
+    """Its result spoilt, the output error ends elsewhere."""
+    honest = identify([swept(0.01)], order=2, input_map="linear", hold="foh", leave_out=("delay",)).chosen
+    solve, calls = optimistix.least_squares, []
+
+    def spoilt(fn, solver, y0, **how):
+        calls.append(how)
+        found = solve(fn, solver, y0, **how)
+        return type("Spoilt", (), {"value": found.value - 12.0})
+
+    monkeypatch.setattr(optimistix, "least_squares", spoilt)
+    other = identify([swept(0.01)], order=2, input_map="linear", hold="foh", leave_out=("delay",)).chosen
+    assert calls
+    assert np.abs(other.coefficients[:3] / honest.coefficients[:3] - 1).max() > 0.05
