@@ -22,7 +22,7 @@ def main(address: str, count: int, me: int) -> dict:
     from .sizes import size
     from .subjects import DT, default, nominal, voltages
 
-    members, records, samples, epochs, steps = size((4, 8, 2000, 20, 6), (2, 2, 300, 1, 0))
+    members, records, samples, epochs, steps = size((4, 4, 1000, 5, 2), (2, 2, 300, 1, 0))
     plant, volts = default(), voltages(records, samples)
     rest = jnp.tile(pitp.rest_state(plant), (records, 1))
     states = np.asarray(

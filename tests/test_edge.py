@@ -193,6 +193,23 @@ def test_what_a_plan_lets_follow_keeps_the_stroke_at_a_damping_of_a_hundredth(hz
         assert plan.recordings[k].go_on / max(reached[:k]) * reached[k] <= 1e-3 * 1.05
 
 
+# ------------------------------------------------------------------------------------------------ coloured noise
+
+
+@pytest.mark.slow
+def test_the_error_of_a_zero_covers_it_under_noise_with_a_long_memory():
+    """AR(0.98) at 500 Hz, a second of rest and a sweep: of 20 draws at most 3 beyond two standard errors."""
+    u, beyond = np.concatenate([np.zeros(500), sweep(500.0, 6.0)]), 0
+    x = np.asarray(response((u / TOP) ** 2, rate=500.0))
+    for seed in range(20):
+        white = np.random.default_rng(seed).standard_normal(len(x) + 1000)
+        noise = 3e-3 * np.ptp(x) * np.asarray(lfilter([np.sqrt(1 - 0.98**2)], [1, -0.98], white))[1000:]
+        record = pitp.Record("r", np.arange(len(x)) / 500, u, x + 5e-4 + noise)
+        begun = pitp.identify([record], order=2, hold="foh").beginnings["r"]
+        beyond += abs(begun.zero - 5e-4) > 2 * begun.stderr
+    assert beyond <= 3
+
+
 # ------------------------------------------------------------------------------------------------ the decoder's step
 
 

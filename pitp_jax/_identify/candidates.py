@@ -24,7 +24,7 @@ from .output_error import Problem, Structure, least_squares
 from .starts import best_starts, guesses, one_more
 
 NEAR, TIE, LEAST = 1.03, 1.01, 1e-3
-_ALWAYS = 3  # orders that are tried in any case; a higher one where the last or the one before wins: a mode is two
+_ALWAYS = 3  # orders that are tried in any case; one more since a mode is two; then while the last wins
 _NO_WORSE = 1.001  # an order holds every lower one: a higher cost means that the search stopped short
 _STEPS, _LEAST_STEP = 40, 1e-5  # of a fit that is only to be compared; the chosen one goes on
 _DELAY = 0.05  # samples: a shorter delay is none; to start from, since none has no slope
@@ -63,7 +63,11 @@ def search(
     roots = cache(lambda order: guesses(order, problem) + _with_pair(pair, order))
     found: list[Candidate] = []
     for order in orders:
-        if order > _ALWAYS and len(orders) > 1 and choose(found).structure.order < order - 2:
+        if (
+            order > _ALWAYS
+            and len(orders) > 1
+            and choose(found).structure.order < order - (2 if order == _ALWAYS + 1 else 1)
+        ):
             break
         here: list[Candidate] = []
         for delayed in delays:
