@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, criterion, project, whitener
@@ -31,6 +32,7 @@ _STRUCTURE, _ROUNDS = Structure(2), 4
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as in `identification`
 def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None, float]:
     """How every record begins, the roots of order 2 found on the way (rad/s), and the fraction of the output it leaves.
 
