@@ -175,13 +175,12 @@ def _with_zeros(
     groups = level_groups([records[k] for k in resting])
     fitted = {k: rows[k].zero(*kinds[k]) for k in range(len(records))}
     for group, (members, zero, stderr) in enumerate(groups):
-        whole = [fitted[resting[m]] for m in members]
-        free, stderr = _sharper(whole, zero, stderr), _apart(whole, zero, stderr)
+        free = _sharper([fitted[resting[m]] for m in members], zero, stderr)
         found |= {resting[m]: Beginning("rest", kinds[resting[m]][1], zero, stderr, group, free) for m in members}
     own = {k: zero for k, zero in fitted.items() if k not in found}
     if groups:
-        (first, *_), zero, _ = groups[0]
-        free, stderr = found[resting[first]].free, found[resting[first]].stderr
+        (first, *_), zero, stderr = groups[0]
+        free = found[resting[first]].free
         near = [k for k, (there, w, size) in own.items() if _agree(zero - there, w / (1 + w * stderr**2), size)]
         found |= {k: Beginning(*kinds[k], zero, stderr, 0, free) for k in near}
         own = {k: v for k, v in own.items() if k not in near}
@@ -213,18 +212,6 @@ def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: f
     weight = sum(w for _, w, _ in fitted)
     mean = sum(z * w for z, w, _ in fitted) / weight
     return bool(weight * stderr**2 > 1 and (mean - level) ** 2 < 25 * (1 / weight + stderr**2))
-
-
-def _apart(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> float:
-    """Widen a level's standard error to what parts it from the zero of the whole records.
-
-    E (mean - level)^2 = var mean + var level: noise with a long memory moves a level by far more than the scatter of
-    its few samples tells (AR(0.98): seven standard errors rms), and a model that is wrong moves the mean. Nobody knows
-    which, so the error covers both.
-    """
-    weight = sum(w for _, w, _ in fitted)
-    mean = sum(z * w for z, w, _ in fitted) / weight
-    return float(np.sqrt(max(stderr**2, (mean - level) ** 2 - 1 / weight)))
 
 
 def _agree(difference: float, weight: float, size: int) -> bool:
