@@ -53,6 +53,17 @@ def test_the_linear_part_is_exact_at_any_step(a, samples):
     np.testing.assert_allclose(free_run(slots, u, dt, square=False, substeps=1), truth, atol=1e-8 * np.abs(truth).max())
 
 
+def test_a_drive_that_jumps_at_its_first_sample_is_there_at_once():
+    """From rest at 0 V: as a ramp over the first step it once left 1.5 times the noise in every healthy record."""
+    slots = OFF.copy()
+    for k, v in (("a0", 1.0), ("a1", 0.006), ("a2", 0.001)):
+        slots[INDEX[k]] = v
+    u = 600 + 350 * np.sin(7 * TIME)
+    truth = lsim(([1.0], [0.001, 0.006, 1.0]), u, TIME)[1]
+    run = free_run(slots, u, square=False, substeps=1, before=0.0)
+    np.testing.assert_allclose(run, truth, atol=1e-8 * np.abs(truth).max())
+
+
 def test_a_step_response_does_not_damp():
     """An undamped mode at ten steps a period keeps its energy."""
     e, _, _ = step_response(np.ones(1), np.zeros(1), np.ones(1), np.array([2 * np.pi / 10]))

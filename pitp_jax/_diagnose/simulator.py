@@ -144,7 +144,7 @@ class Simulator:
         before = np.array([inputs[0, k] if p is None else p for k, p in enumerate(played)], float)
         program = self.square, costly
         with jax.enable_x64(True):
-            state, pieces = _begin(self.square, constants, before, starts.T), []
+            state, pieces = _begin(self.square, constants, before, inputs[0], starts.T), []
             for first in range(0, steps, CHUNK):
                 state, y = _advance(*program, constants, state, inputs[first : first + CHUNK + 1], float(first))
                 pieces.append(np.asarray(y))
@@ -253,10 +253,13 @@ def _unpack(constants):
 
 
 @partial(jax.jit, static_argnums=0)
-def _begin(square, constants, volts, start):
-    """The state at a first sample: x and v as given, memories settled there."""
+def _begin(square, constants, volts, first, start):
+    """The state at a first sample: x and v as given, memories settled at what was played before it."""
     c = _unpack(constants)
     x, v = start
+    # a drive that jumps at its first sample is there at once; only a lag or a slew limit keeps the film behind it
+    film = jnp.where(c["rc_ramp"] > 0, volts, first)
+    slewed = jnp.where(c["slew"] < _NEVER, volts, film)
     q = jnp.where(c["charge"] > 0, jnp.abs(volts), volts)
     force = _film(square, c, volts, volts, q, volts)
     zero = jnp.zeros_like(x)
@@ -265,8 +268,8 @@ def _begin(square, constants, volts, start):
         "v": v,
         "vm": v,
         "zd": zero,
-        "rc": volts,
-        "slewed": volts,
+        "rc": film,
+        "slewed": slewed,
         "q": q,
         "w": zero,
         "mv": zero,
