@@ -4,6 +4,7 @@ records -> thinned case -> sets of effects searched out of fold -> verdict, budg
 nominal
 """
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -164,7 +165,7 @@ def diagnose(
     limit = Budget(seconds)
     search = Search(case, refit_nominal, exclude, limit, progress)
     own, source = own_error(case, search) if not refit_nominal else (0.0, "unknown in a refit")
-    noise = _thinned(case, 1.0)
+    noise = _thinned(case, 0.0)
     search.own = max(own, noise)  # nothing is fitted below the sensor's white noise
     if not search.given.rms <= rules.OWN * own:
         search.run()
@@ -208,24 +209,36 @@ def diagnose(
 
 
 def own_error(case: Case, search: Search) -> tuple[float, str]:
-    """The nominal's own error on the records it was identified on, as these thinned records would show it.
+    """The nominal's own error beside the records it was identified on, as these thinned records would show it.
 
-    (OWN own)^2 = noise^2 (OWN^2 misfit^2 - 1 + 1 / k):   averaging k samples takes the white part off on either side,
-    so that the figures compare as they would at the full rate, at which the misfit was found.
+    own^2 = M^2 + noise^2,   M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2   of the identification's records
+
+    What a nominal lacks does not grow with the noise of other records: a simulator without noise has a misfit of
+    thousands, and its robot's noise times that hid any gap.
     """
-    misfit = case.model.provenance.misfit
-    if not np.isfinite(misfit):
+    source, scale = case.model.provenance, float(case.model.scales.state[0])
+    if not np.isfinite(source.misfit):
         return 0.0, "unknown: the nominal carries no error of its own"
-    return _thinned(case, misfit), "what the nominal leaves where nothing is wrong"
+    first = json.loads(source.notes).get("identification", {}).get("noise_std")
+    noise = float(first) / scale if first else _noise(case)
+    return _thinned(case, noise * np.sqrt(source.misfit**2 - 1)), "what the nominal leaves where nothing is wrong"
 
 
-def _thinned(case: Case, misfit: float) -> float:
-    """So many times the sensor's white noise, as thinned records show it."""
+def _noise(case: Case) -> float:
+    """The sensor's white noise, scaled; geometric mean over records."""
     scale = float(case.model.scales.state[0])
     each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
-    part = np.sqrt((rules.OWN * misfit) ** 2 - 1 + 1 / case.thinned) / rules.OWN
-    thinned = [n * part for n in each]
-    return float(np.exp(np.mean(np.log(np.maximum(thinned, 1e-12)))))
+    return float(np.exp(np.mean(np.log(np.maximum(each, 1e-12)))))
+
+
+def _thinned(case: Case, lacking: float) -> float:
+    """An error beside the noise, as thinned records show it.
+
+    (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples takes the white part off on
+    either side of the comparison, which stays that of the full rate.
+    """
+    noise, own = _noise(case), rules.OWN
+    return float(np.sqrt((own * lacking) ** 2 + (own**2 - 1 + 1 / case.thinned) * noise**2) / own)
 
 
 def _floor(search: Search, own: float) -> float:

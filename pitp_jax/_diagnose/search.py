@@ -18,7 +18,7 @@ from .fit import Fit, Fitter
 from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
-BEAM, DEPTH, NAMES = 2, 4, 20  # fronts, names of a set, names that go on after the first level
+BEAM, DEPTH, NAMES = 2, 4, 12  # fronts, names of a set, names that go on after the first level
 _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 14, 2
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
@@ -312,6 +312,19 @@ class Search:
         lone = [h for h in level if h.names[0] in LONE]
         as_good = [h for h in lone if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
         return as_good[0] if as_good else best
+
+    def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
+        """Sets from the base to the chosen one, the best step first."""
+        steps: list[Hypothesis] = [self.linear] if self.refit else []
+        have: frozenset = frozenset()
+        while have != frozenset(chosen.names):
+            nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
+            known = [h for h in nexts if h is not None]
+            step = min(known, key=lambda h: h.rms) if known else chosen
+            step = chosen if len(have) + 1 == len(chosen.names) else step
+            steps.append(step)
+            have = frozenset(step.names)
+        return steps
 
     def without(self, name: str, depth: int) -> Hypothesis:
         """The best set of at most so many names that lacks a name, searched anew: it finds the twins."""

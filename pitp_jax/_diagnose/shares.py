@@ -37,7 +37,7 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
 def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     """The `budget` of docs/contract.md; `raw`: the nominal with zeros and starts as their records' beginnings say."""
     chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
-    steps = _steps(search, chosen)
+    steps = search.steps(chosen)
     more = decision.above if decision.more >= rules.SURE else chosen.evidence
     path = [raw, search.given.evidence, *[h.evidence for h in steps], more]
     e = energies(path, spans)
@@ -55,7 +55,7 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
         else:
             named[key] = named.get(key, np.zeros(e.shape[1])) + gains[1 + k]
         before = h
-    if len(named) == 2 and len(chosen.names) == 2:
+    if len(chosen.names) == 2 and set(named) == set(chosen.labels) <= set(decision.said):
         named = _both_orders(search, chosen, named, spans, whole)
     said = {n: v for n, v in named.items() if n in decision.said}
     unnamed = gains[-1] + sum((v for n, v in named.items() if n not in said), np.zeros(e.shape[1]))
@@ -68,20 +68,6 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
         "nuisance": _share(parts["nuisance"]), "parameters": _share(parts["parameters"]), "effects": names,
         "unnamed": _share(unnamed), "unexplainable": _share(rest),
     }  # fmt: skip
-
-
-def _steps(search: Search, chosen: Hypothesis) -> list[Hypothesis]:
-    """Sets from the base to the chosen one, the best first step first."""
-    steps = [search.linear] if search.refit else []
-    have: frozenset = frozenset()
-    while have != frozenset(chosen.names):
-        nexts = [search.every.get(have | {n}) for n in chosen.names if n not in have]
-        known = [h for h in nexts if h is not None]
-        step = min(known, key=lambda h: h.rms) if known else chosen
-        step = chosen if len(have) + 1 == len(chosen.names) else step
-        steps.append(step)
-        have = frozenset(step.names)
-    return steps
 
 
 def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:

@@ -73,11 +73,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
             return answer("no_gap", reason="what is left is the sensor's noise")
         return answer("unknown", reason="no effect of the catalogue pays")
-    p, rivals, fractions = {}, {}, {}
+    p, rivals, taken = {}, {}, _fractions(search, chosen)
+    fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     for name, label in zip(chosen.names, chosen.labels, strict=True):
         rivals[name] = _rival(search, chosen, {name})
         p[label] = probability(chosen.evidence, rivals[name].evidence)
-        fractions[label] = _fraction(search, chosen, name)
     told: dict[str, Any] = {"p": p, "fractions": fractions}
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
@@ -135,14 +135,18 @@ def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     return min(fair, key=lambda h: h.rms)
 
 
-def _fraction(search: Search, chosen: Hypothesis, name: str) -> float:
-    """Of the energy that the set closes, what goes with one name."""
-    rest = frozenset(chosen.names) - {name}
-    left = search.every.get(rest) or min(
-        (h for h in search.every.values() if set(h.names) <= rest), key=lambda h: h.rms, default=search.base
-    )
-    whole = search.base.rms**2 - chosen.rms**2
-    return float(np.clip((left.rms**2 - chosen.rms**2) / max(whole, 1e-300), 0.0, 1.0))
+def _fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
+    """Of the energy that the set closes, what came with each name in the order taken, by search name.
+
+    What a set loses without a name says less: where two effects can stand for each other, neither is missed much.
+    """
+    whole, before, fractions = search.base.rms**2 - chosen.rms**2, search.base, {}
+    for h in search.steps(chosen)[1 if search.refit else 0 :]:
+        new = [n for n in h.names if n not in before.names]
+        for n in new:
+            fractions[n] = float(np.clip((before.rms**2 - h.rms**2) / len(new) / max(whole, 1e-300), 0.0, 1.0))
+        before = h
+    return fractions
 
 
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:
