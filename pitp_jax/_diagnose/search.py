@@ -19,7 +19,7 @@ from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
 BEAM, DEPTH, NAMES = 2, 4, 12  # fronts, names of a set, names that go on after the first level
-_FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 14, 2
+_STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 3, 4, 14, 2
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
 
@@ -175,12 +175,15 @@ class Search:
     def extend(self, fronts: Sequence[Hypothesis], names: Sequence[str], sure: int = _FOLD_STEPS) -> list[Hypothesis]:
         """Every name beside every front, each by its best form."""
         groups: dict[frozenset, list[Fit]] = {}
+        below: dict[int, Fit] = {}
         for front in fronts:
             for form in self.library:
                 key = frozenset([*front.names, form.name])
                 if form.name in front.names or form.name not in names or key in self.every:
                     continue
-                groups.setdefault(key, []).append(self._started(front.fit, form))
+                groups.setdefault(key, []).append(start := self._started(front.fit, form))
+                below[id(start)] = front.fit
+        self._foremost(groups, below)
         self.fitter.fit([f for g in groups.values() for f in g], _FIRST_STEPS)
         going = []
         for key, group in groups.items():
@@ -194,6 +197,14 @@ class Search:
         for h in found:
             self.every[frozenset(h.names)] = h
         return found
+
+    def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit]) -> None:
+        """Of every name the starts that promise most go on."""
+        many = [(key, f) for key, group in groups.items() for f in group if len(group) > _STARTS]
+        costs = self.fitter.foreseen([f for _, f in many], [below[id(f)] for _, f in many])
+        for key in {key for key, _ in many}:
+            ranked = sorted((c, n) for n, (c, (k, _)) in enumerate(zip(costs, many, strict=True)) if k == key)
+            groups[key] = [many[n][1] for _, n in ranked[:_STARTS]]
 
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
