@@ -5,7 +5,7 @@ best two go on to their optimum, and are refitted without each fold. A set pays 
 FURTHER for every name) of the last that paid, with P >= SURE; a level that does not pay is stepped over.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from .fit import Fit, Fitter
 from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
-BEAM, DEPTH, NAMES = 2, 4, 12  # fronts, names of a set, names that go on after the first level
+BEAM, DEPTH, NAMES = 2, 4, 8  # fronts, names of a set, names that are fitted beside each front
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 3, 4, 14, 2
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
@@ -172,18 +172,18 @@ class Search:
         self.linears = tried
         return best
 
-    def extend(self, fronts: Sequence[Hypothesis], names: Sequence[str], sure: int = _FOLD_STEPS) -> list[Hypothesis]:
-        """Every name beside every front, each by its best form."""
+    def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> list[Hypothesis]:
+        """Names beside every front, each by its best form."""
         groups: dict[frozenset, list[Fit]] = {}
         below: dict[int, Fit] = {}
         for front in fronts:
             for form in self.library:
                 key = frozenset([*front.names, form.name])
-                if form.name in front.names or form.name not in names or key in self.every:
+                if form.name in {*front.names, *without} or key in self.every:
                     continue
                 groups.setdefault(key, []).append(start := self._started(front.fit, form))
                 below[id(start)] = front.fit
-        self._foremost(groups, below)
+        groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
         self.fitter.fit([f for g in groups.values() for f in g], _FIRST_STEPS)
         going = []
         for key, group in groups.items():
@@ -193,18 +193,22 @@ class Search:
             going += groups[key]
         self.fitter.fit(going, _STEPS)
         chosen = [min(g, key=lambda f: f.cost) for g in groups.values() if g]
-        found = [h for h in self._judged(chosen, sure) if not self.exclude & set(h.labels)]
+        found = [h for h in self._judged(chosen) if not self.exclude & set(h.labels)]
         for h in found:
             self.every[frozenset(h.names)] = h
         return found
 
-    def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit]) -> None:
-        """Of every name the starts that promise most go on."""
-        many = [(key, f) for key, group in groups.items() for f in group if len(group) > _STARTS]
+    def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
+        """Of every set the starts that promise most go on, and of the sets those whose best start does.
+
+        What helps beside another name may do nothing alone, so the order of the first level says little here.
+        """
+        many = [(key, f) for key, group in groups.items() for f in group]
         costs = self.fitter.foreseen([f for _, f in many], [below[id(f)] for _, f in many])
-        for key in {key for key, _ in many}:
-            ranked = sorted((c, n) for n, (c, (k, _)) in enumerate(zip(costs, many, strict=True)) if k == key)
-            groups[key] = [many[n][1] for _, n in ranked[:_STARTS]]
+        ranked: dict[frozenset, list[Fit]] = {}
+        for n in np.argsort(costs, kind="stable"):
+            ranked.setdefault(many[n][0], []).append(many[n][1])
+        return {key: group[:_STARTS] for key, group in list(ranked.items())[:most]}
 
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
@@ -240,19 +244,15 @@ class Search:
 
     def run(self) -> None:
         """Fill `every` level by level."""
-        names = list(dict.fromkeys(f.name for f in self.library))
         fronts, levels = [self.base], [self.base]
         for depth in range(1, DEPTH + 1):
-            self.progress(f"sets of {depth}: {len(names)} names beside {' and '.join(map(_written, fronts))}")
-            self.extend(fronts, names)
+            self.progress(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
+            self.extend(fronts)
             level = self.level(depth)
             if not level:
                 break
-            if depth == 1:
-                first = [h.names[0] for h in level]  # what helps beside another may do nothing alone
-                names = [*first, *(n for n in names if n not in first)][:NAMES]
-                if not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
-                    self.progress("no single effect helps")
+            if depth == 1 and not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
+                self.progress("no single effect helps")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
             settled = level[0].rms <= rules.OWN * self.own
@@ -342,9 +342,8 @@ class Search:
         lacking = {name}
         for d in range(2, depth + 1):
             fronts = self.level(d - 1, lacking)[:BEAM]
-            names = [h.names[0] for h in self.level(1, lacking)[:NAMES]]
             if fronts and self.budget.allows(f"rivals of {name}"):
-                self.extend(fronts, names)
+                self.extend(fronts, lacking)
         return min(
             (h for h in self.every.values() if name not in h.names and len(h.names) <= depth), key=lambda h: h.rms
         )
