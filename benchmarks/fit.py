@@ -41,6 +41,7 @@ def records(name: str):
 
 def step_ways(nominal, train, settings) -> tuple[dict, str]:
     """One epoch of ours, a few steps of PyTorch's; both report per step through `scale`."""
+    settings = replace(settings, few=0)  # the whole network, however few the records
     memory = partial(memory_of, settings, nominal, None)
     data = build_dataset(nominal, train, scaling=settings.scaling, difference=settings.difference, memory=memory)
     model = with_encoder(data, settings, jax.random.key(0))

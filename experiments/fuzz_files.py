@@ -1,10 +1,10 @@
 """Mutated record files and model files: each is read, or refused in one line; never a traceback, a hang or a flood.
 
-    python -m experiments.fuzz_files [--count 10000] [--models 1000] [--seed 0]
+    python -m experiments.fuzz_files [--count 10000] [--models 1000] [--seed 0] [--resume FILE]
 
 Bytes, lines, cells, columns, archives and nested objects are mutated, of small files in every format; model files get
 new numbers under a valid seal. A case fails by any exception but BadInput, by a message with control characters, by 5 s
-of computing, or by 1 GiB of memory beyond the start of its process. Cases run in child processes: a crash is one too.
+of computing, or by 256 MiB of memory beyond the start of its process. Cases run in child processes: a crash is one too.
 """
 
 import argparse
@@ -30,7 +30,7 @@ import scipy.io
 
 from pitp_jax import BadInput, read
 
-SECONDS, BYTES, BATCH = 5.0, 1 << 30, 250
+SECONDS, BYTES, BATCH = 5.0, 256 << 20, 250
 NASTY = (
     "", "nan", "inf", "-inf", "1e400", "1e-400", "1e308", "-0", "0x10", "1_000", "1,5", "1.5.2", "--", "NaN", "None",
     "\x1b[2J", "$\\frac{", "=1+1", "9" * 400, "2026-11-23 10:00:00", "10:00", "µ", "\u202e", '"', "'", "#",
@@ -356,16 +356,30 @@ def _batch(kind: str, seeds: range, folder: str, queue) -> None:
         path.unlink()
 
 
-def run(kind: str, count: int, seed: int, folder: str) -> int:
-    """All cases of a kind; the number that failed."""
-    context, failed, tally, slowest = multiprocessing.get_context("spawn"), 0, {"read": 0, "refused": 0}, 0.0
-    begin = seed
-    while begin < seed + count:
+def run(kind: str, count: int, seed: int, folder: str, done: Path | None) -> int:
+    """All cases of a kind, a batch a process; the number that failed. Batches named in the file `done` are skipped."""
+    tally = dict.fromkeys(("read", "refused", "failed", "slowest"), 0)
+    known = {} if done is None or not done.exists() else json.loads(done.read_text())
+    for begin in range(seed, seed + count, BATCH):
+        name = f"{kind} {begin} to {min(begin + BATCH, seed + count) - 1}"
+        known[name] = known.get(name) or _in_a_child(kind, range(begin, min(begin + BATCH, seed + count)), folder)
+        if done is not None:
+            done.write_text(json.dumps(known, indent=1))
+        for word, value in known[name].items():
+            tally[word] = max(tally[word], value) if word == "slowest" else tally[word] + value
+    told = f"{tally['read']} read, {tally['refused']} refused, {tally['failed']} failed"
+    print(f"{kind} files: {count} cases, {told}, slowest {tally['slowest']:.2f} s")
+    return tally["failed"]
+
+
+def _in_a_child(kind: str, seeds: range, folder: str) -> dict:
+    """Counts of a batch of cases; one that ends its process is a failure, and the others go on in another."""
+    context, current, tally = multiprocessing.get_context("spawn"), seeds.start, {"read": 0, "refused": 0}
+    failed, slowest = 0, 0.0
+    while current < seeds.stop:
         queue = context.Queue()
-        batch = range(begin, min(begin + BATCH, seed + count))
-        child = context.Process(target=_batch, args=(kind, batch, folder, queue))
+        child = context.Process(target=_batch, args=(kind, range(current, seeds.stop), folder, queue))
         child.start()
-        current = begin
         while child.is_alive() or not queue.empty():
             try:
                 word, at, told = queue.get(timeout=1.0)
@@ -379,14 +393,11 @@ def run(kind: str, count: int, seed: int, folder: str) -> int:
                 tally[word] += 1
                 slowest = max(slowest, told)
         child.join()
-        begin = batch.stop
         if child.exitcode:
             failed += 1
             print(f"{kind} {current}: the process ended with {child.exitcode}", flush=True)
-            begin = current + 1
-    told = f"{tally['read']} read, {tally['refused']} refused, {failed} failed, slowest {slowest:.2f} s"
-    print(f"{kind} files: {count} cases, {told}")
-    return failed
+        current = current + 1 if child.exitcode else seeds.stop
+    return {**tally, "failed": failed, "slowest": slowest}
 
 
 def _models(folder: Path) -> None:
@@ -421,10 +432,12 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=10_000, help="record files")
     parser.add_argument("--models", type=int, default=1_000, help="model files")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="of the batches done: they are not run again")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         _models(Path(folder, "models"))
-        failed = run("record", options.count, options.seed, folder) + run("model", options.models, options.seed, folder)
+        counts = {"record": options.count, "model": options.models}
+        failed = sum(run(kind, count, options.seed, folder, options.resume) for kind, count in counts.items())
     return int(failed > 0)
 
 

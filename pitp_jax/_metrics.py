@@ -1,4 +1,4 @@
-"""How far a prediction is from a measurement; every figure names its normaliser.
+"""Measure how far a prediction is from a measurement; every figure names its normaliser.
 
     rmse         = sqrt(mean (x_p - x_e)^2)
     e_rms  / %   = 100 rmse / (max x_e - min x_e)                                             (paper, eq. 15)
@@ -19,7 +19,7 @@ def _counted(measured, mask) -> np.ndarray:
 
 
 def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Root-mean-square error, in the unit of the data.
+    """Compute the root-mean-square error, in the unit of the data.
 
     Args:
         predicted: x_p, shape (T,).
@@ -48,7 +48,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
 
 
 def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Relative RMS error in percent of the measured range, eq. 15.
+    """Compute the RMS error in percent of the measured range, eq. 15.
 
     Normaliser: max x_e - min x_e over the counted samples. nan where that is zero. Arguments as for `rmse`.
 
@@ -70,7 +70,7 @@ def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
 
 
 def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """RMS error in percent of the measured standard deviation.
+    """Compute the RMS error in percent of the measured standard deviation.
 
     Normaliser: population standard deviation (ddof = 0) of x_e over the counted samples, so predicting the
         mean scores 100. nan
@@ -90,6 +90,7 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
         100.0
     """
     values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
+    # the deviation of equal numbers is not always 0 in floating point, and would divide by rounding
     return _percent(rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0)
 
 
@@ -100,7 +101,7 @@ def rmhe_percent(
     mask: np.ndarray | None = None,
     levels: int = 512,
 ) -> float:
-    """Relative maximum hysteresis error in percent, eq. 16: the widest place of the loop within one cycle.
+    """Compute the maximum hysteresis error in percent, eq. 16: the widest place of the loop within one cycle.
 
     The loop is the closed polygon of the points (x_e, x_r); at a level of x_e its width is the spread of x_r
     there, as eq. 16 has it. Normaliser: max x_r - min x_r over the cycle. For sines of lag phi it is 100 |sin
@@ -136,6 +137,7 @@ def rmhe_percent(
     low, high = np.minimum(left, right), np.maximum(left, right)
     slope = (top - bottom) / np.where(right == left, 1.0, right - left)
     widest = 0.0
+    # between the extremes: at these the loop turns, and has no width
     for level in np.linspace(across.min(), across.max(), levels + 2)[1:-1]:
         crossed = (low <= level) & (level <= high) & (left != right)
         at = bottom[crossed] + slope[crossed] * (level - left[crossed])
@@ -148,11 +150,11 @@ def _percent(error: float, normaliser: float) -> float:
 
 
 def steady(time: np.ndarray, fraction: float = 0.5, start: float | None = None) -> np.ndarray:
-    """Mask of the steady part of a record: its last share, or all from a given time after its start.
+    """Mask the steady part of a record: the end of it, or all from a given time after its start.
 
     Args:
         time: sample times in s, shape (T,).
-        fraction: share of the duration to keep, at the end, in (0, 1].
+        fraction: of the duration to keep, at the end, in (0, 1].
         start: seconds after the first sample from which to keep; replaces `fraction`.
 
     Returns:

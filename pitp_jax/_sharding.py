@@ -1,4 +1,4 @@
-"""Records over devices: every device runs its own records through the same code.
+"""Spread records over devices: every device runs its own records through the same code.
 
     out_r = f(model, record_r)        nothing crosses between devices
 
@@ -26,7 +26,7 @@ _AXIS = "records"
 
 
 def records_mesh(devices: Sequence | None = None) -> Mesh:
-    """A line of devices, by default all of all processes.
+    """Make a mesh that is a line of devices, by default all of all processes.
 
     Args:
         devices: in order; None takes all of all processes.
@@ -42,32 +42,34 @@ def records_mesh(devices: Sequence | None = None) -> Mesh:
 
 
 def spread(batch, mesh: Mesh):
-    """This process's records (leading axis of every array) on its devices, padded with copies of the last one.
+    """Put this process's records (leading axis of every array) on its devices, padded with copies of the last one.
 
     Every process brings equally many.
     """
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(batch)]
-    count, lanes = len(leaves[0]), len(mesh.local_devices)
+    count, devices = len(leaves[0]), len(mesh.local_devices)
     if count == 0 or any(len(leaf) != count for leaf in leaves):
         raise BadInput(f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot go side by side")
     placed = NamedSharding(mesh, PartitionSpec(_AXIS))
 
     def place(leaf):
-        rows = np.concatenate([leaf, np.repeat(leaf[-1:], -count % lanes, axis=0)])
+        # every shard must be of one size; copies, since a record of zeros need not be one a model can run
+        rows = np.concatenate([leaf, np.repeat(leaf[-1:], -count % devices, axis=0)])
         return jax.make_array_from_process_local_data(placed, rows)
 
     return jax.tree.map(place, jax.tree.map(np.asarray, batch))
 
 
 def local_rows(array: Array, count: int) -> np.ndarray:
-    """The first `count` records of this process."""
+    """Collect the first `count` records of this process."""
+    # shards come in no promised order
     shards = sorted(array.addressable_shards, key=lambda shard: shard.index[0].start or 0)
     return np.concatenate([np.asarray(shard.data) for shard in shards])[:count]
 
 
 @jit
 def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
-    """function(model, *batch) of every device's own records, side by side."""
+    """Run function(model, *batch) on every device's own records, side by side."""
     arrays, static = eqx.partition(model, eqx.is_array)
 
     def local(arrays, batch):
@@ -89,6 +91,7 @@ class _Inverse(eqx.Module):
     dt: float = eqx.field(static=True)
 
     def __call__(self, model, equation):
+        # one record after the other: an inverse is an array over time already, and long records fill the memory
         return jax.lax.map(lambda e: invert_path(model, e, self.dt)[1], equation)
 
 
@@ -99,7 +102,7 @@ def sharded_rollout(
     start: Float[np.ndarray, "records state"],
     mesh: Mesh,
 ) -> Float[np.ndarray, "records time state"]:
-    """Scaled states of this process's records under their voltages (V), as `decoder.rollout_batch`.
+    """Roll out this process's records under their voltages (V): scaled states, as `decoder.rollout_batch`.
 
     Args:
         model: the same in every process.
@@ -124,7 +127,7 @@ def sharded_rollout(
 def sharded_inverse(
     model: Model, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
 ) -> Float[np.ndarray, "records time"]:
-    """Drive voltage before limits (V) for this process's displacements from rest (model coordinates, m): eq. 13.
+    """Invert this process's displacements from rest (model coordinates, m) by eq. 13: drive voltages before limits (V).
 
     Args:
         model: the same in every process, without effects.

@@ -1,4 +1,4 @@
-"""What a result shows of itself: a repr of at most ten lines, a table, and HTML for a notebook."""
+"""Show a result: a repr of at most ten lines, a table, and HTML for a notebook."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -14,7 +14,7 @@ _LINES, _ROWS, _WIDTH = 10, 25, 100
 
 
 def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
-    """A DataFrame of arrays by name, or of dicts; nested ones make columns like `zero_value`."""
+    """Make a DataFrame of arrays by name, or of dicts; nested ones make columns like `zero_value`."""
     import pandas as pd  # takes half a second to import: only where a table is asked for
 
     if isinstance(rows, dict):
@@ -29,22 +29,22 @@ class Shown:
     """
 
     def _rows(self) -> Any:
-        """Dicts, one a row, or arrays of one length by name; by default the one-dimensional arrays among the fields."""
+        """Collect dicts, one a row, or arrays of one length by name; by default the fields' one-dimensional arrays."""
         arrays = {f.name: v for f in fields(self) if np.ndim(v := getattr(self, f.name)) == 1 and _is_array(v)}  # pyright: ignore[reportArgumentType]
-        longest = max(map(len, arrays.values()), default=0)
+        longest = max(map(len, arrays.values()), default=0)  # series over time, not a handful of coefficients
         return {name: v for name, v in arrays.items() if len(v) == longest}
 
     def frame(self) -> "pd.DataFrame":
-        """The table as a pandas DataFrame."""
+        """Return the table as a pandas DataFrame."""
         return data_frame(self._rows())
 
     def __repr__(self) -> str:
         name = type(self).__name__
-        told = [f"  {f.name}: {_brief(getattr(self, f.name))}" for f in fields(self)]  # pyright: ignore[reportArgumentType]
-        return "\n".join([name, *told[: _LINES - 1]])
+        lines = [f"  {f.name}: {_brief(getattr(self, f.name))}" for f in fields(self)]  # pyright: ignore[reportArgumentType]
+        return "\n".join([name, *lines[: _LINES - 1]])
 
     def _repr_html_(self) -> str:
-        """Its repr, and the first rows of its table."""
+        """Show its repr, and the first rows of its table."""
         table = self.frame().head(_ROWS)
         drawn = table.to_html(index=False, border=0, float_format="{:.5g}".format) if table.size else ""
         return f"<pre>{escape(repr(self))}</pre>{drawn}"
@@ -55,7 +55,7 @@ def _is_array(value) -> bool:
 
 
 def _brief(value) -> str:
-    """A field in one short line."""
+    """Describe a field in one short line."""
     if _is_array(value) and np.ndim(value):
         numbers = np.asarray(value, float)
         seen = numbers[np.isfinite(numbers)]

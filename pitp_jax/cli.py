@@ -1,4 +1,4 @@
-"""The command line: arguments to commands, and what goes wrong to one line and an exit code.
+"""Run the command line: arguments to commands, and what goes wrong to one line and an exit code.
 
     0 done      2 bad input or usage      3 the computation failed      130 interrupted
 
@@ -24,8 +24,9 @@ from ._commands.examples import ending
 from ._commands.ours import allow_overwriting
 from ._errors import BadInput, ComputationFailed
 
-_RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms) and folders of them"
+_RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms, .parquet, .mcap, rosbag2) and folders of them"
 _READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
+# of names from files: control characters could move the cursor, marks of direction turn a line round
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.
 _QUICK = ("predict", "invert", "check", "simulate", "adapt")
@@ -55,12 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not arguments.pop("no_cache", True):
             keep_programs(0.0 if module in _QUICK else 0.1)
         allow_overwriting(arguments.pop("force", False))
-        told = [name for name in arguments if name.startswith(_READING)]
-        if told:
-            arguments["reading"] = {name.removeprefix(_READING): arguments.pop(name) for name in told}
+        of_reading = [name for name in arguments if name.startswith(_READING)]
+        if of_reading:
+            arguments["reading"] = {name.removeprefix(_READING): arguments.pop(name) for name in of_reading}
         code = 0
         with json_to_standard_output(arguments):
-            for each in once_per_joint(arguments):
+            for each in once_per_joint(arguments):  # the last code that is not 0: one joint may fail, the others go on
                 code = getattr(import_module(f"._commands.{module}", __package__), function)(**each) or code
         sys.stdout.flush()
         return code
@@ -81,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _joined(argv: Sequence[str]) -> list[str]:
-    """Arguments with negative numbers joined to their options: argparse takes `-2e-3` for an option."""
+    """Join negative numbers to their options: argparse takes `-2e-3` for an option."""
     words: list[str] = []
     for word in argv:
         number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", word)
@@ -93,14 +94,14 @@ def _joined(argv: Sequence[str]) -> list[str]:
 
 
 def _say_anything() -> None:
-    """A terminal or pipe without a letter (Windows' code pages have no superscript minus) gets its escape instead."""
+    """Give a terminal without a letter its escape instead (Windows' code pages have no superscript minus)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _explain(error: Exception) -> tuple[int, str]:
-    """Exit code and one line for anything that ended a command."""
+    """Turn anything that ended a command into an exit code and one line."""
     text = _UNSAFE.sub("_", " ".join(str(error).splitlines()))  # blanks stay: headers may hold several
     if isinstance(error, BadInput):
         return 2, text
@@ -129,36 +130,33 @@ def _seed(text: str) -> int:
     raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to {2**32 - 1}")
 
 
-def _zero(text: str) -> str | float:
-    if text in ("rest", "sensor"):
-        return text
+def _finite(text: str) -> float | None:
     try:
         value = float(text)
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+        return None
+    return value if math.isfinite(value) else None  # "nan" and "inf" are numbers to Python, but no setting
+
+
+def _zero(text: str) -> str | float:
+    value = text if text in ("rest", "sensor") else _finite(text)
+    if value is None:
         raise argparse.ArgumentTypeError(f"{text!r} is neither rest nor sensor nor a number in the target's unit")
     return value
 
 
 def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isfinite(value) and value > 0:
-        return value
-    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    value = _finite(text)
+    if value is None or value <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
 
 
 def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isfinite(value) and value != 0:
-        return value
-    raise argparse.ArgumentTypeError(f"{text!r} is not a number other than 0")
+    value = _finite(text)
+    if not value:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number other than 0")
+    return value
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -231,7 +229,7 @@ _SAID = (  # option, placeholder, type, help
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
-    """What `pitp.read` (or `read_target`, or `read_voltage`) can be told about the columns of files."""
+    """Add the options of `pitp.read` (or `read_target`, or `read_voltage`) about the columns of files."""
     group = parser.add_argument_group("columns of the files", "by default names and units in the headers decide")
     for option, placeholder, kind, text in _SAID:
         stem = option.partition("-")[0]

@@ -1,18 +1,28 @@
 """Pages in a browser, at a desk and on a telephone: every cell of every table is visible, no text is under 11 px."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from browser import CHROMIUM, measured
 from test_compare import machine
 
 import pitp_jax as pitp
+from pitp_jax._against import SimToReal
+from pitp_jax._against.page import page as against_page
+from pitp_jax._against.parameters import Parameter
 from pitp_jax._check.page import page as check_page
+from pitp_jax._commands import outputs
 from pitp_jax._commands.fit_page import fit_page
 from pitp_jax._commands.predict import score
 from pitp_jax._compare.page import page as compare_page
+from pitp_jax._compare.pairing import pair_records
+from pitp_jax._diagnose.report.page import report
 from pitp_jax._plan.page import page as plan_page
+from pitp_jax._report import html
 
 pytestmark = pytest.mark.browser
+
 TIME = np.arange(1000) / 500
 
 
@@ -28,40 +38,73 @@ def many(count):
     return made
 
 
-def pages():
+def fit_or_compare(kind):
     simulated, robot = machine(), machine(late=0.02, gain=0.9)
+    if kind == "compare":
+        return compare_page(pitp.compare(simulated, robot, names=("simulator", "robot")))
     model = pitp.identify(simulated, order=2, input_map="linear").model
     runs = pitp.predict(model, robot)
     scores = {r.name: score(r, p) for r, p in zip(robot, runs, strict=True)}
-    return {
-        "compare": compare_page(pitp.compare(simulated, robot, names=("simulator", "robot"))),
-        "check": check_page(pitp.check(many(30))),
-        "plan": plan_page(pitp.plan(max_voltage=6000.0, band=(0.5, 10.0), max_displacement=2.5e-3)),
-        "fit": fit_page(model, robot, runs, scores, "model.pitp"),
+    return fit_page(model, robot, runs, scores, "model.pitp")
+
+
+def against(explained):
+    """A robot beside its simulator; what was found is made up, all the rest is drawn from recordings."""
+    simulated, robot = machine(), machine(late=0.02, gain=0.9)
+    names = ("joint frictionloss", "friction coefficient, static and dynamic", "joint dynamics friction")
+    rows = [
+        Parameter(
+            f"friction {k}", "friction of the joint, speed reversed", 0.0, 0.7, 0.7 * k, 0.01, "N m", *names, k == 1
+        )
+        for k in range(3)
+    ]
+    budget = {"nuisance": {"share": 0.1}, "effects": {"delay": {"share": 0.6}}, "unnamed": {"share": 0.3}}
+    linear = pitp.identify(simulated, order=2, input_map="linear")
+    found: Any = SimToReal(
+        explained, None, linear, explained.model, pair_records(robot, simulated), tuple(rows), (0.1, 0.0, 0.2),
+        tuple(robot), tuple(0.1 * r.voltage for r in robot),
+    )  # fmt: skip
+    object.__setattr__(explained, "budget", budget)
+    return against_page(found)
+
+
+def index(folder):
+    for k in range(12):
+        (folder / f"a_rather_long_name_of_a_page_{k:02d}.html").write_text(html.page("The gap is explained " * 3, []))
+    with outputs.staged(folder=folder) as stage:
+        (stage / "report.html").write_text(html.page("No gap", []))
+    return (folder / "index.html").read_text()
+
+
+VERDICTS = ("explained", "tied", "no_gap", "unknown")
+KINDS = ("compare", "fit", "check", "plan", "against", "index", *VERDICTS)
+
+
+@pytest.fixture
+def drawn(request, name, tmp_path):
+    """The page of a kind."""
+    made = {
+        "check": lambda: check_page(pitp.check(many(30))),
+        "plan": lambda: plan_page(pitp.plan(max_voltage=6000.0, band=(0.5, 10.0), max_displacement=2.5e-3)),
+        "against": lambda: against(request.getfixturevalue("explained")),
+        "index": lambda: index(tmp_path),
+        **{verdict: lambda: report(request.getfixturevalue(name)) for verdict in VERDICTS},
     }
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    return pages()
+    return made.get(name, lambda: fit_or_compare(name))()
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-@pytest.mark.parametrize("name", ["compare", "check", "plan", "fit"])
-@pytest.mark.parametrize("width", [1280, 390])
-def test_every_cell_is_seen_and_text_can_be_read(drawn, name, width, tmp_path):
-    seen = measured(drawn[name], width, tmp_path)
-    assert seen["cells"] > 10
-    assert seen["bad"] == []
-    assert seen["smallest"] >= 11.0, seen["least"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["compare", "check", "plan", "fit"])
-def test_pages_load_nothing_and_are_small(drawn, name):
-    assert "http" not in drawn[name] and "<script" not in drawn[name]
-    assert len(drawn[name]) < 2e6 and "@media print" in drawn[name]
+@pytest.mark.parametrize("name", KINDS)
+def test_every_cell_is_seen_text_can_be_read_and_the_page_is_small(drawn, name, tmp_path):
+    assert "http" not in drawn and "<script" not in drawn
+    assert len(drawn) < 2e6 and "@media print" in drawn
+    if CHROMIUM is None:
+        pytest.skip("needs chromium")
+    for width in (1280, 390):
+        seen = measured(drawn, width, tmp_path)
+        assert (seen["cells"] > 10) == (name != "index")
+        assert seen["bad"] == [], (width, seen["bad"])
+        assert seen["smallest"] >= 11.0, (width, seen["least"])
 
 
 @pytest.mark.exhaustive

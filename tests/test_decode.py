@@ -15,7 +15,7 @@ from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
 from pitp_jax._record.record import Record
 from pitp_jax._simulate.decoder import frozen_increment, rest_state, rollout
-from pitp_jax._simulate.prediction import outside_share, predict
+from pitp_jax._simulate.prediction import initial_samples, outside_fraction, outside_words, predict
 
 DT = 4e-3
 COARSE = 1000 + 800 * np.random.default_rng(5).uniform(-1, 1, 26)  # V, linear between 26 samples
@@ -103,6 +103,7 @@ def test_holds_against_scipy(linear, double, coefficients, hold):
     np.testing.assert_allclose(np.asarray(found)[:, 0] * 1e-3, truth, rtol=0, atol=1e-7 * np.abs(truth).max())
 
 
+@pytest.mark.slow
 def test_a_frozen_step_is_affine_in_the_force(nonlinear, double):
     with jax.enable_x64(True):
         model = double(nonlinear(2, size=0.5))
@@ -208,11 +209,36 @@ def test_a_moving_start_is_estimated(linear, coefficients, fading):
 def test_share_outside_training(linear):
     model = linear(2)
     features = np.stack([np.linspace(0.0, 2.0, 2001), np.zeros(2001)], -1)
-    assert outside_share(model, features) == 0.0  # never trained: no region
+    assert outside_fraction(model, features) == 0.0  # never trained: no region
     trained = replace(model, provenance=model.provenance.with_(region=((0.0, 1.0), (-1.0, 1.0))))
-    assert outside_share(trained, features) == pytest.approx((2.0 - 1.05) / 2.0, abs=1e-3)
+    assert outside_fraction(trained, features) == pytest.approx((2.0 - 1.05) / 2.0, abs=1e-3)
     features[:, 1] = 1.2  # beyond 1 + 5 % of 2
-    assert outside_share(trained, features) == 1.0
+    assert outside_fraction(trained, features) == 1.0
+    assert outside_words(model, features, np.arange(2001)) == ""
+    assert outside_words(trained, features, 0.01 * np.arange(2001)) == (
+        "stroke by up to 100 % of its trained range, first at 10.5 s and "
+        "speed by up to 10 % of its trained range, first at 0 s"
+    )
+
+
+def test_a_memory_outside_its_training_is_named_by_its_time(linear):
+    model = replace(linear(2), memory=FadingMemory(jnp.log(jnp.array([0.01, 80.0]))))
+    model = replace(model, provenance=model.provenance.with_(region=((0.0, 1.0),) * 4))
+    features = np.full((10, 4), 0.5)
+    features[4:, 3] = 1.3
+    assert outside_words(model, features, np.arange(10)) == (
+        "memory of 80 s by up to 30 % of its trained range, first at 4 s"
+    )
+
+
+@pytest.mark.parametrize(
+    ("dt", "count", "used"), [(1e-3, 4000, 300), (1e-3, 800, 200), (0.02, 1000, 50), (1e-4, 20000, 3000)]
+)
+def test_a_moving_start_takes_one_and_a_half_periods(linear, dt, count, used):
+    """Of 5 Hz; not fewer than 50 samples, not more than a quarter of the record."""
+    time = dt * np.arange(count)
+    record = Record("r", time, np.zeros(count), np.sin(time))
+    assert initial_samples(linear(2), record) == used
 
 
 def test_predictions_carry_the_share(linear, coefficients):

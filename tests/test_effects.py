@@ -225,6 +225,7 @@ def test_a_mass_before_the_sensor_is_undone_up_to_the_gain_from_which_it_cannot_
     assert np.abs(read - x).max() > 0.02
 
 
+@pytest.mark.slow
 def test_a_stretched_film_stays_softer_for_the_session(linear):
     """The first cycle differs from the second; the next record begins where the session has been."""
     model = replace(linear(hz=HZ, dt=DT), effects=(effect("mullins", d=0.4, length=0.5),))

@@ -70,7 +70,14 @@ def test_a_fresh_encoder_is_exactly_the_nominal(make, linear, kind, order):
         np.testing.assert_array_equal(offset, np.zeros(3))
 
 
-@pytest.mark.parametrize(("kind", "order"), [case for case in CASES if case[0] != "frugal"])
+@pytest.mark.parametrize(
+    ("kind", "order"),
+    [
+        pytest.param(*case, marks=[pytest.mark.slow] * (case[1] != 2 or case[0] == "paper"))
+        for case in CASES
+        if case[0] != "frugal"
+    ],
+)
 def test_scaled_scales_the_logits(make, kind, order):
     _, encoder = make(kind, order)
     logits = logits_of(encoder, points(order, 3))
@@ -140,7 +147,7 @@ def test_without_an_offset_there_is_none(make):
     assert (np.asarray(logits_of(encoder, points(2)))[:, -1] == 0).all()
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [pytest.param(n, marks=[pytest.mark.slow] * (n != 2)) for n in ORDERS])
 def test_outside_the_bounds_tokens_stay(make, order):
     """Each feature on its own is held at the nearer bound: value, and a slope of zero."""
     low, high = -0.5 - 0.1 * np.arange(order + MEMORIES), 0.8 + 0.1 * np.arange(order + MEMORIES)

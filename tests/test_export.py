@@ -21,6 +21,7 @@ from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._model.programs import in_double
 from pitp_jax._numerics.spline_derivative import derivatives
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -107,7 +108,7 @@ def export(model, folder, precision="double"):
 
 def double(model):
     with jax.enable_x64(True):
-        return steps.in_double(model)
+        return in_double(model)
 
 
 def inputs(model, inverse):
@@ -133,6 +134,7 @@ def test_a_step_is_pythons(models, truths, tmp_path, kind):
         assert np.abs(run**power - wanted).max() < 1e-9 * np.ptp(wanted)
 
 
+@pytest.mark.slow
 @kinds("effects")
 def test_single_precision(models, truths, tmp_path, kind):
     """2e-6 of range a step and 1e-4 in a free run."""
@@ -267,6 +269,7 @@ def test_a_target_ahead_is_differentiated(rig):
     np.testing.assert_allclose(ahead[112:], direct[100:-12], rtol=0, atol=1e-4 * direct.max())
 
 
+@pytest.mark.slow
 def test_a_delay_is_asked_for_ahead(linear, bounded, tmp_path):
     model = replace(bounded(linear(2)), effects=(effect("delay", time=3.4e-3),))
     u, _ = export(model, tmp_path).command(1, TARGET)

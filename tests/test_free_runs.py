@@ -85,7 +85,7 @@ def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
 def test_very_many_are_cut(problem, monkeypatch):
     """Beyond what stays in a core's memory: more parts than cores."""
     monkeypatch.setattr(free_run_problem, "_cores", lambda: 2)
-    monkeypatch.setattr(free_run_problem, "_MOST", 3)
+    monkeypatch.setattr(free_run_problem, "_MOST_RUNS", 3)
     cut = built(problem)
     assert [part.voltage.shape for part in cut._parts] == [(3, 200)] * 5 + [(3, 90)]
     close(sums(cut, problem[3]), sums(built(problem, mesh=records_mesh(jax.devices()[:1])), problem[3]))

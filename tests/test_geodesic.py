@@ -91,7 +91,8 @@ def test_a_linear_problem_has_no_bend():
     hessian = matrix.T @ matrix
     reached = [
         np.linalg.solve(
-            hessian + geodesic_steps._START * geodesic_steps._FACTOR**k * np.diag(np.diag(hessian)), matrix.T @ side
+            hessian + geodesic_steps._FIRST_DAMPING * geodesic_steps._DAMPING_FACTOR**k * np.diag(np.diag(hessian)),
+            matrix.T @ side,
         )
         for k in range(-30, 2)
     ]

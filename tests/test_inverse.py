@@ -34,6 +34,13 @@ def test_eq_13_is_the_closed_form_force_of_a_sine(linear, double, order):
         assert features.shape == (SAMPLES, order)
 
 
+def standing_at_zero(model):
+    """The model without the force that random weights ask for at zero: it rests there at 0 V, as trained ones do."""
+    past = model.encoder.past
+    bias = past.readout.bias - past(jnp.zeros(past.hidden.in_features))
+    return eqx.tree_at(lambda m: m.encoder.past.readout.bias, model, bias)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "hold", "coarsest", "order_in_dt"),
@@ -55,7 +62,8 @@ def test_eq_13_falls_at_its_order_and_shooting_removes_the_rest(
             varying = kind in ("nonlinear", "drag")
             model = nonlinear(2, key=3, drag=kind == "drag", **options) if varying else linear(2, **options)
             limits = (0.0, 3e3) if kind == "square" else (-3e6, 3e6)
-            found = feedforward(bounded(double(model), *limits, slew=1e12), hump(dt))
+            model = double(standing_at_zero(model) if varying else model)
+            found = feedforward(bounded(model, *limits, slew=1e12), hump(dt))
         eq_13.append(found.equation_e_rms_percent)
         assert found.self_check_e_rms_percent < 0.1 * found.equation_e_rms_percent
         assert not found.saturated.any()
@@ -102,7 +110,7 @@ def test_vmapped_inverse_is_the_loop(nonlinear):
 # ---- what no voltage does ----
 
 
-@pytest.mark.parametrize("shots", [0, 6])
+@pytest.mark.parametrize("shots", [0, pytest.param(6, marks=pytest.mark.slow)])
 def test_samples_are_infeasible_where_the_analytic_force_is_negative(actuator, shots):
     found = feedforward(actuator, Target(TIME, swing(1e-3, 9e-4, 8.0)), shots=shots, max_slew=1e9)
     negative = swing_force(actuator, 1e-3, 9e-4, 8.0) < 0
@@ -177,9 +185,7 @@ def test_a_target_too_short_for_the_order_is_refused(actuator, samples):
 def test_a_target_held_still_is_reached_though_eq_15_has_no_normaliser(actuator):
     found = feedforward(actuator, Target(TIME, np.full(SAMPLES, 1e-3)))
     assert np.isnan(found.self_check_e_rms_percent)
-    alone = feedforward(actuator, Target(TIME, np.full(SAMPLES, 1e-3)), shots=0).warnings[-1]
-    line = found.warnings[-1]
-    assert float(line.split()[-4]) < 0.5 * float(alone.split()[-4]) < 2e-10  # m: shooting brings it nearer
+    assert float(found.warnings[-1].split()[-4]) < 1e-10  # m
     np.testing.assert_allclose(respond(actuator, found.voltage)[found.target, 0], 1e-3, rtol=1e-4)
 
 

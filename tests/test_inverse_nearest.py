@@ -142,6 +142,7 @@ def test_every_plan_keeps_the_limits_and_turns_no_more_than_the_cut_one(
     keeps_the_bars(bounded(nonlinear(order, key=key)), target, max_voltage=high, max_slew=slew)
 
 
+@pytest.mark.slow
 def test_a_push_is_approached(actuator):
     """A quarter of this sine asks for a negative force: half of what the cut plan leaves at most."""
     target = Target(TIME, swing(1e-3, 9e-4, 8.0))
@@ -177,6 +178,15 @@ def test_where_no_limit_bites_it_is_eq_13_and_shooting(linear, bounded, monkeypa
     found = feedforward(model, target)
     assert not (found.infeasible | found.saturated).any()
     assert found.self_check_e_rms_percent < 0.5 * found.equation_e_rms_percent
+
+
+def test_shooting_does_not_make_the_voltage_chatter(linear, bounded):
+    """Third derivatives of what float32 rounds made four times the fourth differences of eq. 13."""
+    target = Target(TIME, swing(1e-3, 3e-4, 2.0))
+    cut, found = (feedforward(bounded(linear(3), 0.0, 4000.0), target, shots=shots) for shots in (0, 6))
+    bends = [np.abs(np.diff(f.voltage, 4)).max() for f in (cut, found)]
+    assert bends[1] < 1.5 * bends[0]
+    assert found.self_check_e_rms_percent < 0.05 * cut.self_check_e_rms_percent
 
 
 @pytest.mark.slow

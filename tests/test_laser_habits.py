@@ -163,8 +163,10 @@ def test_a_record_that_starts_moving(sweep, write, study):
     same_actuator(found)
     assert found.chosen.offset == pytest.approx(3e-3, abs=10 * NOISE)
     assert run.estimated_start
-    np.testing.assert_array_equal(run.scored, np.arange(record.samples) >= 50)
-    np.testing.assert_allclose(run.displacement[50:], x[50:] + 3e-3, atol=20 * NOISE)
+    used = int(np.argmax(run.scored))
+    assert used == pytest.approx(1.5 / (8.0 * DT), abs=1)  # periods of the mode
+    np.testing.assert_array_equal(run.scored, np.arange(record.samples) >= used)
+    np.testing.assert_allclose(run.displacement[used:], x[used:] + 3e-3, atol=20 * NOISE)
 
 
 @pytest.mark.parametrize(

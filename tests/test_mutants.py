@@ -31,7 +31,7 @@ def test_a_fault_that_no_longer_fits_ends_the_run(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_a_draw_is_the_seeds_and_of_every_operator():
-    found = mutants.draw(mutants.numerical_files(), 30, 1)
+    found = mutants.draw(mutants.numerical_files(), 60, 1)
     assert [m.id for m in found[:10]] == [m.id for m in mutants.draw(mutants.numerical_files(), 10, 1)]
     assert set(Counter(m.operator for m in found)) == set(mutants.OPERATORS)
     for m in found:

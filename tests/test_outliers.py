@@ -82,6 +82,7 @@ def test_a_hundred_thousand_samples_of_noise_have_no_outlier():
     assert mask_faults(rng.normal(size=100_000), rng.normal(size=100_000)).outliers == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "folder", ["data/hasel_peano", "data/silverbox", "data/so101/elbow", "data/so101/pitch", "bench/roll/test"]
 )
@@ -90,6 +91,7 @@ def test_nothing_is_masked_in_measured_records(shared, folder):
         assert record.recognised["outliers"] + record.recognised["clipped"] == 0
 
 
+@pytest.mark.slow
 def test_three_samples_of_a_lost_laser(shared):
     for spoilt, whole in zip(read(shared / "starts" / "spikes"), read(shared / "starts" / "at_rest"), strict=True):
         assert np.flatnonzero(~spoilt.observed).tolist() == [3000, 3001, 7000]

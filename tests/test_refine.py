@@ -82,6 +82,7 @@ def test_a_planted_lag_is_found(plant, start, refined):
     assert error(found, plant[1]) < 0.1 * error(start[0], plant[1])
 
 
+@pytest.mark.slow
 def test_every_step_goes_down_and_is_told(refined):
     steps, lines = refined
     assert [e["stage"] for _, e in steps] == sorted((e["stage"] for _, e in steps), reverse=True)
@@ -96,6 +97,7 @@ def test_every_step_goes_down_and_is_told(refined):
         assert len(told) - 1 <= {"short runs": refining._SHORT_STEPS, "free runs": 25}[stage]
 
 
+@pytest.mark.slow
 def test_only_trained_numbers_move(start, refined):
     before, after = start[0], refined[0][-1][0]
     np.testing.assert_array_equal(after.encoder.bounds, before.encoder.bounds)
@@ -250,7 +252,7 @@ def test_firm_nets_stay_small(plant, start):
 def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch):
     """Half of the budget for whole records, half for the beginnings of the others; each half of the weight."""
     model, records = start[0], [replace(plant[1][0], name=f"r{k}") for k in range(20)]
-    for name, value in {"_BUDGET": 14 * SAMPLES, "_FEWEST": 6, "_SHORTEST": 300}.items():
+    for name, value in {"BUDGET": 14 * SAMPLES, "_FEWEST": 6, "_SHORTEST": 300}.items():
         monkeypatch.setattr(refining, name, value)
     long, brief = refining._free(model, records)
     assert long.voltage.shape == (7, SAMPLES)
@@ -266,7 +268,7 @@ def test_a_long_record_among_short_ones_runs_to_its_end(plant, start, monkeypatc
     """Its padding is not charged: sets of like length, each record of the same weight."""
     model, long = start[0], plant[1][1]
     short = [Record(f"r{k}", TIME[:200], long.voltage[:200], long.displacement[:200]) for k in range(10)]
-    monkeypatch.setattr(refining, "_BUDGET", SAMPLES + 2000)
+    monkeypatch.setattr(refining, "BUDGET", SAMPLES + 2000)
     monkeypatch.setattr(refining, "_SHORTEST", 100)
     records = [*short[:5], long, *short[5:]]
     assert refining.run_samples(records) == SAMPLES

@@ -57,6 +57,7 @@ def test_equals_the_plain_rollout(nonlinear, linear, case):
     np.testing.assert_allclose(found, truth, rtol=0, atol=5e-6 * np.abs(truth).max())
 
 
+@pytest.mark.slow
 def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
     model = nonlinear(2, substeps=6)
     volts, start = runs(model, 1)

@@ -92,7 +92,7 @@ def test_changed_coefficients_are_the_tokens(linear, order):
     np.testing.assert_allclose(tokens, np.asarray(model.coefficients) * factors, rtol=3e-6)
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [3, 4, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 6))])
 def test_the_tokens_of_any_encoder_are_stable(nonlinear, order):
     """A wild encoder (logits of several units, both branches of the positive factor) anywhere in feature space."""
     model = nonlinear(order, size=2.0)

@@ -142,6 +142,7 @@ def test_float32_is_enough_for_a_step(model, double):
     np.testing.assert_allclose(found.hessian / scale, truth.hessian / scale, rtol=0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_parameters_go_round(model):
     """Out and in again: nothing but the trained numbers moves, the encoder's bounds among what stays."""
     m = model(3)

@@ -163,7 +163,7 @@ def test_a_spring_that_is_off_shows_beside_a_mean_that_is_not(nominal, records):
     balance = some(creep_balance.slow_balance(data.model, some(nominal.provenance.long_record), [(-1e3, 1e3)] * 3))
     stiffer = replace(data.model, coefficients=data.model.coefficients * jnp.asarray([1.01, 1.0, 1.0], jnp.float32))
     more = np.asarray(
-        creep_balance._left(stiffer, balance.series) - creep_balance._left(data.model, balance.series), np.float64
+        creep_balance._moments(stiffer, balance.series) - creep_balance._moments(data.model, balance.series), np.float64
     )
     used, force = balance.scale > 0, 0.01 * float(data.model.coefficients[0])
     x, inside = np.asarray(balance.series.states[..., 0]), np.asarray(balance.series.weight[:, 0]) > 0

@@ -93,10 +93,12 @@ def same(record, drive, motion, rtol=1e-6):
 def test_units_rows_below_any_names(tmp_path, data):
     """Names of any words over a row of units: the units choose the columns, others beside are left."""
     clock, volts, length = data.draw(CLOCKS), data.draw(VOLTS), data.draw(LENGTHS)
-    names = [f"{data.draw(WORDS)} {k}" for k in range(4)]
+    other = data.draw(st.sampled_from(["degC", "g", "-", "N"]))
+    names = [f"{data.draw(WORDS)} {k}" for k in range(3)]
+    names.append("spare 3" if other == "-" else f"{data.draw(WORDS)} 3")  # no unit: its name would be asked about
     values = [from_base(TIME, clock), from_base(VOLTAGE, volts), from_base(OUTPUT / 50, length), TIME + 20]
     order = data.draw(st.permutations(range(4)))
-    units = [clock, volts, length, data.draw(st.sampled_from(["degC", "g", "-", "N"]))]
+    units = [clock, volts, length, other]
     bracket = data.draw(st.sampled_from(["{}", "({})", "[{}]"]))
     row = ";".join(bracket.format(units[k]) for k in order)
     above = data.draw(st.sampled_from([(), ("Rig 3;;;",), ("Date: 24 Nov", "Operator;lab;;")]))

@@ -13,6 +13,7 @@ from record_files import (
 )
 
 from pitp_jax import read
+from pitp_jax._table.header import is_number
 
 
 @pytest.mark.parametrize(
@@ -101,3 +102,8 @@ def test_a_long_csv_is_read_without_a_loop_over_its_rows(tmp_path):
     short, long = written(2_000), written(100_000)
     assert read(long)[0].samples == 100_000
     assert calls(lambda: read(long)) < calls(lambda: read(short)) + 10_000
+
+
+def test_a_cell_of_two_million_digits_is_looked_at_once():
+    """Backtracking over every prefix would take hours."""
+    assert not is_number("9" * 2_000_000 + "x", ".") and not is_number("9" * 2_000_000 + "x", ",")

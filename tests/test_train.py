@@ -157,6 +157,7 @@ def test_free_runs_end_at_the_noise(plant):
     assert list(dict.fromkeys(p.stage for p in seen)) == ["stage 1", "short runs", "free runs"]
 
 
+@pytest.mark.slow
 def test_the_nominal_and_the_records_stay(plant, first):
     nominal, records, _ = plant
     again = train(nominal, records, settings=replace(TINY, epochs=1, stages=1), key=KEY)
@@ -226,6 +227,7 @@ def test_gaps_are_masked(plant):
     assert (errors(model, held_out) * 3 < errors(nominal, held_out)).all()
 
 
+@pytest.mark.slow
 def test_what_does_not_move_is_left_out_and_told(plant, first):
     """Weighted by its own range, a sensor that never moved would weigh without end."""
     nominal, records, _ = plant

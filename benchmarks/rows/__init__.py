@@ -16,6 +16,7 @@ ROWS = {
     "realtime": "realtime",
     "devices": "devices",
     "growth": "growth",
+    "ensemble": "ensemble",
     "identify": "identify",
     "fit_cone": "fit_cone",
     "fit_roll": "fit_roll",

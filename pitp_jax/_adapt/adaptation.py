@@ -1,4 +1,4 @@
-"""Adapt: what of a model a short recording of another day has moved, if anything.
+"""Adapt a model: find what a short recording of another day has moved in it, if anything.
 
     session's numbers (zero, direction, first state) -> all factors by least squares -> which of them by evidence
     -> those alone, on the first half of the recording: kept if the second half, which they never saw, says so too
@@ -28,11 +28,11 @@ from .factors import TILTS, TIMES, Factors, adapted, factors_of
 from .free_runs import Fit, Problem, Session, session
 
 Verdict = Literal["unchanged", "adapted", "retrain"]
-_KEPT = 0.95  # share of its error that the held-out half may keep where a change is real
-_FAR = 3.0  # levels of the model's own, from where on what is left is another actuator's
-_SURE = 0.25  # share of its level below which a model's own error is not known
+_KEPT = 0.95  # fraction of its error that the held-out half may keep where a change is real
+_FAR = 3.0  # levels of the model's own, from where on what remains is another actuator's
+_SURE = 0.25  # fraction of its level below which a model's own error is not known
 _UNKNOWN = 1.0  # % of range, the level of a model that does not say what it left
-_MOVES = 0.2  # spread of a half over that of the whole below which it judges nothing
+_MOVES = 0.2  # spread of a half over that of the whole below which it proves nothing
 
 
 @dataclass(frozen=True)
@@ -77,14 +77,14 @@ class Adaptation(Shown):
         return [{"name": name, **vars(c)} for name, c in self.changed.items()]
 
     def as_json(self) -> dict:
-        """As `pitp adapt --json` has it."""
+        """Write it as `pitp adapt --json` has it."""
         rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in self.changed.items()}
-        told = {"verdict": self.verdict, "changed": rows, "before": self.before, "after": self.after}
-        return {**told, "heldout": self.heldout}
+        values = {"verdict": self.verdict, "changed": rows, "before": self.before, "after": self.after}
+        return {**values, "heldout": self.heldout}
 
 
 def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
-    """Whether a model still holds for what was recorded, and which of its numbers moved.
+    """Test whether a model still holds for what was recorded, and find which of its numbers moved.
 
     Args:
         model: identified or trained, with any effects.
@@ -108,11 +108,12 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
     seen = session(here, records, *begin(here, records), noise)
     middle = float(seen.target[seen.weight > 0].mean())
     factors = factors_of(here, max(r.samples for r in records) * records[0].dt, middle)
+    # the sensor of the day may be another one: its noise is no change of the actuator
     level = float(np.hypot(known_level(model), np.sqrt(np.mean(seen.noise**2))))
     problem, whole = Problem(here, factors, seen, level), np.ones_like(seen.half)
     given = problem.at(np.zeros(len(factors.names)), whole)
     full = problem.fit(np.eye(len(factors.names)), whole, factors.prior, first=problem.guess())
-    spread = covariance(full.residual, full.jacobian, _left(full, seen, level))
+    spread = covariance(full.residual, full.jacobian, _model_error(full, seen, level))
     names = select(full.z, spread, factors)
     if not names:
         return _verdict(model, None, {}, e_rms(given, whole, seen), None, False, level)
@@ -120,7 +121,7 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
     first = combined(moves, full.z, spread)
     best = problem.fit(moves, whole, prior, first=first)
     halves = [seen.half, 1 - seen.half]
-    heldout = all(_moves(seen, h) for h in halves)
+    heldout = all(_moves(seen, h) for h in halves)  # a half that stands still would be explained by any model
     if heldout:
         tried = problem.fit(moves, halves[0], prior, first=first)
         before, after = (e_rms(problem.at(z, halves[1]), halves[1], seen) for z in (given.z, tried.z))
@@ -132,16 +133,16 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
 
 
 def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
-    """A change is kept where it lowers the error; far above the model's own level neither holds."""
+    """Keep a change where it lowers the error; far above the model's own level neither model holds."""
     verdict: Verdict = "unchanged"
-    left = before
+    remaining = before
     if new is not None and after is not None and after < _KEPT * before:
-        verdict, model, left = "adapted", new, after
+        verdict, model, remaining = "adapted", new, after
     else:
         changed = {}
-    if left > _FAR * level:
-        return Adaptation(model, "retrain", changed, before, left, heldout, level, _ADVICE)
-    return Adaptation(model, verdict, changed, before, left, heldout, level)
+    if remaining > _FAR * level:
+        return Adaptation(model, "retrain", changed, before, remaining, heldout, level, _ADVICE)
+    return Adaptation(model, verdict, changed, before, remaining, heldout, level)
 
 
 _ADVICE = (
@@ -151,13 +152,14 @@ _ADVICE = (
 
 
 def known_level(model: Model) -> float:
-    """What a model left of the records it was made from, in % of their range, as its notes have it."""
+    """Read what a model left of the records it was made from, in % of their range, from its notes."""
     try:
-        told = json.loads(model.provenance.notes)
+        notes = json.loads(model.provenance.notes)
         if not isinstance(plain(model.encoder), ConstantEncoder):
-            history = told["training"]["history"]
+            history = notes["training"]["history"]
+            # the history holds means of squares, and the best step is the one handed back
             return float(np.sqrt(min(entry["error"] for entry in history if entry["stage"] == "free runs")))
-        row = next(row for row in told["identification"]["orders"] if row["order"] == model.order)
+        row = next(row for row in notes["identification"]["orders"] if row["order"] == model.order)
         long = model.provenance.long_record
         if long is None:
             return _UNKNOWN
@@ -167,14 +169,15 @@ def known_level(model: Model) -> float:
         return _UNKNOWN
 
 
-def _left(fit: Fit, seen: Session, level: float) -> float:
-    """What a fit leaves beside noise, % of range; a share of the model's own level at least."""
-    left = e_rms(fit, np.ones_like(seen.half), seen) ** 2 - float(np.mean(seen.noise**2))
-    return max(left, (_SURE * level) ** 2) ** 0.5
+def _model_error(fit: Fit, seen: Session, level: float) -> float:
+    """Compute what a fit leaves beside noise, % of range; a fraction of the model's own level at least."""
+    square = e_rms(fit, np.ones_like(seen.half), seen) ** 2 - float(np.mean(seen.noise**2))
+    # a short record may be met by chance: its numbers are then no surer than the model was
+    return max(square, (_SURE * level) ** 2) ** 0.5
 
 
 def _moves(seen: Session, half: np.ndarray) -> bool:
-    """Whether a half of every recording moves enough to tell or to judge."""
+    """Tell whether a half of every recording moves enough to fit on it, and to test on it."""
     counts = seen.weight > 0
     spreads = [[float(np.std(x[c])) if c.sum() > 64 else 0.0 for c in (here, all_)]
                for x, here, all_ in zip(seen.target, counts & (half > 0), counts, strict=True)]  # fmt: skip
@@ -182,11 +185,14 @@ def _moves(seen: Session, half: np.ndarray) -> bool:
 
 
 def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Changed]:
-    """The named ones, with intervals in which the others may be anything: what was not claimed is not known to be 1."""
-    q, found = np.linalg.lstsq(moves, fit.z, rcond=None)[0], {}
+    """Describe the named numbers, with intervals in which the others may be anything.
+
+    A number that was not claimed to have moved is not known to be 1.
+    """
+    q, rows = np.linalg.lstsq(moves, fit.z, rcond=None)[0], {}
     inverse = np.linalg.pinv(moves)
     for k, name in enumerate(names):
-        if name in TILTS:
+        if name in TILTS:  # what is named is the mean over the stroke
             continue
         wide = 1.96 * float(np.sqrt(inverse[k] @ spread @ inverse[k]))
         low, at, high = (factors.factor(name, q[k] + by) for by in (-wide, 0.0, wide))
@@ -194,28 +200,30 @@ def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Chan
         if name in TIMES:
             now, by = factors.own(name) + factors.unit * q[k], factors.unit * wide
             times = float(now), (float(max(now - by, 0.0)), float(now + by))
-        found[name] = Changed(at, (low, high), *times)
-    return found
+        rows[name] = Changed(at, (low, high), *times)
+    return rows
 
 
 def _made(model: Model, factors: Factors, z: np.ndarray, records: Sequence[Record], changed) -> Model:
-    """The adapted model, with what was done to it in its notes."""
+    """Build the adapted model, with what was done to it in its notes."""
     new, source = adapted(model, factors, z, records[0].dt), model.provenance
-    told = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
+    rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
     try:
         notes = json.loads(source.notes)
     except ValueError:
         notes = {}
-    notes["adapted"] = [*notes.get("adapted", []), {"records": [r.name for r in records], "changed": told}]
+    notes["adapted"] = [*notes.get("adapted", []), {"records": [r.name for r in records], "changed": rows}]
     if model.order >= 3:
+        # under an encoder the sections are the units of its logits, and stay those it was trained in
         sections = sections_of(new.physical_coefficients)
         if isinstance(plain(model.encoder), ConstantEncoder) and len(sections) == model.order:
             new = replace(new, scales=replace(new.scales, sections=sections))
+    # the covariance was of the old coefficients, and the misfit of the old records
     known = source.with_(notes=json.dumps(notes), covariance=(), misfit=float("inf"))
     return descended(replace(new, provenance=known.driven_by(records)), "adapt", records, model)
 
 
 def e_rms(fit: Fit, weight: np.ndarray, seen: Session) -> float:
-    """E_rms in % of range, over records in squares."""
+    """Compute e_rms in % of range: records are averaged in squares, each counts alike."""
     counts = (seen.weight > 0) * weight
     return float(np.sqrt(np.mean((fit.residual**2 * counts).sum(1) / np.maximum(counts.sum(1), 1))))

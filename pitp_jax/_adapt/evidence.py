@@ -1,4 +1,4 @@
-"""Which numbers moved: the evidence of every subset, where what a fit leaves is no white noise.
+"""Decide which numbers moved by the evidence of every subset, where what a fit leaves is no white noise.
 
     z_hat ~ N(A q, C),   q ~ N(0, P):    ln p(z_hat, subset) = ln N(z_hat; 0, C + A P A') + ln p(subset)
     C = H^-1 M H^-1 + s^2 / N (J'J / T)^-1,      M = sum_f |e_f|^2 J_f* J_f' / T^2,   H = J'J
@@ -18,27 +18,30 @@ from .factors import TILTS, Factors
 
 _CHANGED, _ALONG = 0.1, 0.3  # probabilities: of any change; that a number is part of it
 _EACH = 4.0  # what a number must lower z' C^-1 z by, once there is a change: two standard deviations
-_ALIGNED = 10.0  # N: on unchanged virtual actuators z' C^-1 z was then at or below its dimension
+_ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at or below its dimension
 
 
 def covariance(
-    residual: Float[np.ndarray, "records time"], jacobian: Float[np.ndarray, "samples numbers"], left: float
+    residual: Float[np.ndarray, "records time"], jacobian: Float[np.ndarray, "samples numbers"], model_error: float
 ) -> Float[np.ndarray, "numbers numbers"]:
-    """C of a least-squares estimate, from its residuals, their slopes, and what is left beside noise."""
+    """Estimate C of a least-squares estimate from its residuals, their slopes, and the model's error beside noise."""
     count = jacobian.shape[1]
     slopes = np.fft.rfft(jacobian.reshape(*residual.shape, -1), axis=1)
     power = np.abs(np.fft.rfft(residual, axis=1)) ** 2
+    # J'e as a sum over frequencies of terms with random phases: their covariances add up
     score = (slopes * np.sqrt(power)[..., None]).reshape(-1, count)
     meat = 2 * (score.conj().T @ score).real / residual.shape[1] ** 2
     weight = (np.abs(slopes) ** 2).sum(-1) * power
-    lines = weight.sum() ** 2 / max((weight**2).sum(), 1e-300)  # that M rests on
+    lines = weight.sum() ** 2 / max((weight**2).sum(), 1e-300)  # effective number of frequencies that M rests on
     inverse = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10, hermitian=True)
     samples = np.count_nonzero(residual)
-    return inverse @ meat @ inverse * lines / max(lines - count, 1.0) + left**2 / _ALIGNED * samples * inverse
+    # lines / (lines - count): the fit has taken `count` of them out of the residual, as degrees of freedom
+    noise = inverse @ meat @ inverse * lines / max(lines - count, 1.0)
+    return noise + model_error**2 / _ALIGNED * samples * inverse
 
 
 def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
-    """Every set of named numbers; gain stands for all coefficients, so beside none.
+    """Yield every set of named numbers; gain stands for all coefficients, so beside none.
 
     The tilts have no names: they come with every coefficient, which is then seldom changed alike over the stroke.
     """
@@ -52,24 +55,29 @@ def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
 
 
 def directions(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
-    """A: what named numbers move, shape (numbers, names)."""
+    """Build A: what named numbers move, shape (numbers, names)."""
     return np.stack([factors.direction(n) for n in names], 1) if names else np.zeros((len(factors.names), 0))
 
 
 def prior_of(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
-    """Standard deviations of named numbers; the gain's is a coefficient's."""
+    """List standard deviations of named numbers; the gain's is a coefficient's."""
     return np.array([factors.prior[0 if n == "gain" else factors.names.index(n)] for n in names])
 
 
 def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ...]:
-    """None where no change has the most evidence; else the subset of least z' C^-1 z + 4 size beside it."""
+    """Choose no number where no change has the most evidence; else the subset of least z' C^-1 z + 4 size beside it.
+
+    Whether anything moved is decided by evidence, with its priors; which numbers moved by the estimate alone, and each
+    must be worth two standard deviations.
+    """
     count = sum(name not in TILTS for name in factors.names)
+    # so that all subsets but the empty one have the probability `_CHANGED` together
     some = np.log(_CHANGED / (1 - _CHANGED)) - np.log(1 - (1 - _ALONG) ** count)
 
     def evidence(names):
         a = directions(factors, names)
         total = spread + (a * prior_of(factors, names) ** 2) @ a.T
-        root = np.sqrt(np.diag(total))
+        root = np.sqrt(np.diag(total))  # unit diagonal: times and logarithms differ by orders of magnitude
         whole = total / np.outer(root, root)
         fit = (z / root) @ np.linalg.solve(whole, z / root)
         size = sum(name not in TILTS for name in names)
@@ -78,14 +86,14 @@ def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ..
 
     def beside(names):
         a = directions(factors, names)
-        rest = z - a @ combined(a, z, spread)
-        return rest @ np.linalg.solve(spread, rest) + _EACH * sum(name not in TILTS for name in names)
+        unmoved = z - a @ combined(a, z, spread)
+        return unmoved @ np.linalg.solve(spread, unmoved) + _EACH * sum(name not in TILTS for name in names)
 
-    every = list(subsets(factors))
+    every = list(subsets(factors))  # the first is the empty one
     return min(every[1:], key=beside) if max(every, key=evidence) else ()
 
 
 def combined(moves: np.ndarray, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Named numbers nearest to an estimate of all: (A' C^-1 A)^-1 A' C^-1 z."""
+    """Combine an estimate of all numbers into the named ones nearest to it: (A' C^-1 A)^-1 A' C^-1 z."""
     weighed = np.linalg.solve(spread, moves)
     return np.linalg.solve(moves.T @ weighed, weighed.T @ z)

@@ -1,4 +1,4 @@
-"""Factors: the few numbers by which one actuator differs from itself on another day, and how they enter any model.
+"""Move a model by factors: the few numbers by which one actuator differs from itself on another day.
 
     stiffness on sigma_0 and the restoring sigma_off,   damping on sigma_1,   inertia on sigma_2,   a3, ... on the rest
     creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus what they became longer
@@ -54,22 +54,22 @@ class Factors(NamedTuple):
     delay: float
 
     def direction(self, name: str) -> np.ndarray:
-        """What one named number moves."""
+        """Build the vector that one named number moves along."""
         if name == "gain":
             return np.where(np.arange(len(self.names)) < self.tokens, -1.0, 0.0)
         return np.eye(len(self.names))[self.names.index(name)]
 
     def lowest(self) -> np.ndarray:
-        """Where a time is zero; no bound on logarithms."""
+        """List where a time is zero; no bound on logarithms."""
         times = {"electrode_tau": -self.tau / self.unit, "delay": -self.delay / self.unit}
         return np.array([times.get(n, -np.inf) for n in self.names])
 
     def own(self, name: str) -> float:
-        """The model's own time of that name, s."""
+        """Look up the model's own time of that name, s."""
         return float(self.tau if name == "electrode_tau" else self.delay)
 
     def factor(self, name: str, q: float) -> float:
-        """The factor of a named number moved by q; nan where the model's own was practically zero."""
+        """Compute the factor of a named number moved by q; nan where the model's own was practically zero."""
         if name not in TIMES:
             return float(np.exp(q))
         own = self.own(name)
@@ -77,10 +77,11 @@ class Factors(NamedTuple):
 
 
 def factors_of(model: Model, seconds: float, middle: float) -> Factors:
-    """The numbers that a recording of so many seconds about this scaled displacement may move in a model."""
+    """Choose the numbers that a recording of so many seconds about this scaled displacement may move in a model."""
     n = model.order
     names = [*_FIRST[: n + 1], *(f"a{i}" for i in range(3, n + 1))]
     prior = [_COEFFICIENT] * (n + 1)
+    # a lag that has not settled twice over looks like a stiffness: it is left as it was
     outlasted = np.asarray(jnp.exp(_lags(model)) < seconds / 2, np.float64)
     if outlasted.any() or any(e.name == "creep" and float(e.tau) < seconds / 2 for e in model.effects):
         names, prior = [*names, "creep"], [*prior, _OTHER]
@@ -102,7 +103,7 @@ def factors_of(model: Model, seconds: float, middle: float) -> Factors:
 
 
 def _lags(model: Model) -> Array:
-    """Logarithms of the time constants of the memories that are lags of x, where an encoder sees them."""
+    """List the logarithms of the time constants of memories that are lags of x, where an encoder sees them."""
     memory = model.memory
     if isinstance(plain(model.encoder), ConstantEncoder) or not isinstance(memory, FadingMemory | RingingMemory):
         return jnp.zeros((0,))
@@ -110,7 +111,7 @@ def _lags(model: Model) -> Array:
 
 
 def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers *rows"], dt: float) -> Model:
-    """The model with these numbers moved; with rows of z, coefficients and factors of the encoder have rows too.
+    """Move these numbers in the model; with rows of z, coefficients and factors of the encoder have rows too.
 
     `dt`: sampling interval of the records, s.
     """
@@ -136,7 +137,7 @@ def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers 
 
 
 def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array) -> AdaptedEncoder:
-    """Around the plain encoder: what was adapted before is adapted on."""
+    """Wrap the plain encoder once: what was adapted before is adapted on, not wrapped again."""
     outlasted = jnp.asarray(factors.outlasted, creep.dtype).reshape(-1, *[1] * creep.ndim)
     offset, lags, tilt = jnp.exp(by["stiffness"]), jnp.exp(outlasted * creep), jnp.stack([by[n] for n in TILTS])
     own, reach = model.encoder, jnp.asarray(factors.reach, creep.dtype)
@@ -147,7 +148,7 @@ def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array)
 
 
 def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
-    """The electrode's lag lengthened, where the model has it: its drive, or an effect."""
+    """Lengthen the electrode's lag where the model has it: in its drive, or in an effect."""
     tau = factors.tau + factors.unit * z
     if isinstance(model.drive, DirectDrive) and any(e.name == "electrode_rc" for e in model.effects):
         place = next(k for k, e in enumerate(model.effects) if e.name == "electrode_rc")
@@ -158,7 +159,7 @@ def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
 
 
 def adapted(model: Model, factors: Factors, z: np.ndarray, dt: float) -> Model:
-    """The model as it is kept: parts that did not move are the old ones."""
+    """Move these numbers in the model as it is kept: parts that did not move are the old ones."""
     by = dict(zip(factors.names, z, strict=True))
     new = moved(model, factors, z, dt)
     if not by.get("electrode_tau"):

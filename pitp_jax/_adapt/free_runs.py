@@ -1,4 +1,4 @@
-"""Free runs of a model under many sets of its factors at once, beside the recordings.
+"""Fit free runs of a model to recordings, under many sets of its factors at once.
 
     e = 100 (d (y - zero) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
 
@@ -28,13 +28,14 @@ from .._simulate.decoder import rollout
 from .._simulate.prediction import FAR
 from .factors import Factors, moved
 
-_STEP, _LATER = 3e-3, 0.02  # of forward differences: logarithms; times, and first states in scales
-_MOST, _ENOUGH = 10, 1e-3  # batches of a fit, and the relative decrease below which it ends
+# of forward differences: logarithms; times, and first states in scales: a run in float32 rounds at 1e-6 of its range
+_STEP, _LATER = 3e-3, 0.02
+_BATCHES, _ENOUGH = 10, 1e-3  # at most in a fit, and the relative decrease below which it ends
 _RESONANCES = np.linspace(-0.4, 0.4, 17)  # logarithms of the inertias that a fit may start from
 _BLOCKS = 8
 _LOOSE = 0.3  # prior of a first state's shift, in scales of the state
 _INDEPENDENT = 100.0  # values a recording counts as, beside the priors
-_ZERO = 0.2  # prior of a zero that the beginning does not tell, in ranges
+_ZERO = 0.2  # prior of a zero that the beginning does not show, in ranges
 
 
 class Session(NamedTuple):
@@ -66,8 +67,8 @@ class Session(NamedTuple):
 def session(
     model: Model, records: Sequence[Record], starts, spent: Sequence[int], begun: Sequence[Beginning], noise
 ) -> Session:
-    """Recordings of one sampling rate, from `begin` of `_simulate.prediction`; `noise` of each sensor (m)."""
-    size = -(-max(r.samples for r in records) // 1024) * 1024
+    """Prepare recordings of one sampling rate, from `begin` of `_simulate.prediction`; `noise` of each sensor (m)."""
+    size = -(-max(r.samples for r in records) // 1024) * 1024  # few lengths, few programs to compile
     voltage, target, weight, half = (np.zeros((len(records), size)) for _ in range(4))
     loose, floor = np.zeros(len(records)), np.zeros(len(records))
     for k, (r, b) in enumerate(zip(records, begun, strict=True)):
@@ -90,14 +91,15 @@ def runs(
     model: Model, factors: Factors, z: Float[Array, "rows numbers"], start: Float[Array, "rows state"],
     voltage: Float[Array, "rows time"], held: Float[Array, " rows"] | None, dt: float,
 ) -> Float[Array, "rows time"]:  # fmt: skip
-    """Scaled readings of every row under its own numbers; `held`: 1 where its start is the equilibrium of u(0)."""
+    """Run every row under its own numbers: scaled readings; `held`: 1 where its start is the equilibrium of u(0)."""
     if held is not None:
 
         def settled(z, u):
             return held_states(moved(model, factors, z, dt), u[None], dt, jnp.zeros(1, z.dtype))[0]
 
-        found = jax.vmap(settled)(z, voltage[:, 0])
-        start = jnp.where((held > 0)[:, None] & jnp.isfinite(found), found, start)
+        # a softer actuator is held further out: with the old equilibrium its run would begin with a transient
+        equilibrium = jax.vmap(settled)(z, voltage[:, 0])
+        start = jnp.where((held > 0)[:, None] & jnp.isfinite(equilibrium), equilibrium, start)
     if not in_rows(model):
 
         def one(z, s, u):
@@ -133,7 +135,7 @@ class Problem:
         self.shifts = seen.start.shape[1] if self.moving else 0
 
     def readings(self, z: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """Rows of (numbers, shift of the first state) to scaled readings, shape (rows, records, T)."""
+        """Run rows of (numbers, shift of the first state): scaled readings, shape (rows, records, T)."""
         s, records, wanted = self.seen, len(self.seen.voltage), len(z)
         rows = 1 + len(self.factors.names) + len(self.moving) * self.shifts  # always: one program for every fit
         z, shift = (np.concatenate([a, np.repeat(a[:1], rows - wanted, 0)]) for a in (z, shift))
@@ -149,32 +151,33 @@ class Problem:
         return np.asarray(y, np.float64).reshape(rows, records, -1)[:wanted]
 
     def at(self, z: np.ndarray, weight: np.ndarray) -> Fit:
-        """These numbers, nuisance numbers alone fitted."""
+        """Fit the nuisance numbers alone (zeros, first states), at these numbers."""
         return self.fit(np.zeros((len(z), 0)), weight, np.zeros(0), fixed=z)
 
     def guess(self) -> np.ndarray:
-        """Where least squares starts: the best of a row of inertias (else stiffnesses), each with its best gain.
+        """Choose where least squares starts: the best of a row of inertias (else stiffnesses), each at its best gain.
 
         A resonance that has moved by more than its width turns the phase over: no way down leads past that.
         """
         s, names = self.seen, self.factors.names
         axis, gain = self.factors.direction(names[min(2, self.factors.tokens - 1)]), self.factors.direction("gain")
-        rows, found = 1 + len(names), []
+        rows, guesses = 1 + len(names), []
         tried = np.concatenate([[0.0], np.delete(_RESONANCES, len(_RESONANCES) // 2)])
         for first in range(0, len(tried), rows):
             z = tried[first : first + rows, None] * axis
             y = self.readings(z, np.tile(np.zeros(len(self.moving) * self.shifts), (len(z), 1)))
+            # a run that was lost counts as far off, so that it is never chosen
             for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
                 want = s.weight * s.target
-                share = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
-                found.append((float(((share * run - want) ** 2).sum()), here + np.log(share) * gain))
-        return min(found, key=lambda f: f[0])[1]
+                ratio = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
+                guesses.append((float(((ratio * run - want) ** 2).sum()), here + np.log(ratio) * gain))
+        return min(guesses, key=lambda g: g[0])[1]
 
     def fit(
         self, free: np.ndarray, weight: np.ndarray, prior: np.ndarray, *,
         first: np.ndarray | None = None, fixed: np.ndarray | float = 0.0,
     ) -> Fit:  # fmt: skip
-        """The numbers z = fixed + free q of least squares, nuisance numbers beside them.
+        """Fit the numbers z = fixed + free q by least squares, nuisance numbers beside them.
 
         Args:
             free: directions that may move, shape (numbers, q).
@@ -186,6 +189,7 @@ class Problem:
         s, count, records = self.seen, free.shape[1], len(self.seen.voltage)
         shifts = len(self.moving) * self.shifts
         scale, target = (s.weight * weight).reshape(-1), s.target.reshape(-1)
+        # residuals are far from independent: a recording counts as 100 values of the model's own level
         unit = np.sqrt(_INDEPENDENT / max((scale > 0).sum(), 1)) / self.level
         spread = np.concatenate([prior, np.full(shifts, _LOOSE), np.maximum(s.loose, 1e-6)])
         owner = np.repeat(np.arange(records), s.voltage.shape[1])
@@ -202,7 +206,7 @@ class Problem:
             if not np.isfinite(y).all() or np.abs(y).max() > FAR:
                 return Normal(np.inf, np.zeros(len(p)), np.eye(len(p)))
             e = scale * (y[0] - target) + zeros @ p[count + shifts :]
-            jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / size, zeros], 1)
+            jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / size, zeros], 1)  # a zero adds itself, exactly
             cost = unit**2 * e @ e + np.sum((p / spread) ** 2)
             tried.append((cost, base, e, jacobian))
             gradient = unit**2 * jacobian.T @ e + p / spread**2
@@ -210,14 +214,15 @@ class Problem:
 
         start = np.concatenate([np.zeros(count) if first is None else first, np.zeros(shifts + records)])
         upper, before = np.full(len(start), np.inf), np.inf
-        upper[:count][~times] = np.log(10.0)
+        upper[:count][~times] = np.log(10.0)  # also marks the logarithms, whose steps `steps` keeps short
         for _, here, met in steps(normal, start, upper):
-            if met or len(tried) >= _MOST or before - here.cost < _ENOUGH * before:
+            if met or len(tried) >= _BATCHES or before - here.cost < _ENOUGH * before:
                 break
             before = here.cost
         if not tried:
             raise BadInput("the model diverges on this recording; check units and columns with `pitp predict`")
         _, z, e, jacobian = min(tried, key=lambda t: t[0])
         inner, other = jacobian[:, :count], jacobian[:, count:]
-        share = np.linalg.lstsq(other.T @ other, other.T @ inner, rcond=1e-9)[0]
-        return Fit(z, e.reshape(records, -1), inner - other @ share)
+        # what zeros and first states could take over says nothing about the numbers
+        taken = np.linalg.lstsq(other.T @ other, other.T @ inner, rcond=1e-9)[0]
+        return Fit(z, e.reshape(records, -1), inner - other @ taken)

@@ -9,7 +9,7 @@ from .._record.record import Record
 from .._report import html
 from .._report.html import tag
 from .._report.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
-from .._report.numbers import figure, with_error
+from .._report.numbers import figure, shown_unit, with_error
 from .._table.units import from_base
 from .check import Check, CheckedRecord
 
@@ -53,8 +53,9 @@ def _table(found: Check) -> list[str]:
 
 def _cells(row: CheckedRecord) -> Sequence[str]:
     band = "–" if row.band_hz is None else " to ".join(dict.fromkeys(figure(f, 3) for f in row.band_hz))
-    zero = "–" if row.zero is None else with_error(row.zero, row.zero_stderr, row.unit or "")
-    noise = "–" if row.noise is None else f"{figure(row.noise, 2)} {row.unit} {row.noise_colour or ''}"
+    unit = shown_unit(row.unit or "")
+    zero = "–" if row.zero is None else with_error(row.zero, row.zero_stderr, unit)
+    noise = "–" if row.noise is None else f"{figure(row.noise, 2)} {unit} {row.noise_colour or ''}"
     read = "; ".join(str(row.recognised[k]) for k in ("file", "input", "output") if k in row.recognised)
     counts = (row.missing, row.outliers)
     return (
@@ -106,5 +107,5 @@ def _drawn(record: Record) -> Figure:
     line(upper, time, from_base(record.displacement, unit, "displacement"), color=MEASURED, lw=1.0)
     drive, label = volts(record.voltage)
     line(lower, time, drive, color=DRIVE, lw=1.0)
-    finish(np.array([upper, lower]), "time (s)", [f"output ({unit})", label])
+    finish(np.array([upper, lower]), "time (s)", [f"output ({shown_unit(unit)})", label])
     return upper.figure

@@ -2,12 +2,11 @@
 
 from .._adapt.adaptation import Adaptation
 from .._adapt.adaptation import adapt as run_adaptation
-from .._model_file.model_file import load, save
+from .._model_file.model_file import save
 from .._record.writing import write_bytes_atomic
-from .compatibility import check_suits
 from .console import number, print_table
-from .outputs import check_files, staged_files, write_json
-from .recordings import is_square, read_records
+from .outputs import check_outputs, staged
+from .recordings import open_both
 
 
 def adapt(model, records, out, json_file, reading) -> None:
@@ -23,20 +22,15 @@ def adapt(model, records, out, json_file, reading) -> None:
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_files(out, json_file, inputs=[model, *records])
-    loaded = load(model)
-    read_in = read_records(records, reading, square=is_square(loaded))
-    check_files(out, json_file, inputs=[model, *(r.source for r in read_in)])
-    check_suits(loaded, model, read_in)
+    check_outputs(out, json_file, inputs=[model, *records])
+    loaded, read_in = open_both(model, records, reading)
     found = run_adaptation(loaded, read_in)
-    with staged_files(out, json_file) as (out_stage, json_stage):
+    with staged(file=out, json_file=json_file, value=found.as_json()) as stage:
         if found.model is loaded:
             with open(model, "rb") as given:
-                write_bytes_atomic(out_stage, given.read())
+                write_bytes_atomic(stage, given.read())
         else:
-            save(out_stage, found.model)
-        if json_file:
-            write_json(json_stage, found.as_json())
+            save(stage, found.model)
     print_adaptation(found)
 
 

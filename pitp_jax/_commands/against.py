@@ -10,12 +10,13 @@ from .._against.entry import with_lineage
 from .._against.page import figures, page
 from .._diagnose.report.page import report
 from .._model_file.model_file import save
-from .._record.writing import write_csv, write_text_atomic
+from .._record.writing import write_text_atomic
+from .._report.drawn import write_figure
 from .console import StatusLine, number, print_table, say
-from .outputs import check_files, check_folder, staged_result, write_json
+from .outputs import REPORT, check_outputs, staged, write_json
 from .recordings import read_records, warn
 
-MODEL, PAGE, ROBOT, JSON, FIGURES = "model_augmented", "report.html", "robot.html", "diagnosis.json", "figures"
+MODEL, ROBOT, JSON = "model_augmented", "robot.html", "diagnosis.json"
 
 
 def against(records, simulated, position_gain, seconds, out, json_file, reading) -> None:
@@ -33,12 +34,8 @@ def against(records, simulated, position_gain, seconds, out, json_file, reading)
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_files(json_file, inputs=[*records, *simulated])
+    check_outputs(json_file, folder=out, names=[MODEL, REPORT, ROBOT, JSON], inputs=[*records, *simulated])
     sets = [read_records(paths, reading, square=False) for paths in (records, simulated)]
-    sources = [r.source for one in sets for r in one]
-    check_files(json_file, inputs=sources)
-    if out is not None:
-        check_folder(out, [MODEL, PAGE, ROBOT, JSON], inputs=[*sources, *([json_file] if json_file else [])])
     warn(sets[0])
     status = StatusLine()
     limit = np.inf if seconds is None else seconds
@@ -46,23 +43,21 @@ def against(records, simulated, position_gain, seconds, out, json_file, reading)
         sets[0], against=sets[1], position_gain=position_gain, seconds=limit, progress=status.update
     )  # fmt: skip
     status.close()
-    with staged_result(json_file, found.as_json(), out) as stage:
-        if stage is not None:
+    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+        if out is not None:
             _write(found, stage)
     _print(found)
     if out is not None:
-        say(f"wrote {Path(out) / PAGE}, its figures, {JSON} and {MODEL}")
+        say(f"wrote {Path(out) / REPORT}, its figures, {JSON} and {MODEL}")
 
 
 def _write(found: SimToReal, folder: Path) -> None:
-    write_text_atomic(folder / PAGE, page(found))
+    write_text_atomic(folder / REPORT, page(found))
     write_text_atomic(folder / ROBOT, report(found.robot))
-    write_json(str(folder / JSON), found.as_json())
+    write_json(folder / JSON, found.as_json())
     save(folder / MODEL, with_lineage(found))
-    (folder / FIGURES).mkdir()
     for name, (drawn, columns, _) in figures(found).items():
-        drawn.savefig(folder / FIGURES / f"{name}.png", dpi=150)
-        write_csv(folder / FIGURES / f"{name}.csv", columns)
+        write_figure(folder, name, drawn, columns)
 
 
 def _print(found: SimToReal) -> None:

@@ -11,7 +11,7 @@ from .._record.writing import write_csv, write_text_atomic
 from .._table.options import folder_file
 from .._table.units import base_unit, column_name
 from .console import number, print_table, say
-from .outputs import check_files, check_folder, staged_result
+from .outputs import check_outputs, staged
 from .recordings import recognised
 
 PAGE, SOURCE = "check.html", "source.toml"
@@ -30,8 +30,7 @@ def check(records, model, out, json_file, reading) -> None:
     Raises:
         BadInput: nothing could be read; with nothing written.
     """
-    inputs = [*records, *([model] if model else [])]
-    check_files(json_file, inputs=inputs)
+    check_outputs(json_file, folder=out, inputs=[*records, model])
     loaded = load(model) if model else None
     read_in, refused = read_each(records, reading)
     for line in recognised(read_in):
@@ -40,12 +39,9 @@ def check(records, model, out, json_file, reading) -> None:
         say(f"warning: not read: {line}")
     found = checked(read_in, loaded, refused)
     files = {r.name: f"{r.name.lstrip('/')}.csv" for r in found.understood}
-    sources = [*inputs, *(r.source for r in read_in)]
-    check_files(json_file, inputs=sources)
-    if out is not None:
-        check_folder(out, [*files.values(), PAGE, SOURCE], inputs=[*sources, *([json_file] if json_file else [])])
-    with staged_result(json_file, found.as_json(), out) as stage:
-        if stage is not None:
+    check_outputs(json_file, folder=out, names=[*files.values(), PAGE, SOURCE], inputs=[*records, model])
+    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+        if out is not None:
             _write(found, files, stage)
     _print(found)
     if out is not None:

@@ -10,9 +10,10 @@ from .._compare.page import figures, page
 from .._errors import BadInput
 from .._model_file.model_file import is_model_file, load
 from .._record.reading import read
-from .._record.writing import write_csv, write_text_atomic
+from .._record.writing import write_text_atomic
+from .._report.drawn import write_figure
 from .console import number, print_table
-from .outputs import check_files, check_folder, staged_result
+from .outputs import check_outputs, staged
 
 PAGE, DIAGNOSIS = "compare.html", "diagnosis.json"
 
@@ -29,12 +30,10 @@ def compare(a, b, out, json_file, reading) -> None:
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_files(json_file, inputs=[a, b])
-    if out is not None:
-        check_folder(out, [PAGE], inputs=[a, b])
+    check_outputs(json_file, folder=out, names=[PAGE], inputs=[a, b])
     found = run_compare(_opened(a, reading), _opened(b, reading), names=_names(a, b))
-    with staged_result(json_file, found.as_json(), out) as stage:
-        if stage is not None:
+    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+        if out is not None:
             _write(found, stage)
     _print(found)
     if out is not None:
@@ -71,9 +70,7 @@ def _names(a: str, b: str) -> tuple[str, str]:
 def _write(found: Comparison, folder: Path) -> None:
     write_text_atomic(folder / PAGE, page(found))
     for name, (drawn, columns) in figures(found).items():
-        (folder / "figures").mkdir(exist_ok=True)
-        drawn.savefig(folder / "figures" / f"{name}.png", dpi=150)
-        write_csv(folder / "figures" / f"{name}.csv", columns)
+        write_figure(folder, name, drawn, columns)
 
 
 def _print(found: Comparison) -> None:

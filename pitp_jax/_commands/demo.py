@@ -7,7 +7,7 @@ from .._demo import files, joint
 from .._demo.protocol import run, tables
 from .._errors import BadInput
 from .console import ProgressBar, number, print_table, say
-from .outputs import check_files, check_folder, staged_folder, write_json
+from .outputs import check_outputs, staged
 
 
 def demo(plant, out, quick, json_file=None) -> None:
@@ -22,18 +22,15 @@ def demo(plant, out, quick, json_file=None) -> None:
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_files(json_file)
     if plant == "joint":
         _joint(out, quick, json_file)
         return
-    check_folder(out, files.FILES)
+    check_outputs(json_file, folder=out, names=files.FILES)
     _check_recordings(Path(out), files.recordings(plant, quick))
     found = run(plant, quick=quick, say=say, progress=ProgressBar().update)
-    with staged_folder(out) as stage:
-        files.write(found, stage)
     made = tables(found)
-    if json_file:
-        write_json(json_file, {"tables": [asdict(table) for table in made]})
+    with staged(folder=out, json_file=json_file, value={"tables": [asdict(table) for table in made]}) as stage:
+        files.write(found, stage)
     for table in made:
         print(table.title)
         rows = [[cell if isinstance(cell, str) else number(cell, 3) for cell in row] for row in table.rows]
@@ -45,13 +42,11 @@ def demo(plant, out, quick, json_file=None) -> None:
 
 def _joint(out: str, quick: bool, json_file: str | None) -> None:
     """Write the recordings of a joint and of its simulator, and print what differs between the two."""
-    check_folder(out, joint.recordings())
+    check_outputs(json_file, folder=out, names=joint.recordings())
     _check_recordings(Path(out), joint.recordings())
-    with staged_folder(out) as stage:
-        joint.write(stage, quick=quick)
     ideal, real = asdict(joint.IDEAL), asdict(joint.REAL)
-    if json_file:
-        write_json(json_file, {"simulator": ideal, "robot": real})
+    with staged(folder=out, json_file=json_file, value={"simulator": ideal, "robot": real}) as stage:
+        joint.write(stage, quick=quick)
     units = {"friction": "N m", "delay": "s", "backlash": "rad"}
     rows = [(name, number(ideal[name]), number(real[name]), unit) for name, unit in units.items()]
     print_table(("what differs", "simulator", "robot", "unit"), rows)

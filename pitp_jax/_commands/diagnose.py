@@ -11,16 +11,15 @@ from .._diagnose.report.figures import FIGURES, figures
 from .._diagnose.report.page import report
 from .._errors import BadInput
 from .._model_file.lineage import descended
-from .._model_file.model_file import load, save
+from .._model_file.model_file import save
 from .._record.writing import write_csv, write_text_atomic
 from .._report.drawn import write_figure
 from .against import against as diagnose_against
-from .compatibility import check_suits
 from .console import StatusLine, number, print_table, say
-from .outputs import check_files, check_folder, staged_result, write_json
-from .recordings import is_square, read_records, warn
+from .outputs import REPORT, check_outputs, staged, write_json
+from .recordings import open_both, warn
 
-MODEL, REPORT, JSON = "model_augmented", "report.html", "diagnosis.json"
+MODEL, JSON = "model_augmented", "diagnosis.json"
 FILES = (MODEL, REPORT, JSON, NEXT_CSV, *(f"figures/{name}.{kind}" for name in FIGURES for kind in ("png", "csv")))
 _ROWS = 8  # of the ranking on standard output
 
@@ -51,14 +50,8 @@ def diagnose(
         return
     if position_gain is not None:
         raise BadInput("--position-gain is for --against: it is the simulator's")
-    check_files(json_file, inputs=[nominal, *records])
-    model = load(nominal)
-    read_in = read_records(records, reading, square=is_square(model))
-    sources = [nominal, *(r.source for r in read_in)]
-    check_files(json_file, inputs=sources)
-    if out is not None:
-        check_folder(out, FILES, inputs=[*sources, *([json_file] if json_file else [])])
-    check_suits(model, nominal, read_in)
+    check_outputs(json_file, folder=out, names=FILES, inputs=[nominal, *records])
+    model, read_in = open_both(nominal, records, reading)
     warn(read_in)
     say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
     status = StatusLine()
@@ -66,13 +59,13 @@ def diagnose(
     found = run_diagnosis(model, read_in, refit_nominal=refit_nominal, seconds=limit, progress=status.update)
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and found.next_experiment is not None else None
-    written = set()
-    with staged_result(json_file, found.as_json(csv), out) as stage:
-        if stage is not None:
-            written = _write(found, stage)
-            write_json(str(stage / JSON), found.as_json(csv))
-            written.add(JSON)
+    written: set[str] = set()
+    with staged(folder=out, json_file=json_file, value=found.as_json(csv)) as stage:
+        if out is not None:
+            _write(found, stage)
+            write_json(stage / JSON, found.as_json(csv))
             save(stage / MODEL, descended(found.model, "diagnose", read_in, model))
+            written = {path.relative_to(stage).as_posix() for path in stage.rglob("*")}
     print(found)
     _print_ranking(found)
     if out is not None:
@@ -84,15 +77,14 @@ def diagnose(
             print(f"next experiment, to tell {' from '.join(found.next_experiment.separates)}: {csv}")
 
 
-def _write(found: Diagnosis, folder: Path) -> set[str]:
-    """Everything into an existing folder; the names of what was written."""
+def _write(found: Diagnosis, folder: Path) -> None:
+    """The page, its figures and the next experiment into an existing folder."""
     write_text_atomic(folder / REPORT, report(found))
     for name, drawn in figures(found).items():
-        write_figure(folder / "figures", name, drawn)
+        write_figure(folder, name, drawn)
     experiment = found.next_experiment
     if experiment is not None:
         write_csv(folder / NEXT_CSV, {"time_s": experiment.time, "voltage_V": experiment.voltage})
-    return {MODEL, *(path.relative_to(folder).as_posix() for path in folder.rglob("*"))}
 
 
 def _print_ranking(found: Diagnosis) -> None:

@@ -12,7 +12,7 @@ from .._errors import BadInput
 def once_per_joint(arguments: dict) -> Iterator[dict]:
     """The arguments of a command, once, or for every `--each NAME=INPUT,OUTPUT` with its columns and its outputs.
 
-    A folder gets a folder NAME for each, a file the name `stem.NAME.suffix`.
+    A folder gets a folder NAME for each and links to their pages, a file the name `stem.NAME.suffix`.
 
     Args:
         arguments: of the command; `each` is taken out.
@@ -41,6 +41,11 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
                 own[key] = _own_place(own[key], name)
         print(f"== {name}")
         yield own
+    for place in (arguments.get("out"), arguments.get("report")):
+        if place is not None and Path(place).is_dir():
+            from .outputs import write_index  # with it comes NumPy: a mistyped option is answered without
+
+            write_index(Path(place), Path(place))
 
 
 def _own_place(path: str, name: str) -> str:

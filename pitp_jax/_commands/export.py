@@ -6,7 +6,7 @@ from .._errors import BadInput
 from .._export import export_c, export_fmu, export_matlab, loop_text, pi_gains
 from .._model_file.model_file import load
 from .console import number
-from .outputs import check_files, write_json
+from .outputs import check_outputs, write_json
 
 
 def export(model, to, out, steps, precision, time_constant, fmi, name, json_file=None) -> None:
@@ -32,7 +32,7 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
         raise BadInput(f"--time-constant {time_constant:g} is for --to c: FMU and MATLAB have no PI step")
     if precision == "single" and to == "matlab":
         raise BadInput("--precision single is for --to c and fmu: MATLAB computes in double")
-    check_files(json_file, inputs=[model])
+    check_outputs(json_file, inputs=[model])
     loaded, options = load(model), {"name": name, "rate": steps}
     if to == "matlab":
         cost = export_matlab(loaded, out, **options)
@@ -47,10 +47,8 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
     gains = pi_gains(loaded, 1 / rate, time_constant) if to == "c" else None
     if gains is not None:
         print(f"PI on the force: {loop_text(gains)}")
-    if json_file:
-        told = {"to": to, "folder": str(out), "name": name, "rate_hz": rate, "rate_costs_e_rms_percent": cost}
-        told |= {"pi": None if gains is None else asdict(gains)}
-        write_json(json_file, told)
+    told = {"to": to, "folder": str(out), "name": name, "rate_hz": rate, "rate_costs_e_rms_percent": cost}
+    write_json(json_file, told | {"pi": None if gains is None else asdict(gains)})
     if cost is not None:
         own = number(1 / loaded.provenance.dt)
         print(f"at this rate instead of the model's {own} Hz it predicts {number(cost, 2)} % of range off (e_rms)")

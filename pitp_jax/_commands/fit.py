@@ -20,7 +20,7 @@ from .._train.training import train
 from .compatibility import check_suits
 from .console import ProgressBar, number, say
 from .fit_errors import errors_told, print_errors, suspects
-from .outputs import REPORT, check_files, check_folder, staged_folder, write_json
+from .outputs import REPORT, check_outputs, staged, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
 from .reports import listed, print_history
@@ -49,12 +49,9 @@ def fit(
         BadInput, ComputationFailed: with nothing written.
         KeyboardInterrupt: interrupted; the best complete model is written where a stage was complete.
     """
-    check_files(out, json_file, inputs=[*records, *([nominal] if nominal else [])])
+    check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
     start = _given(nominal, order, input_map) if nominal else None
-    if report is not None:
-        check_folder(report, [REPORT], inputs=[out, *records])
     read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
-    check_files(out, json_file, inputs=[r.source for r in read_in])
     warn(read_in)
 
     def identified(some):
@@ -87,9 +84,8 @@ def fit(
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
-    if json_file:
-        write_json(json_file, {**errors_told(done.errors, held_out), "problems": list(done.problems),
-                               "fallback": done.fallback})  # fmt: skip
+    told = {**errors_told(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback}
+    write_json(json_file, told)
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 
@@ -99,7 +95,7 @@ def _report(model: Model, records: Sequence[Record], folder: str, name: str) -> 
 
     runs = predict(model, records)
     scores = {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
-    with staged_folder(folder) as stage:
+    with staged(folder=folder) as stage:
         write_text_atomic(stage / REPORT, fit_page(model, records, runs, scores, name))
 
 

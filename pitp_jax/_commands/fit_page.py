@@ -5,6 +5,7 @@ time constants of the memory,   spectrum of predicted - measured beside the meas
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +20,12 @@ from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
 from .._report import html
 from .._report.html import tag
-from .._report.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, own_axes
-from .._report.numbers import figure, shown_unit
-from .._report.paper_figures import prediction as beside
-from .._simulate.prediction import Prediction
-from .._table.units import base_unit, from_base
+from .._report.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, line, over, own_axes
+from .._report.numbers import figure, shown_unit, with_error
+from .._simulate.prediction import Prediction, predict
+from .._table.units import from_base
 
+_KNOWN = 0.5  # standard error of ln tau above which a time constant is a guess
 _SHOWN = 12  # records drawn, the worst first
 
 
@@ -83,28 +84,67 @@ def _error(row: dict) -> float:
 def _cards(model: Model, records, predictions, scores) -> list[str]:
     outside = 100 * float(np.mean([p.outside_training_share for p in predictions]))
     moved = [p.name for p in predictions if p.begins != "rest"]
-    lines = [f"{figure(outside, 2)} % of the samples lie outside the trained region."]
+    farthest = max(predictions, key=lambda p: p.outside_training_share)
+    where = f", most in {farthest.name}: {farthest.outside_training}" if farthest.outside_training else ""
+    lines = [f"{figure(outside, 2)} % of the samples lie outside the trained region{where}."]
     lines += [f"{len(moved)} of {len(predictions)} do not begin at rest."] if moved else []
     lost = sum(p.diverged for p in predictions)
     nrmse = [row["nrmse_percent"] for row in scores.values() if row["nrmse_percent"] is not None]
     big = f"{figure(float(np.median(nrmse)), 2)} % of std" if nrmse else "–"
     memory = model.memory
-    taus = np.exp(np.asarray(memory.log_tau)) if isinstance(memory, FadingMemory | RingingMemory) else ()
-    told = ", ".join(f"{figure(float(t), 2)} s" for t in np.sort(taus)) or "none"
+    fading = memory_times(model, records, predictions)
     hertz = float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
     mass = [f"and a second mass at {figure(hertz)} Hz"] if hertz else []
+    what = (
+        [tag("p", "Times in which the past motion fades (creep of the film), with standard errors.")] if fading else []
+    )
     return [
         html.card("Error", big, html.bullets([*lines, *([f"{lost} diverged."] if lost else [])])),
         html.card("Model", f"order {model.order}, {figure(model.natural_frequency / (2 * np.pi))} Hz",
                   html.bullets([e.name for e in model.effects])),
-        html.card("Memory", told, html.bullets(mass)),
+        html.card("Memory", "" if fading else "none", *what, html.bullets([*fading, *mass])),
     ]  # fmt: skip
 
 
+def memory_times(model: Model, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
+    """Every time constant with its standard error, as these records determine them when all else is held.
+
+    J_k = dx / d ln tau_k,   covariance of ln tau = s^2 (J'J)^-1 (samples / independent ones)
+
+    The error is coloured: its lag-1 correlation r leaves (1 - r) / (1 + r) of the samples independent.
+    """
+    memory, step = model.memory, 0.05
+    if not isinstance(memory, FadingMemory | RingingMemory):
+        return []
+    whole = [(r, p) for r, p in zip(records, predictions, strict=True) if not p.diverged]
+    if not whole:
+        return [f"{figure(float(t), 2)} s" for t in np.sort(np.exp(memory.log_tau))]
+    records, predictions = zip(*whole, strict=True)
+    counted = [p.scored & np.isfinite(r.displacement) for r, p in zip(records, predictions, strict=True)]
+    columns = []
+    for k in range(len(memory.log_tau)):
+        moved = replace(model, memory=replace(memory, log_tau=memory.log_tau.at[k].add(step)))
+        runs = predict(moved, records)
+        change = [(run.displacement - p.displacement) / step for run, p in zip(runs, predictions, strict=True)]
+        columns.append(np.concatenate([c[use] for c, use in zip(change, counted, strict=True)]))
+    errors = [(p.displacement - r.displacement)[use] for r, p, use in zip(records, predictions, counted, strict=True)]
+    error, jacobian = np.concatenate(errors), np.stack(columns, -1)
+    pairs = sum(float(e[1:] @ e[:-1]) for e in errors)
+    kept = max((1 - pairs / (error @ error)) / (1 + pairs / (error @ error)), 1 / len(error))
+    scatter = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * np.mean(error**2) / kept
+    found = sorted(zip(np.exp(np.asarray(memory.log_tau, float)), np.sqrt(np.diag(scatter)), strict=True))
+    return [with_error(t, t * e, "s") if e < _KNOWN else f"{figure(t, 2)} s, not determined" for t, e in found]
+
+
 def _run(record: Record, run: Prediction) -> Figure:
-    unit = base_unit(record.displacement_unit)
-    axes = beside(record.time - record.time[0], record.displacement, run.displacement, unit=unit)
-    return axes[0].figure
+    unit, time = record.displacement_unit, record.time - record.time[0]
+    measured, predicted = (from_base(x, unit, "displacement") for x in (record.displacement, run.displacement))
+    upper, lower = own_axes(None, 2, (5.0, 3.2), (2.4, 1.0))
+    line(upper, time, measured, color=MEASURED, lw=2.4, label="measured")
+    line(upper, time, predicted, color=PREDICTED, lw=1.0, label="predicted", **over(predicted))
+    line(lower, time, predicted - measured, color=ERROR, lw=0.8)
+    finish(np.array([upper, lower]), "time (s)", [f"output ({shown_unit(unit)})", "error"])
+    return upper.figure
 
 
 def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:

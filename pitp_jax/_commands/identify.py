@@ -6,7 +6,7 @@ from .._model_file.model_file import save
 from .._report.description import describe
 from .._table.units import from_base
 from .console import number, print_table, say
-from .outputs import check_files, staged_files, write_json
+from .outputs import check_outputs, staged
 from .recordings import read_records, warn
 from .reports import print_beginnings, print_model
 
@@ -26,17 +26,15 @@ def identify(records, out, order, input_map, learn, json_file, reading) -> None:
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    check_files(out, json_file, inputs=records)
+    check_outputs(out, json_file, inputs=records)
     read_in = read_records(records, reading, square=input_map == "square")
-    check_files(out, json_file, inputs=[r.source for r in read_in])
     warn(read_in)
     found = run_identify(read_in, order=order, input_map=input_map, learn=learn, progress=say)
     told = describe(found.model)
-    with staged_files(out, json_file) as (out_stage, json_stage):
-        save(out_stage, found.model)
-        if json_file:
-            write_json(json_stage, {**told, "orders": [vars(fit) for fit in found.orders], "rest": found.rest,
-                                    "beginnings": {name: vars(b) for name, b in found.beginnings.items()}})  # fmt: skip
+    orders, beginnings = [vars(fit) for fit in found.orders], {name: vars(b) for name, b in found.beginnings.items()}
+    value = {**told, "orders": orders, "rest": found.rest, "beginnings": beginnings}
+    with staged(file=out, json_file=json_file, value=value) as stage:
+        save(stage, found.model)
     unit = read_in[0].displacement_unit
     print_orders(found, unit)
     print_model(told)

@@ -6,7 +6,7 @@ from .._model_file.lineage import lineage
 from .._model_file.model_file import digest, load
 from .._report.description import describe, notes
 from .console import number
-from .outputs import check_files, write_json
+from .outputs import check_outputs, write_json
 from .reports import print_model
 
 
@@ -23,10 +23,9 @@ def info(model, others, json_file) -> None:
     """
     if others:
         raise BadInput(f"info describes one model; to see what differs: pitp compare {model} {others[0]}")
-    check_files(json_file, inputs=[model])
+    check_outputs(json_file, inputs=[model])
     told = traced(load(model))
-    if json_file:
-        write_json(json_file, told)
+    write_json(json_file, told)
     print_model(told)
     print_lineage(told)
 

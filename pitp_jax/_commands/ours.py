@@ -52,8 +52,13 @@ def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) 
     """
     names = list(names)
     pages = [folder / name for name in names if name.endswith(".html")]
-    if not pages or any(page.is_file() and b"--ink" in page.read_bytes()[:_HEAD] for page in pages):
+    if not pages or any(map(is_page, pages)):
         return
     for name in names:
         if name.endswith((".csv", ".html")):
             check_replaceable(folder / name, f"{shown}/{name}")
+
+
+def is_page(file: Path) -> bool:
+    """Whether a file is a page that pitp wrote."""
+    return file.is_file() and b"--ink" in file.read_bytes()[:_HEAD]

@@ -1,17 +1,19 @@
 """Output files: checked before the work, written whole or not at all after it.
 
-check_files, check_folder    before hours of work: is there a place to write to?
-staged_files, staged_folder  hidden files beside the wanted ones -> renamed once every one is written
-write_json                   never NaN or Infinity: null
+check_outputs   before hours of work: is there a place to write to, and does it replace nothing that is read?
+staged          hidden files beside the wanted ones -> renamed once every one is written; a page gets its index.html
+write_json      never NaN or Infinity: null
 """
 
 import json
 import math
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +21,30 @@ import numpy as np
 
 from .._errors import BadInput
 from .._record.writing import is_stream, write_text_atomic
-from .ours import check_folder_replaceable, check_replaceable
+from .ours import check_folder_replaceable, check_replaceable, is_page
 
-REPORT = "report.html"  # the page beside what a command writes
+REPORT, INDEX = "report.html", "index.html"  # the page beside what a command writes, and the links to all pages
 
 
-def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) -> None:
-    """Refuse output files that could not be written, or would replace each other or an input.
+def check_outputs(
+    *files: str | None,
+    folder: str | None = None,
+    names: Iterable[str] = (),
+    inputs: Iterable[str | os.PathLike | None] = (),
+) -> None:
+    """Refuse outputs that could not be written, or would replace each other or an input.
 
     Args:
-        *outputs: files to be written; None is skipped.
-        inputs: files that are read.
+        *files: to be written; None is skipped.
+        folder: to be created (with its parents) where it is missing, or None.
+        names: of the files to be written in it.
+        inputs: files that are read, and folders whose files are; None is skipped.
 
     Raises:
-        BadInput: with the file and the remedy.
+        BadInput: with the path and the remedy.
     """
-    taken = {Path(os.path.realpath(path)): path for path in inputs}
-    for path in outputs:
+    taken = {Path(os.path.realpath(file)): path for path in inputs if path is not None for file in _files_of(path)}
+    for path in files:
         if path is None or is_stream(path):
             continue
         target = Path(os.path.realpath(path))
@@ -48,29 +57,23 @@ def check_files(*outputs: str | None, inputs: Iterable[str | os.PathLike] = ()) 
         if target in taken:
             raise BadInput(f"{path}: is already used as {taken[target]}; choose another name for the output")
         check_replaceable(target, path)
-        if not target.exists() or target.is_file():  # /dev/stdout may be given twice
-            taken[target] = path
+        taken[target] = path
+    if folder is not None:
+        _check_folder(folder, list(names), set(taken))
 
 
-def check_folder(folder: str, names: Iterable[str], inputs: Iterable[str | os.PathLike] = ()) -> None:
-    """Refuse an output folder that could not be made or written to, or whose files would replace an input.
+def _files_of(path: str | os.PathLike) -> list[Path]:
+    given = Path(path)
+    return [given, *given.iterdir()] if given.is_dir() and os.access(given, os.R_OK | os.X_OK) else [given]
 
-    Args:
-        folder: to be created (with its parents) where it is missing.
-        names: of the files to be written in it.
-        inputs: files that are read.
 
-    Raises:
-        BadInput: with the path and the remedy.
-    """
+def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
     target = Path(os.path.realpath(folder))
     existing = next(p for p in (target, *target.parents) if p.exists())
     if not existing.is_dir():
         raise BadInput(f"{folder}: {existing} is a file, not a folder; choose another folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise BadInput(f"{folder}: no right to write in {existing}; choose a place you may write to")
-    taken = {Path(os.path.realpath(path)) for path in inputs}
-    names = list(names)
     for name in names:
         file = target / name
         if Path(os.path.realpath(file)) in taken:
@@ -81,64 +84,65 @@ def check_folder(folder: str, names: Iterable[str], inputs: Iterable[str | os.Pa
 
 
 @contextmanager
-def staged_files(*outputs: str | None) -> Iterator[list[str]]:
-    """Hidden names beside the wanted ones: all are renamed on success, none is left on any failure.
+def staged(
+    *, file: str | None = None, folder: str | os.PathLike | None = None, json_file: str | None = None, value: Any = None
+) -> Iterator[Path]:
+    """Yield a hidden place for what a command writes: with its JSON all of it appears, or on any failure nothing.
 
     Args:
-        *outputs: wanted files; the name yielded for None is empty, a device is written to directly.
+        file: wanted file, whose hidden name is yielded; a device is written to directly.
+        folder: wanted folder in its place, whose hidden stage is yielded; its other files stay.
+        json_file: where `value` goes for machines, or None.
+        value: dicts, lists and numbers.
 
     Raises:
-        BadInput: a file cannot be written; the message has its wanted name.
+        BadInput: a file or the folder cannot be written; the message has the wanted name.
     """
-    stages: dict[str, Path] = {}
-    names: list[str] = []
-    for path in outputs:
-        target = Path(os.path.realpath(path)) if path else None
-        if path and target is not None and not is_stream(path):
-            stage = str(target.parent / f".pitp-{secrets.token_hex(8)}-{target.name}")
-            stages[stage] = target
-            names.append(stage)
+    with ExitStack() as stages:
+        json_stage = stages.enter_context(_staged_file(json_file))
+        write_json(json_stage, value)
+        if folder is not None:
+            yield stages.enter_context(_staged_folder(folder))
         else:
-            names.append(path or "")
-    try:
-        yield names
-        for stage, target in stages.items():
-            if os.path.exists(stage):
-                if target.exists():
-                    os.chmod(stage, target.stat().st_mode & 0o7777)  # the mode stays
-                os.replace(stage, target)
-    except BadInput as error:
-        text = str(error)
-        for stage, target in stages.items():
-            text = text.replace(stage, str(target))
-        raise BadInput(text) from None
-    finally:
-        for stage in stages:
-            Path(stage).unlink(missing_ok=True)
+            yield Path(stages.enter_context(_staged_file(file)) or "")
 
 
 @contextmanager
-def staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
-    """A hidden folder whose files move into `folder` on success; on any failure nothing is left.
+def _staged_file(path: str | None) -> Iterator[str | None]:
+    if path is None or is_stream(path):
+        yield path
+        return
+    target = Path(os.path.realpath(path))
+    stage = target.parent / f".pitp-{secrets.token_hex(8)}-{target.name}"
+    try:
+        yield str(stage)
+        if stage.exists():
+            if target.exists():
+                os.chmod(stage, target.stat().st_mode & 0o7777)  # the mode stays
+            os.replace(stage, target)
+    except BadInput as error:
+        raise BadInput(str(error).replace(str(stage), str(target))) from None
+    finally:
+        stage.unlink(missing_ok=True)
 
-    Args:
-        folder: where the files belong; created if missing, its other files stay.
 
-    Raises:
-        BadInput: the folder cannot be made or a file cannot be moved there.
-    """
+@contextmanager
+def _staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
     target = Path(os.path.realpath(folder))
     made = _missing_parents(target)
     stage = target / f".pitp-{secrets.token_hex(8)}.tmp"  # inside, so that moving is renaming
     try:
         stage.mkdir(parents=True)
         yield stage
+        write_index(target, stage)
         files = sorted(path.relative_to(stage) for path in stage.rglob("*") if path.is_file())
         for name in files:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
         for name in files:
             os.replace(stage / name, target / name)
         made = []
+    except BadInput as error:
+        raise BadInput(str(error).replace(str(stage), str(target))) from None
     except OSError as error:
         raise BadInput(f"cannot write to {folder}: {error.strerror or error}; choose another place") from None
     finally:
@@ -148,36 +152,46 @@ def staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
                 path.rmdir()
 
 
-@contextmanager
-def staged_result(json_file: str | None, value: Any, out: str | os.PathLike | None) -> Iterator[Path | None]:
-    """Write a result's JSON, and yield a hidden folder for its other files: all of them appear, or none.
+def write_index(folder: Path, stage: Path) -> None:
+    """Write `index.html`, which links the pages of a folder and of the folders in it; somebody else's index stays.
 
     Args:
-        json_file: where `value` goes for machines, or None.
-        value: dicts, lists and numbers.
-        out: where the other files belong, or None: then there is no folder to write to.
+        folder: where the pages are to be.
+        stage: where the new ones are, and where the index is written.
 
     Raises:
-        BadInput: a file or the folder cannot be written.
+        BadInput: it cannot be written.
     """
-    with ExitStack() as stages:
-        (json_stage,) = stages.enter_context(staged_files(json_file))
-        if json_file:
-            write_json(json_stage, value)
-        yield None if out is None else stages.enter_context(staged_folder(out))
+    pages = {
+        path.relative_to(home).as_posix(): path
+        for home in (folder, stage)
+        for pattern in ("*.html", "[!.]*/*.html")
+        for path in sorted(home.glob(pattern))
+        if path.name != INDEX and is_page(path)
+    }
+    index = folder / INDEX
+    if pages and (not index.exists() or is_page(index)):
+        from .._report import html  # with it comes matplotlib: half a second
+
+        titles = {
+            name: re.search("<title>(.*?)</title>", path.read_text(encoding="utf-8")) for name, path in pages.items()
+        }
+        links = [html.link(name, unescape(title[1]) if title else name) for name, title in sorted(titles.items())]
+        write_text_atomic(stage / INDEX, html.page("Pages of this folder", [html.tag("h1", "Pages"), *links]))
 
 
 def _missing_parents(target: Path) -> list[Path]:
     return [path for path in (target, *target.parents) if not path.exists()]
 
 
-def write_json(path: str, value: Any) -> None:
-    """Write a result for machines, whole or not at all; what is not finite becomes null.
+def write_json(path: str | os.PathLike | None, value: Any) -> None:
+    """Write a result for machines, whole or not at all, unless the path is None; what is not finite becomes null.
 
     Raises:
         BadInput: the file cannot be written.
     """
-    write_text_atomic(path, json.dumps(without_nan(value), indent=2, allow_nan=False) + "\n")
+    if path is not None:
+        write_text_atomic(path, json.dumps(without_nan(value), indent=2, allow_nan=False) + "\n")
 
 
 def without_nan(value: Any) -> Any:

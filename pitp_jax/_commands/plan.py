@@ -12,7 +12,7 @@ from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
 from .compatibility import check_suits
 from .console import number, print_table
-from .outputs import check_files, check_folder, staged_folder, write_json
+from .outputs import check_outputs, staged, write_json
 from .recordings import is_square, read_records
 
 PAGE, JSON = "plan.html", "plan.json"
@@ -35,8 +35,7 @@ def plan(paths, out, choose_from, max_displacement, band, reading, json_file=Non
         BadInput, ComputationFailed: with nothing written.
     """
     given, records = (paths[0], paths[1:]) if paths else (None, [])
-    check_folder(out, [PAGE, JSON], inputs=paths)
-    check_files(json_file, inputs=paths)
+    check_outputs(json_file, folder=out, names=[PAGE, JSON], inputs=[*paths, choose_from])
     model = None if given is None else load(given)
     square = model is None or is_square(model)
     read_in = read_records(records, reading, square=square) if records else ()
@@ -49,16 +48,13 @@ def plan(paths, out, choose_from, max_displacement, band, reading, json_file=Non
         max_displacement=None if max_displacement is None else 1e-3 * max_displacement, **limits,
     )  # fmt: skip
     files = [f"{r.name.replace('/', '_')}.csv" for r in found.recordings]
-    sources = [r.source for r in (*read_in, *others)]
-    check_folder(out, [PAGE, JSON, *files], inputs=[*paths, *sources])
+    check_outputs(json_file, folder=out, names=[PAGE, JSON, *files], inputs=[*paths, choose_from])
     told = found.as_json() | {"files": files}
-    with staged_folder(out) as stage:
+    with staged(folder=out, json_file=json_file, value=told) as stage:
         for file, r in zip(files, found.recordings, strict=True):
             write_csv(stage / file, {"time_s": r.time, "voltage_V": r.voltage})
         write_text_atomic(stage / PAGE, page(found, given or ""))
-        write_json(str(stage / JSON), told)
-    if json_file:
-        write_json(json_file, told)
+        write_json(stage / JSON, told)
     _print(found, given is not None)
     print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
 

@@ -9,17 +9,15 @@ import numpy as np
 
 from .._errors import ComputationFailed
 from .._metrics import e_rms_percent, nrmse_percent, rmse
-from .._model_file.model_file import load
 from .._record.initial_state import Beginning
 from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
 from .._simulate.prediction import Prediction
 from .._simulate.prediction import predict as run_predict
 from .._table.units import from_base
-from .compatibility import check_suits
 from .console import number, print_table
-from .outputs import REPORT, check_files, check_folder, staged_result
-from .recordings import is_square, read_records
+from .outputs import REPORT, check_outputs, staged
+from .recordings import open_both
 from .reports import print_sensors
 
 
@@ -37,20 +35,15 @@ def predict(model, records, out, json_file, reading) -> None:
         BadInput: with nothing written.
         ComputationFailed: every record diverged; the results, which say so, are written.
     """
-    check_files(json_file, inputs=[model, *records])
-    loaded = load(model)
-    read_in = read_records(records, reading, square=is_square(loaded))
-    sources = [model, *(r.source for r in read_in)]
-    check_files(json_file, inputs=sources)
+    check_outputs(json_file, folder=out, inputs=[model, *records])
+    loaded, read_in = open_both(model, records, reading)
     files = [f"{record.name.lstrip('/')}.csv" for record in read_in]
-    if out is not None:
-        check_folder(out, [*files, REPORT], inputs=[*sources, *([json_file] if json_file else [])])
-    check_suits(loaded, model, read_in)
+    check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=[model, *records])
     predictions = run_predict(loaded, read_in)
     scores = {r.name: score(r, p) for r, p in zip(read_in, predictions, strict=True)}
     result = {"records": scores, "median_e_rms_percent": median_e_rms(list(scores.values()))}
-    with staged_result(json_file, result, out) as stage:
-        if stage is not None:
+    with staged(folder=out, json_file=json_file, value=result) as stage:
+        if out is not None:
             from .fit_page import fit_page  # with it comes matplotlib: half a second
 
             for record, prediction, file in zip(read_in, predictions, files, strict=True):
@@ -93,6 +86,7 @@ def score(record: Record, prediction: Prediction) -> dict:
         "direction": int(prediction.direction),
         "samples": record.samples,
         "missing": record.missing,
+        "initial_samples": int((~prediction.scored).sum()),
         "diverged": bool(prediction.diverged),
         "outside_training_share": float(prediction.outside_training_share),
     }
@@ -156,6 +150,8 @@ def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
     infinite = any(row["diverged"] for row in result["records"].values())
     print(f"median e_rms: {'infinite' if median is None and infinite else number(median, 3)} %")
     for p in predictions:
+        if p.outside_training:
+            print(f"{p.name}: outside the trained region: {p.outside_training}")
         if p.estimated_start:
             used = int((~p.scored).sum())
             print(f"{p.name}: starts moving; initial state estimated from the first {used} samples, which do not count")

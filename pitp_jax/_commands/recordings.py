@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from .._check.one_record import quick_problems
 from .._model.input_map import SquareInput
 from .._model.model import Model
+from .._model_file.model_file import load
 from .._record.plausible import monitor_warning
 from .._record.reading import read
 from .._record.record import Record
+from .compatibility import check_suits
 from .console import say
 
 
@@ -29,6 +31,23 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[
     if warning:
         say(f"warning: {warning}")
     return records
+
+
+def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Model, tuple[Record, ...]]:
+    """Load a model and read records, as `read_records` does, that it can be about.
+
+    Args:
+        model: model file.
+        records: files and folders.
+        reading: keyword arguments of `pitp.read`.
+
+    Raises:
+        BadInput: one cannot be read, or they do not suit each other.
+    """
+    loaded = load(model)
+    read_in = read_records(records, reading, square=is_square(loaded))
+    check_suits(loaded, model, read_in)
+    return loaded, read_in
 
 
 def warn(records: Sequence[Record]) -> None:

@@ -21,7 +21,8 @@ def print_model(told: dict) -> None:
         print(f"{kind} at {number(mode['natural_hz'])} Hz, damping {number(mode['damping'], 3)}")
     low, high = told["voltage_range"]
     print(f"hold {told['hold']}, {told['substeps']} RK4 step(s) per sample of {number(told['dt'])} s")
-    print(f"output: offset {number(told['offset'])} {told['output_unit']}, polarity {told['polarity']:+g}")
+    reversed_ = ", against the motion" if told["polarity"] < 0 else ""
+    print(f"at 0 V the sensor reads {number(told['offset'])} {told['output_unit']}{reversed_}")
     print(f"voltage seen: {number(low)} to {number(high)} V, up to {number(told['max_slew'])} V/s")
     if told["identified_on"]:
         print(f"identified on {listed(told['identified_on'])}")
@@ -65,6 +66,8 @@ def print_beginnings(beginnings: dict[str, Beginning], unit: str) -> None:
     ):
         if names := [name for name, b in beginnings.items() if b.begins == kind]:
             print(line.format(listed(names)))
+    if not any(b.begins == "rest" for b in beginnings.values()):
+        print("no record begins at rest at 0 V: what the sensor reads there is the model's extrapolation, not measured")
     print_sensors(beginnings, unit)
 
 

@@ -15,7 +15,7 @@ from .._record.writing import write_csv
 from .._simulate.voltage_only import rollout
 from .._table.units import from_base
 from .console import number, print_table, say
-from .outputs import check_files, check_folder, staged_result
+from .outputs import check_outputs, staged
 
 
 def simulate(model, voltages, out, json_file, reading) -> None:
@@ -32,20 +32,17 @@ def simulate(model, voltages, out, json_file, reading) -> None:
         BadInput: with nothing written.
         ComputationFailed: every run diverged; the results, which say so, are written.
     """
-    check_files(json_file, inputs=[model, *voltages])
+    check_outputs(json_file, folder=out, inputs=[model, *voltages])
     loaded = load(model)
     drives = read_voltage(*voltages, **reading)
-    sources = [model, *(d.source for d in drives)]
-    check_files(json_file, inputs=sources)
     files = [f"{d.name.lstrip('/')}.csv" for d in drives]
-    if out is not None:
-        check_folder(out, files, inputs=[*sources, *([json_file] if json_file else [])])
+    check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
     _tell(loaded, model, drives)
     runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0])) for d in drives]
     unit = loaded.provenance.displacement_unit
     rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
-    with staged_result(json_file, {"records": rows}, out) as stage:
-        if stage is not None:
+    with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
+        if out is not None:
             for drive, x, file in zip(drives, runs, files, strict=True):
                 _write(stage / file, drive, x, unit)
     header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")

@@ -43,11 +43,13 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
 
 
 def _kind(one) -> str:
+    # before models: a diagnosis holds a model as well
     if isinstance(one, Mapping) and "verdict" in one or (hasattr(one, "as_json") and hasattr(one, "ranking")):
         return "a diagnosis"
     if isinstance(one, Model) or isinstance(getattr(one, "model", None), Model):
         return "a model"
     if isinstance(one, Sequence) and len(one) and all(isinstance(r, Record) for r in one):
         return "a set of records"
+    # a path is what a user of the command line would give
     hint = "; give pitp.load(FILE) or pitp.read(PATH)" if isinstance(one, (str, PathLike)) else ""
     raise BadInput(f"a {type(one).__name__} cannot be compared{hint}: give models, diagnoses or lists of records")

@@ -1,4 +1,7 @@
-"""Compare two diagnoses: verdicts, the numbers of the effects that either names, the gaps and what fills them."""
+"""Compare two diagnoses: verdicts, the numbers of the effects that either names, the gaps and what fills them.
+
+Both are read as JSON, so that a diagnosis saved by an older version, or by another rig, can be one of the two.
+"""
 
 from .result import Comparison, Difference, measured, stated
 
@@ -6,7 +9,7 @@ _GAP = {"before": "gap before", "after": "gap after", "noise_floor": "noise floo
 
 
 def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
-    """Every number of two diagnoses, given as their JSON."""
+    """Compare every number of two diagnoses, given as their JSON."""
     rows = [stated("verdict", a["verdict"], b["verdict"]), stated("effects", a["effects"], b["effects"])]
     rows += _effects(a, b)
     rows += [
@@ -30,13 +33,14 @@ def _number(value) -> float | None:
 
 
 def _effects(a: dict, b: dict) -> list[Difference]:
-    """Parameters of what either names, from the rankings, which hold candidates that were not named as well."""
+    """Compare parameters of what either names, from the rankings: these hold candidates that were not named as well."""
     rows = []
+    # backwards, so that of several forms of one effect the best ranked is the one that stays
     tables = [{r["effect"]: r for r in reversed(d.get("ranking", []))} for d in (a, b)]
     for name in dict.fromkeys([*a["effects"], *b["effects"]]):
         sides = [table.get(name, {}).get("parameters", {}) for table in tables]
         forms = [table.get(name, {}).get("form") for table in tables]
-        if forms[0] != forms[1] and None not in forms:
+        if forms[0] != forms[1] and None not in forms:  # numbers of two forms mean two things
             rows.append(stated(f"form of {name}", *forms))
             continue
         for key in dict.fromkeys([*sides[0], *sides[1]]):
@@ -52,7 +56,7 @@ def _effects(a: dict, b: dict) -> list[Difference]:
 
 
 def _portion(what: str, one: dict, two: dict) -> Difference:
-    """A fraction with a 95 % interval, whose half width is taken as 1.96 standard errors."""
+    """Compare a fraction with a 95 % interval, whose half width is taken as 1.96 standard errors."""
     errors = [(e["ci95"][1] - e["ci95"][0]) / 3.92 if e.get("ci95") else None for e in (one, two)]
     return measured(what, _number(one.get("share")), _number(two.get("share")), "", (errors[0], errors[1]))
 

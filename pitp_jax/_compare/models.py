@@ -23,12 +23,12 @@ _MEANINGS = ("stiffness", "damping", "inertia")
 
 
 def coefficient_meaning(i: int) -> str:
-    """`stiffness (a0)`, ...; `a3` from the third on."""
+    """Name a coefficient by its meaning: `stiffness (a0)`, ...; `a3` from the third on."""
     return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
 
 
 def compare_models(a: Model, b: Model, names: tuple[str, str]) -> Comparison:
-    """Every fact and number of two models."""
+    """Compare every fact and number of two models."""
     one, two = describe(a), describe(b)
     rows = [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
     rows.append(measured("zero of the sensor", one["offset"], two["offset"], one["output_unit"], (0.0, 0.0)))
@@ -47,11 +47,12 @@ def _coefficients(one: dict, two: dict) -> list[Difference]:
 
 
 def _modes(one: dict, two: dict) -> list[Difference]:
-    """Static stiffness, and the least damped mode of each, where the orders differ."""
+    """Compare the static stiffness, and the least damped mode of each, where the orders differ."""
     stiffness = measured(
         coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
         (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),
     )  # fmt: skip
+    # a heavily damped pole has no frequency of its own to compare
     loud = [
         min((m for m in t["modes"] if m["oscillates"]), key=lambda m: m["damping"], default=None) for t in (one, two)
     ]
@@ -66,8 +67,8 @@ def _modes(one: dict, two: dict) -> list[Difference]:
 
 
 def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
-    """Numbers of the effects either model carries; a model file holds no standard errors of them."""
-    sides = [{(e["effect"], e["form"]): e["parameters"] for e in told} for told in (one, two)]
+    """Compare numbers of the effects either model carries; a model file holds no standard errors of them."""
+    sides = [{(e["effect"], e["form"]): e["parameters"] for e in effects} for effects in (one, two)]
     rows = []
     for key in dict.fromkeys([*sides[0], *sides[1]]):
         for name in sides[0].get(key) or sides[1][key]:
@@ -79,13 +80,14 @@ def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
 
 
 def _origin(a: Model, b: Model, names: tuple[str, str]) -> list[str]:
-    """Descent, recordings seen by one or both, and what one was adapted to."""
+    """Describe descent, recordings seen by one or both, and what one was adapted to."""
+    # by their sums, not their names: two rigs name different recordings alike
     sums: list[dict[str, str]] = [
         {r["sha256"]: r["name"] for e in lineage(m) for r in e.get("records", [])} for m in (a, b)
     ]
     parents = [{e.get("parent") for e in lineage(m)} for m in (a, b)]
     digests = [digest(m) for m in (a, b)]
-    if digests[0] == digests[1]:
+    if digests[0] == digests[1]:  # also of two files whose names or dates differ
         return ["Both hold the same model."]
     lines = []
     for k in (0, 1):

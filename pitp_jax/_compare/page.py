@@ -1,4 +1,4 @@
-"""The page of a comparison: what differs, every quantity, and recordings of one drive over each other."""
+"""Write the page of a comparison: what differs, every quantity, and recordings of one drive over each other."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,29 +14,29 @@ from .result import Comparison, Difference
 _DRAWN = 12  # pairs of recordings, the most different first
 
 
-def page(found: Comparison) -> str:
-    """A self-contained HTML page."""
-    others = tuple(r for r in found.rows if not r.differs)
-    rest = [tag("h2", "What does not, or cannot be said"), _table(found, others)] if others else []
-    return html.page(found.headline(), [*_first(found), *rest, *_drawn(found)])
+def page(result: Comparison) -> str:
+    """Write a self-contained HTML page."""
+    others = tuple(r for r in result.rows if not r.differs)
+    alike = [tag("h2", "What does not, or cannot be said"), _table(result, others)] if others else []
+    return html.page(result.headline(), [*_first(result), *alike, *_drawn(result)])
 
 
-def first_screen(found: Comparison) -> str:
-    """Headline, remarks and what differs, without the page around."""
-    return "".join(_first(found))
+def first_screen(result: Comparison) -> str:
+    """Write headline, remarks and what differs, without the page around."""
+    return "".join(_first(result))
 
 
-def _first(found: Comparison) -> list[str]:
+def _first(result: Comparison) -> list[str]:
     return [
-        tag("p", f"Comparison of two {'sets of records' if found.kind == 'records' else found.kind}", "soft"),
-        tag("h1", found.headline()),
-        html.bullets(found.remarks),
-        *([tag("h2", "What differs"), _table(found, found.different)] if found.different else []),
+        tag("p", f"Comparison of two {'sets of records' if result.kind == 'records' else result.kind}", "soft"),
+        tag("h1", result.headline()),
+        html.bullets(result.remarks),
+        *([tag("h2", "What differs"), _table(result, result.different)] if result.different else []),
     ]
 
 
-def _table(found: Comparison, rows: tuple[Difference, ...]) -> str:
-    header = ("quantity", *found.names, "unit", "95 % interval of the difference", "differs")
+def _table(result: Comparison, rows: tuple[Difference, ...]) -> str:
+    header = ("quantity", *result.names, "unit", "95 % interval of the difference", "differs")
     cells = [
         ("named" if r.differs else "", (
             r.what, _shown(r.a), _shown(r.b), shown_unit(r.unit),
@@ -52,16 +52,16 @@ def _shown(value: float | str | None) -> str:
     return value if isinstance(value, str) else figure(value, 4)
 
 
-def figures(found: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]]]:
-    """Every pair drawn, with its numbers as columns, by name."""
-    pairs = () if found.pairs is None else found.pairs.pairs
-    return {f"pair_{p.first.name.replace('/', '_')}": overlay(p, found.names) for p in pairs[:_DRAWN]}
+def figures(result: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]]]:
+    """Draw every pair, with its numbers as columns, by name."""
+    pairs = () if result.pairs is None else result.pairs.pairs
+    return {f"pair_{p.first.name.replace('/', '_')}": overlay(p, result.names) for p in pairs[:_DRAWN]}
 
 
 def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.ndarray]]:
-    """Both outputs over the time since the first recording's start, their difference beneath; and the numbers drawn."""
+    """Draw both outputs over the time since the first recording's start, their difference beneath; with the numbers."""
     unit = pair.first.displacement_unit
-    time = pair.first.time - pair.first.time[0]
+    time = pair.first.time - pair.first.time[0]  # clocks of two rigs share no zero
     one, two = (from_base(y, unit, "displacement") for y in (pair.first.displacement, pair.output()))
     upper, lower = own_axes(None, 2, (5.6, 3.0), (2.2, 1.0))
     line(upper, time, one, color=MEASURED, lw=2.2, label=names[0])
@@ -73,8 +73,8 @@ def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.nd
     return drawn, {"time_s": time, f"a_{unit}": one, f"b_{unit}": two}
 
 
-def _drawn(found: Comparison) -> list[str]:
-    made = figures(found)
+def _drawn(result: Comparison) -> list[str]:
+    made = figures(result)
     if not made:
         return []
     pictures = [html.picture(name, drawn, name.removeprefix("pair_")) for name, (drawn, _) in made.items()]

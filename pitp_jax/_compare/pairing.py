@@ -40,11 +40,11 @@ class Pair:
     correlation: float
 
     def drive(self) -> np.ndarray:
-        """Drive of the second at the times of the first, held at its ends; shape (T,)."""
+        """Interpolate the second's drive at the times of the first, held at its ends; shape (T,)."""
         return np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
 
     def output(self) -> np.ndarray:
-        """Output of the second at the times of the first; nan outside and where it is missing, shape (T,)."""
+        """Interpolate the second's output at the times of the first; nan outside and where missing, shape (T,)."""
         return np.interp(
             self.first.time - self.offset, self.second.time, self.second.displacement, left=np.nan, right=np.nan
         )
@@ -59,9 +59,10 @@ class Pairing:
     second_alone: tuple[tuple[str, str], ...]
 
     def remarks(self, first: str, second: str) -> list[str]:
-        """What a user should know of clocks and partners, in sentences; `first` and `second` name the sets."""
+        """Say in sentences what a user should know of clocks and partners; `first` and `second` name the sets."""
         lines = []
         offsets = [p.offset for p in self.pairs]
+        # below 0.1 ms it is interpolation
         if offsets and max(map(abs, offsets)) >= 1e-4:
             sizes = sorted(abs(o) for o in offsets)
             middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]
@@ -83,6 +84,7 @@ def pair_records(first: Sequence[Record], second: Sequence[Record]) -> Pairing:
         the pairs in the order of the first set, and what has no partner.
     """
     tried = {(i, j): _match(a, b) for i, a in enumerate(first) for j, b in enumerate(second)}
+    # the smallest sum of misfits: one greedy choice could take away the only partner of another recording
     cost = np.array([[_cost(tried[i, j]) for j in range(len(second))] for i in range(len(first))])
     rows, columns = linear_sum_assignment(cost)
     chosen = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if _accepted(tried[i, j])}
@@ -114,7 +116,7 @@ class _Match:
 
 
 def _cost(m: _Match) -> float:
-    return m.misfit if _accepted(m) else 10.0
+    return m.misfit if _accepted(m) else 10.0  # above any accepted misfit, and finite, as the assignment needs
 
 
 def _accepted(m: _Match) -> bool:
@@ -135,7 +137,7 @@ def _match(a: Record, b: Record) -> _Match:
     """Search all lags on a common grid, then refine the best between samples."""
     dt = max(a.dt, b.dt)
     longest = max(a.time[-1] - a.time[0], b.time[-1] - b.time[0])
-    dt *= max(1, int(np.ceil(longest / dt / _COARSE)))
+    dt *= max(1, int(np.ceil(longest / dt / _COARSE)))  # the peak is refined between samples anyway
     x, y = (_on_grid(r, dt) for r in (a, b))
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return _Match(0.0, 0.0, np.inf, np.inf)
@@ -144,7 +146,7 @@ def _match(a: Record, b: Record) -> _Match:
     good = np.flatnonzero(rho >= rho.max() - _AS_GOOD)
     at = good[np.lexsort((-rho[good], -overlap[good]))[0]]
     at = int(at + np.argmax(rho[max(at - 2, 0) : at + 3]) - min(at, 2))  # the peak beside the longest overlap
-    offset = float(a.time[0] - b.time[0] + lags[at] * dt)
+    offset = float(a.time[0] - b.time[0] + lags[at] * dt)  # of clocks: lags count samples from both beginnings
     return _refined(a, b, offset, float(rho[at]))
 
 
@@ -163,7 +165,7 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cross = correlate(x, y, method="fft")[keep]
     count = high - low
 
-    def sums(values, first, last):
+    def sums(values, first, last):  # over any stretch, as a difference of two cumulative sums
         total = np.concatenate([[0.0], np.cumsum(values)])
         return total[last] - total[first]
 
@@ -177,13 +179,14 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refined(a: Record, b: Record, offset: float, correlation: float) -> _Match:
-    """Offset between samples, and how alike the drives are at it."""
+    """Refine the offset between samples, and measure how alike the drives are at it."""
     step = max(a.dt, b.dt)
     for _ in range(8):
         inside, x, y = _overlap(a, b, offset)
         if inside.sum() < 8:
             return _Match(0.0, offset, np.inf, np.inf)
         slope = np.gradient(y, a.dt)
+        # a step of at most a sample: the correlation's peak is that near, and a square wave has no slope to trust
         move = float(np.clip(-((x - x.mean() - y + y.mean()) @ slope) / max(slope @ slope, 1e-300), -step, step))
         offset += move
         if abs(move) < 1e-6 * step:

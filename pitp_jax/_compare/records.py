@@ -1,6 +1,6 @@
 """Compare two sets of records: recordings of one drive beside each other, else linear models of the two sets.
 
-    y_b(t) = s y_a(t - d) + c + rest        least squares over 8 blocks of a recording; s, d: mean and standard error
+    y_b(t) = s y_a(t - d) + c + e        least squares over 8 blocks of a recording; s, d: mean and standard error
 
 A sensor's zero c belongs to a recording and is no difference. Where no drive is common, both sets are identified.
 """
@@ -33,35 +33,35 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
         models = [linear_model_of(records).model for records in (a, b)]
     except ComputationFailed as error:
         raise ComputationFailed(f"no drive is common to both sets, and no model of one can be made: {error}") from None
-    found = compare_models(models[0], models[1], names)
+    compared = compare_models(models[0], models[1], names)
     first = "No drive is common to both sets: linear models identified on each are compared."
-    return Comparison("records", names, found.rows, (first, *found.remarks), pairs)
+    return Comparison("records", names, compared.rows, (first, *compared.remarks), pairs)
 
 
 def linear_model_of(records: Sequence[Record]) -> Identification:
-    """A linear model of these records, a delay included; of two input maps the one that leaves less.
+    """Identify a linear model of these records, a delay included; of two input maps the one that leaves less.
 
     Raises:
         BadInput, ComputationFailed: as `identify`.
     """
-    found, failed = [], None
+    identified, failed = [], None
     for input_map in ("linear", "square") if _may_be_squared(records[0]) else ("linear",):
         try:
-            found.append(identify(records, input_map=input_map, learn=("delay",)))
-        except ComputationFailed as error:
+            identified.append(identify(records, input_map=input_map, learn=("delay",)))
+        except ComputationFailed as error:  # the other map may still do
             failed = error
-    if not found:
+    if not identified:
         raise failed or ComputationFailed("no linear model can be identified")
-    return min(found, key=lambda f: f.chosen.rms)
+    return min(identified, key=lambda i: i.chosen.rms)
 
 
 def _may_be_squared(record: Record) -> bool:
-    """A voltage that moves something may pull with its square; a command, torque or current does not."""
+    """Tell whether a record's input may act by its square: a voltage that moves something may, a command does not."""
     return base_unit(record.displacement_unit) == "m" and record.voltage_unit.endswith("V")
 
 
 def _outputs(pair: Pair, first: str) -> list[Difference]:
-    """Size, lag and remainder of B's output beside A's, at A's times."""
+    """Compare size, lag and remainder of B's output beside A's, at A's times."""
     a, unit = pair.first, pair.first.displacement_unit
     if base_unit(unit) != base_unit(pair.second.displacement_unit):
         raise BadInput(
@@ -71,6 +71,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     y, other = a.displacement, pair.output()
     seen = np.isfinite(y) & np.isfinite(other)
     noise = float(np.hypot(noise_std(y), noise_std(pair.second.displacement)))
+    # block by block, since one error of a whole recording would say nothing of how sure its size and lag are
     fits = [f for f in (_affine(y, other, seen & block, a.dt) for block in _blocks(seen)) if f is not None]
     whole = _affine(y, other, seen, a.dt)
     if whole is None or len(fits) < 3:
@@ -78,8 +79,8 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     sizes, lags = np.array(fits)[:, 0], np.array(fits)[:, 1]
     errors = [float(v.std(ddof=1) / np.sqrt(len(v))) for v in (sizes, lags)]
     stroke = float(from_base(np.ptp(y[seen]), unit, "displacement"))
-    rest = np.sqrt(np.mean((other - y - np.mean((other - y)[seen]))[seen] ** 2))
-    difference, floor = (float(from_base(v, unit, "displacement")) for v in (rest, noise))
+    apart = np.sqrt(np.mean((other - y - np.mean((other - y)[seen]))[seen] ** 2))  # but for the zero
+    difference, floor = (float(from_base(v, unit, "displacement")) for v in (apart, noise))
     return [
         measured(f"{a.name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
         measured(f"{a.name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),
@@ -95,7 +96,10 @@ def _blocks(seen: np.ndarray) -> list[np.ndarray]:
 
 
 def _affine(y: np.ndarray, other: np.ndarray, use: np.ndarray, dt: float) -> tuple[float, float] | None:
-    """Size s and lag d (s) of `other` = s y(t - d) + c; None where hardly anything moves. Linear in small d."""
+    """Fit size s and lag d (s) of `other` = s y(t - d) + c; None where hardly anything moves.
+
+    Gauss-Newton: about the lag so far, s y(t - d) is s y - s (d - lag) y', linear in s and s (d - lag).
+    """
     if use.sum() < 16 or np.ptp(y[use]) < 0.05 * np.ptp(y[np.isfinite(y)]):
         return None
     time, known = dt * np.arange(len(y)), np.isfinite(y)
@@ -106,7 +110,7 @@ def _affine(y: np.ndarray, other: np.ndarray, use: np.ndarray, dt: float) -> tup
         slope = np.gradient(moved, dt)
         basis = np.column_stack([moved, -slope, np.ones(len(y))])[use]
         fit = np.linalg.lstsq(basis, other[use], rcond=None)[0]
-        if abs(fit[0]) < 0.05:
+        if abs(fit[0]) < 0.05:  # the other hardly follows: its lag would be a quotient of noise
             return None
         size, step = float(fit[0]), float(fit[1] / fit[0])
         lag += float(np.clip(step, -0.1, 0.1))

@@ -1,8 +1,9 @@
-"""What `pitp demo` leaves in its folder: the recordings, the model files, the tables as CSV, and the paper's figures.
+"""Write the folder of `pitp demo`: the recordings, the model files, the tables as CSV, and the paper's figures.
 
 records/   the sweep and the training sines: what `pitp identify`, `fit` and `diagnose` take
 held_out/  recordings that trained nothing, for `pitp predict`
 target.csv a wanted motion, for `pitp invert`
+figures/   the paper's figures, each with its numbers as CSV
 """
 
 from pathlib import Path
@@ -18,21 +19,24 @@ from .._model_file.model_file import save
 from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
 from .._report import paper_figures
+from .._report.drawn import FIGURES as HOME
+from .._report.drawn import write_figure
 from .._simulate import decoder
 from .protocol import Demo, Table, excitations, kind, nearest, tables
 
 SWEEP_HZ = {"cone": (0.01, 20.0), "roll": (0.01, 180.0)}
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
-FIGURES = ("sweep.png", "prediction.png", "hysteresis.png", "tokens.png", "tracking.png")
+FIGURES = ("sweep", "prediction", "hysteresis", "tokens", "tracking")
 RECORDS, HELD_OUT = "records", "held_out"
-FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv", *FIGURES)
+DRAWN = tuple(f"{HOME}/{name}.{kind}" for name in FIGURES for kind in ("png", "csv"))
+FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv", *DRAWN)
 
 
 def write(demo: Demo, folder: Path) -> None:
     """Write everything into an existing folder.
 
     Args:
-        demo: what `protocol.run` found.
+        demo: what `protocol.run` returned.
         folder: where; files of the same names are replaced.
 
     Raises:
@@ -59,23 +63,23 @@ def write(demo: Demo, folder: Path) -> None:
     write_csv(folder / "target.csv", {"time_s": last.time, "displacement_m": last.target})
     figures = (_sweep(demo), _prediction(demo), _loops(demo), _tokens(demo), _tracking(demo))
     for name, figure in zip(FIGURES, figures, strict=True):
-        cast(Figure, figure).savefig(folder / name, dpi=150)
+        write_figure(folder, name, cast(Figure, figure))
 
 
 def recordings(name: str, quick: bool) -> set[str]:
-    """Names of the recordings this demo leaves, with their folders."""
+    """List the names of the recordings this demo writes, with their folders."""
     parts = {RECORDS: ("sweep", "train"), HELD_OUT: ("test",)}
     return {f"{home}/{e.name}.csv" for home, kinds in parts.items() for k in kinds for e in excitations(name, k, quick)}
 
 
 def _csv(table: Table) -> str:
     rows = [",".join(_cell(value) for value in row) for row in table.rows]
-    return "\n".join([",".join(h.replace(",", "") for h in table.header), *rows]) + "\n"
+    return "\n".join([",".join(h.replace(",", "") for h in table.header), *rows]) + "\n"  # no header needs quotes then
 
 
 def _cell(value) -> str:
     if value is None or (isinstance(value, float) and not np.isfinite(value)):
-        return ""
+        return ""  # an empty cell is read as missing everywhere, the word "inf" as text by some spreadsheets
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
@@ -86,17 +90,17 @@ def _sweep(demo: Demo):
 
 
 def _prediction(demo: Demo):
-    """The last held-out sine."""
+    """Draw the last held-out sine."""
     r = [record for record in demo.test if record.name.startswith("sine")][-1]
     return paper_figures.prediction(r.time, r.displacement, demo.predicted[r.name].displacement)[0].figure
 
 
 def _loops(demo: Demo):
-    """One settled period at each frequency of Table II."""
+    """Draw one settled period at each frequency of Table II."""
     axes = None
     for t in demo.tracks:
         r = nearest(demo.train, demo.name, t.frequency)
-        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)
+        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the drive: x turns twice as often
         predicted = demo.predicted[r.name].displacement
         axes = paper_figures.hysteresis_loops(
             r.voltage[last], r.displacement[last], predicted[last], axes, label=f"{t.frequency:g} Hz"
@@ -106,7 +110,7 @@ def _loops(demo: Demo):
 
 
 def _tokens(demo: Demo):
-    """Tokens along the free run of one training sine, each over its nominal value, and the offset token."""
+    """Draw the tokens along the free run of one training sine, each over its nominal value, and the offset token."""
     t = demo.tracks[1]
     r = nearest(demo.train, demo.name, t.frequency)
     model = demo.training.model
@@ -116,7 +120,7 @@ def _tokens(demo: Demo):
 
 
 def token_history(model: Model, record: Record) -> np.ndarray:
-    """Tokens over their nominal values, then the offset, along a free run from rest; shape (T, n + 2)."""
+    """Compute tokens over their nominal values, then the offset, along a free run from rest; shape (T, n + 2)."""
     voltage = jnp.asarray(record.voltage, model.coefficients.dtype)
     states = decoder.rollout_batch(model, voltage[None], record.dt, decoder.rest_state(model)[None])[0]
     tokens, offset = jax.vmap(lambda s: model.tokens(s))(states)

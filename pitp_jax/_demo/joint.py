@@ -1,4 +1,4 @@
-"""A robot's joint and its simulator under the same position commands, as two folders of recordings.
+"""Simulate a robot's joint and its simulator under the same position commands, as two folders of recordings.
 
     J q'' + D q' + Kp (q - c(t - T)) + Fc sgn(q') = 0,    angle read = play(q, w), rounded to the encoder's steps
 
@@ -46,12 +46,12 @@ REAL = replace(IDEAL, friction=0.7, delay=0.020, backlash=0.020)
 
 
 def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-    """Position commands by name, rad: each a function of time (T,), 0 before and at t = 0, and held after `seconds`."""
+    """List position commands by name, rad: each a function of time (T,), 0 up to t = 0, and held after `seconds`."""
 
     def windowed(shape: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         return lambda t: shape(np.clip(t, 0.0, seconds))
 
-    def chirp(t, low=0.1, high=6.0):
+    def chirp(t, low=0.1, high=6.0):  # the frequency grows exponentially: every octave takes as long
         rate = np.log(high / low) / seconds
         return 0.35 * np.sin(2 * np.pi * low * np.expm1(rate * t) / rate)
 
@@ -66,7 +66,7 @@ def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
 
 
 def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np.ndarray) -> np.ndarray:
-    """Angle read at each sample, rad, from standstill; the controller holds each command for one sample.
+    """Simulate the angle read at each sample, rad, from standstill; the controller holds a command for one sample.
 
     Args:
         joint: its numbers.
@@ -78,7 +78,7 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
     h = dt / substeps
     # the command that acts during each substep: sampled at its own time stamp, T later at the motor
     acting = np.arange(len(time) * substeps) * h - joint.delay
-    held = command(time[0] + dt * np.floor(acting / dt + 1e-9)).tolist()
+    held = command(time[0] + dt * np.floor(acting / dt + 1e-9)).tolist()  # 1e-9: k h / dt may round below its sample
     kp, d, slip = joint.position_gain / joint.inertia, joint.damping / joint.inertia, h * joint.friction / joint.inertia
     q = v = 0.0
     angles = np.empty(len(time))
@@ -86,13 +86,13 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
         angles[k] = q
         for c in held[k * substeps : (k + 1) * substeps]:
             free = v + h * (kp * (c - q) - d * v)
-            v = max(free - slip, 0.0) if free > 0 else min(free + slip, 0.0)
+            v = max(free - slip, 0.0) if free > 0 else min(free + slip, 0.0)  # friction stops a joint, never turns it
             q += h * v
     return _play(angles, joint.backlash / 2)
 
 
 def _play(values: np.ndarray, half: float) -> np.ndarray:
-    """Output of a play of this half width, which begins in its middle."""
+    """Follow the values through a play of this half width, which begins in its middle."""
     follower, out = 0.0, np.empty(len(values))
     for k, value in enumerate(values):
         follower = min(max(follower, value - half), value + half)
@@ -127,5 +127,5 @@ def write(folder: Path, *, quick: bool) -> None:
 
 
 def recordings() -> set[str]:
-    """Names of the files `write` makes, with their folders."""
+    """List the names of the files `write` makes, with their folders."""
     return {f"{home}/{name}.csv" for home in (SIMULATED, ROBOT) for name in commands(1.0)}

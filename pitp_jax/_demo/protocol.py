@@ -1,4 +1,4 @@
-"""The paper's experiments on a virtual actuator: what the tables and figures of `pitp demo` are made from.
+"""Run the paper's experiments on a virtual actuator: what the tables and figures of `pitp demo` are made from.
 
     sweep ──▶ identify ──▶ nominal ─┐
     sines ──────────────────────────┴▶ train ──▶ model ─┬▶ predict in-sample and held-out records  (Table I)
@@ -97,7 +97,7 @@ class Track:
 
 @dataclass(frozen=True)
 class Demo:
-    """Everything the demo found; `predicted` and `linear`: free runs of model and nominal, by name."""
+    """Everything the demo measured and computed; `predicted` and `linear`: free runs of model and nominal, by name."""
 
     name: str
     sweep: Record
@@ -117,7 +117,7 @@ def run(
     say: Callable[[str], None] = lambda line: None,
     progress: Callable[[Progress], None] = lambda step: None,
 ) -> Demo:
-    """The whole demo on one virtual actuator.
+    """Run the whole demo on one virtual actuator.
 
     Args:
         name: `cone100`, `cone122`, `cone150` or `roll`.
@@ -133,30 +133,31 @@ def run(
     say(f"measuring {sum(map(len, drives.values()))} records on the virtual actuator {name}")
     (swept,), sines, test = (measure(actuator, drives[part]) for part in ("sweep", "train", "test"))
     say("identifying on the sweep")
-    found = identify([swept], progress=say)
-    say(f"order {found.model.order}; training on {len(sines)} sines")
+    identified = identify([swept], progress=say)
+    say(f"order {identified.model.order}; training on {len(sines)} sines")
     settings = replace(PRESETS["default"], **QUICK_TRAINING) if quick else None
-    trained = train(found.model, sines, settings=settings, key=jax.random.key(SEED), progress=progress)
-    if trained.interrupted:
+    trained = train(identified.model, sines, settings=settings, key=jax.random.key(SEED), progress=progress)
+    if trained.interrupted:  # a half-trained model beside the paper's figures would mislead
         raise KeyboardInterrupt
     say(f"predicting {len(sines)} in-sample and {len(test)} held-out records")
+    # every record once with both models: tables and figures read the same runs
     predicted = {r.name: p for part in (sines, test) for r, p in _pairs(trained.model, part)}
-    linear = {r.name: p for part in (sines, test, (swept,)) for r, p in _pairs(found.model, part)}
+    linear = {r.name: p for part in (sines, test, (swept,)) for r, p in _pairs(identified.model, part)}
     say("tracking sines")
     tracks = tuple(track(actuator, trained.model, f, sines) for f in TRACKING_PAPER[name])
-    return Demo(name, swept, sines, test, found, trained, predicted, linear, tracks)
+    return Demo(name, swept, sines, test, identified, trained, predicted, linear, tracks)
 
 
 QUICK_TRAINING = {"epochs": 6, "stages": 3, "refine_steps": 15}
 
 
 def kind(name: str) -> str:
-    """`cone` or `roll`."""
+    """Tell the kind of an actuator, `cone` or `roll`."""
     return "roll" if name == "roll" else "cone"
 
 
 def excitations(name: str, part: str, quick: bool) -> tuple[Excitation, ...]:
-    """The drives of one part of the protocol, fewer and shorter for `quick`."""
+    """List the drives of one part of the protocol, fewer and shorter for `quick`."""
     scale = SCALES[kind(name)]
     whole = protocol(kind(name), part)
     if not quick:
@@ -166,12 +167,12 @@ def excitations(name: str, part: str, quick: bool) -> tuple[Excitation, ...]:
     if part == "train":
         starts = tuple(f"sine_{f:03.0f}Hz_" for f in scale.quick_hz)
         whole = tuple(e for e in whole if e.name.startswith(starts))
-    keep = [e.time < scale.quick_s - 1e-9 for e in whole]
+    keep = [e.time < scale.quick_s - 1e-9 for e in whole]  # a sample at the end itself may round to either side
     return tuple(Excitation(e.name, e.time[k], e.voltage[k]) for e, k in zip(whole, keep, strict=True))
 
 
 def measure(actuator: Plant, drives: Sequence[Excitation]) -> tuple[Record, ...]:
-    """Noisy records of the virtual actuator, one per drive."""
+    """Measure noisy records of the virtual actuator, one per drive."""
     return tuple(record(actuator, e.name, e.time, e.voltage, seed=SEED) for e in drives)
 
 
@@ -180,7 +181,7 @@ def _pairs(model, records):
 
 
 def nearest(records: Sequence[Record], name: str, frequency: float) -> Record:
-    """The training sine at the amplitude of Table I and this frequency (Hz)."""
+    """Find the training sine at the amplitude of Table I and this frequency (Hz)."""
     wanted = f"sine_{frequency:03.0f}Hz_{SCALES[kind(name)].amplitude:.0f}V"
     return next(r for r in records if r.name == wanted)
 
@@ -194,38 +195,40 @@ def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> 
 
 
 def swing(training: Record) -> tuple[float, float]:
-    """Amplitude and mean (m) of a target: half the range reached in a training sine's second half, about its mean."""
+    """Choose amplitude and mean (m) of a target: half the range of a training sine's second half, about its mean."""
+    # half of what was reached: a target at the edge would need voltages that training never saw
     settled = training.displacement[training.samples // 2 :]
-    return 0.25 * float(np.ptp(settled)), float(settled.mean())
+    return 0.25 * float(np.ptp(settled)), float(settled.mean())  # amplitude: a quarter of peak to peak
 
 
 def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> Track:
-    """The feedforward for a target, played on the noise-free plant."""
-    found = feedforward(model, target)
-    clock = np.arange(len(found.time)) / actuator.rate_hz
-    x = simulate(actuator, clock, found.voltage, hold="zoh" if model.hold == "zoh" else "foh")
-    asked = np.asarray(found.target)
+    """Compute the feedforward for a target, and play it on the noise-free plant."""
+    plan = feedforward(model, target)
+    clock = np.arange(len(plan.time)) / actuator.rate_hz  # the feedforward may begin before the target's time 0
+    # the plant has no band-limited amplifier; samples this dense are joined by lines
+    x = simulate(actuator, clock, plan.voltage, hold="zoh" if model.hold == "zoh" else "foh")
+    asked = np.asarray(plan.target)
     return Track(
-        frequency, target.time, target.displacement, x[asked], found.voltage[asked],
-        found.self_check_e_rms_percent, found.warnings,
+        frequency, target.time, target.displacement, x[asked], plan.voltage[asked],
+        plan.self_check_e_rms_percent, plan.warnings,
     )  # fmt: skip
 
 
 def error(demo: Demo, name: str, *, linear: bool = False) -> float:
-    """e_rms in percent of the model's (or the nominal's) free run on one record; inf where it diverged."""
+    """Compute e_rms in percent of the model's (or the nominal's) free run on one record; inf where it diverged."""
     measured = next(r for r in (*demo.train, *demo.test, demo.sweep) if r.name == name)
     p = (demo.linear if linear else demo.predicted)[name]
     return e_rms_percent(p.displacement, measured.displacement, p.scored)
 
 
 def noise_floor(demo: Demo, name: str) -> float:
-    """e_rms in percent that the sensor's noise alone leaves on one record."""
+    """Compute e_rms in percent that the sensor's noise alone leaves on one record."""
     measured = next(r for r in (*demo.train, *demo.test) if r.name == name)
     return 100.0 * virtual_actuator(demo.name).noise_std / float(np.ptp(measured.displacement))
 
 
 def tables(demo: Demo) -> tuple[Table, ...]:
-    """Tables I (in-sample) and II beside the paper's, and the held-out records on their own."""
+    """Fill Tables I (in-sample) and II beside the paper's, and one of the held-out records."""
     amplitude = SCALES[kind(demo.name)].amplitude
     in_sample, held_out, tracking = [], [], []
     for f, paper in PREDICTION_PAPER[demo.name].items():
@@ -234,7 +237,7 @@ def tables(demo: Demo) -> tuple[Table, ...]:
         in_sample.append((f"{f:g}", paper, *ours))
     for r in demo.test:
         ours = (error(demo, r.name), error(demo, r.name, linear=True), noise_floor(demo, r.name))
-        held_out.append((r.name, *ours))
+        held_out.append((r.name, *ours))  # the paper has no such records to stand beside
     held_out.append(("median", *(float(np.median([row[k] for row in held_out])) for k in (1, 2, 3))))
     for t in demo.tracks:
         tracking.append((f"{t.frequency:g}", TRACKING_PAPER[demo.name][int(t.frequency)], t.e_rms, t.self_check))

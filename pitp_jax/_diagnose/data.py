@@ -128,14 +128,14 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         volts = r.voltage[:size].reshape(-1, k)
         volts = _root(np.mean(volts * np.abs(volts), 1)) if square else volts.mean(1)
         x = model.output.to_model(r.displacement[:size]).reshape(-1, k) / scale
-        seen = np.isfinite(x).any(1)
+        seen = np.asarray(np.isfinite(x).any(1))
         x = np.where(seen, np.nansum(x, 1) / np.maximum(np.isfinite(x).sum(1), 1), np.nan)
         age = model.provenance.age(r.time[0]) if known else 0.0
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         rest = b.begins == "rest"
         if rest and k > 1:  # a mean over k samples stands in their middle: the rest before it is a sample of its own
             volts, x = np.append(0.0, volts), np.append(np.nan, x)
-            seen = np.isfinite(x)
+            seen = np.asarray(np.isfinite(x))
         starts.append((0.0, 0.0) if rest else (first, 0.0))
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)

@@ -8,6 +8,7 @@ responses where it does not begin at rest; c_r is eliminated linearly, and the f
 cost a run a number and need no program of their own. A run that diverges is a rejected step.
 """
 
+import cmath
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -91,11 +92,11 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     time = np.arange(size) * case.dt
     columns, begins = [np.ones(size)], [(0.0, 0.0)]
     if a2 <= 0:
-        poles = [-a0 / a1]
+        poles = [complex(-a0 / a1)]
     else:
-        root = np.sqrt(complex(a1 * a1 - 4 * a0 * a2))
+        root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
         poles = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
-    for pole in map(complex, poles if not np.iscomplex(poles[0]) else poles[:1]):
+    for pole in poles if not poles[0].imag else poles[:1]:
         if abs(pole) * time[-1] < 1e-3 and a2 > 0:  # no spring: the zero stands for x(0)
             continue
         wave = np.exp(np.clip(pole.real * time, -700, 50)) * np.exp(1j * pole.imag * time)

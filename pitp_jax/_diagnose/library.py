@@ -5,6 +5,7 @@ scaled coordinates (x over its scale, time in s, force over its scale, voltages 
 """
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from .._effects import CATALOGUE
 from .._effects.found_term import FOUND_TERM, sparse_term
 from .._effects.found_term import NAMES as TERMS
 from .._model.encoder import ConstantEncoder
-from .._model.model import Model, linear_model
+from .._model.model import Model, Provenance, linear_model
 from .simulator import INDEX, NAMES, OFF
 
 BORDER = 15.0  # tau omega: creep above, relaxation below
@@ -396,7 +397,7 @@ def model_of(
     state = scale[: len(a)] if len(scale) >= len(a) else scale[0] * rate ** np.arange(len(a))
     plain = linear_model(
         a, input_map=model.input_map, state_scale=state, force_scale=force, output=model.output, hold="foh",
-        substeps=model.substeps, provenance=model.provenance,
+        substeps=model.substeps, provenance=cast(Provenance, model.provenance),
     )  # fmt: skip
     return replace(plain, effects=tuple(e for e, _ in effects_of(change, plain, omega)[0])), added, missing
 

@@ -32,7 +32,7 @@ REMAINDERS: dict[EffectSpec, tuple[EffectSpec, tuple[int, ...]]] = {
 
 
 def lookup(name: str, form: str | None = None) -> EffectSpec:
-    """The row of that name and form (the name's first form without one).
+    """Look up the row of that name and form (the name's first form without one).
 
     Raises:
         BadInput: there is none; the message lists those that there are.

@@ -1,4 +1,4 @@
-"""What the film makes of its voltage at the square (port SQ).
+"""Change what the film makes of its voltage at the square (port SQ).
 
 stretch_coupling        F (1 + b x),  F (1 + b x / 2)^2,  F exp(b x): never a push
 dielectric_saturation   F / (1 + |F| / F_s),  F_s tanh(F / F_s)
@@ -16,7 +16,7 @@ _INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
 
 def _stretched(form: str, title: str, equation: str, start, factor: Callable) -> EffectSpec:
-    """F times a factor of x that stays positive, undone by division."""
+    """Build a row: F times a factor of x that stays positive, undone by division."""
     return EffectSpec(
         "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ", start=start,
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
@@ -24,7 +24,7 @@ def _stretched(form: str, title: str, equation: str, start, factor: Callable) ->
 
 
 def _no_field(force, possible, inside):
-    """The force where it is possible, else infinite: no field makes it."""
+    """Return the force where it is possible, else infinite: no field makes it."""
     return jnp.where(possible, inside, jnp.sign(force) * jnp.inf)
 
 
@@ -34,7 +34,7 @@ def _unsaturated(p, force, x):
 
 
 def _ratio(r, small, of, series):
-    """of(r) / r, by its series near zero."""
+    """Compute of(r) / r, by its series near zero."""
     return jnp.where(small, series, of(r) / jnp.where(small, 1.0, r))
 
 

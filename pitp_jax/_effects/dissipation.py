@@ -1,4 +1,4 @@
-"""Forces that take energy (port C).
+"""Add forces that take energy (port C).
 
 drag              f = c x' |x'|  or  c x' |x' / v|^p
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
@@ -16,7 +16,10 @@ from .spec import EffectSpec, Parameter, starts
 
 
 def dry(now: Instant, level):
-    """What stops the motion within the step, up to a level."""
+    """Compute what stops the motion within the step, up to a level.
+
+    A sign of the velocity would overshoot and chatter at every step where the motion stands still.
+    """
     if now.order == 2:
         # rest: the force that would bring x' to zero by the end of the step
         rest = now.tokens[2] * (now.state[1] / (now.h * now.rates[1]) + now.highest)
@@ -26,10 +29,10 @@ def dry(now: Instant, level):
 
 
 def _smooth(p, now: Instant):
-    """F_c tanh(x' / v_s) at the step's end, so that v_s may be small; as it stands along a given motion."""
+    """Compute F_c tanh(x' / v_s) at the step's end, so that v_s may be small; as it stands along a given motion."""
     if now.order != 2 or now.last is not None:
         return p.level * jnp.tanh(now.v / p.speed)
-    reply = now.h * now.rates[1] / now.tokens[2]
+    reply = now.h * now.rates[1] / now.tokens[2]  # of x' to a force over the step
     free = now.state[1] + now.h * now.rates[1] * now.highest
     most, knee = reply * p.level, p.speed + reply * p.level
     # the answer for tanh cut to a ramp, then two Newton steps of  v + most tanh(v / v_s) = free
@@ -47,6 +50,7 @@ def _stribeck(p, now: Instant):
 
 
 def _power(p, now: Instant):
+    # |x'|^p by its logarithm: the slope of a power below 1 is infinite at 0, the small number keeps it finite
     return p.c * now.v * jnp.exp(p.p * jnp.log(jnp.abs(now.v / p.usual) + 1e-9))
 
 

@@ -1,4 +1,4 @@
-"""What amplifier and electrodes make of the command before the square (port IN): u to the film's V.
+"""Change what amplifier and electrodes make of the command before the square (port IN): u to the film's V.
 
 electrode_rc      tau V' = u - V, once or three times in a row
 slew_limit        |V'| <= s, as fast as it may or behind a lag           voltage_clip    V = min(max(u, -u_max), u_max)
@@ -17,41 +17,43 @@ from .._numerics.linear_recurrence import lag_after
 from .kernels import DELAY, lags, lead, slew
 from .spec import EffectSpec, Parameter, Surroundings, starts
 
-_LADDER = (0.8, 0.15, 0.05)
+_LADDER = (0.8, 0.15, 0.05)  # of tau: the slowest modes of a diffusion line, gathered in three lags
 _ROUND = 0.99  # of the limit of a rounded clip: as far as it is undone
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
 
 
 def lag_starts(s: Surroundings, high: float = 5.0):
-    """One time constant, around and below the time scale of the resonance."""
+    """Start one time constant around and below the time scale of the resonance."""
+    # down to a fifth of a sample: a shorter lag cannot be seen in the samples
     return starts(1 / s.omega, [0.1, 0.5], min(0.2 * s.dt * s.omega, 0.003), high)
 
 
 def last_lag(p, w, z):
-    """The last lag's output; what enters, where there is no lag."""
+    """Return the last lag's output; what enters, where there is no lag."""
     return jnp.where(p.tau > 0, z[-1], w)
 
 
 def _rounded(p, v, dt):
-    r = jnp.clip(jnp.abs(p.inverse * v), 0.0, _ROUND)
+    r = jnp.clip(jnp.abs(p.inverse * v), 0.0, _ROUND)  # at the limit itself no drive is high enough
     return v * (1 - r**8) ** (-1 / 8)
 
 
 def _slews(s: Surroundings) -> list:
-    """(start, low, high): below the fastest slew of the drive (steps aside), down to a slow amplifier."""
+    """List (start, low, high): below the fastest slew of the drive (steps aside), down to a slow amplifier."""
     # a step's slew is that of the sampling and says nothing: two radians of the resonance at full voltage are fast
     fast = min(s.slew, 2 * s.omega * s.voltage)
     return [(1 / (part * fast), 0.5 / s.slew, 200 / fast) for part in (0.6, 0.25, 0.1)]
 
 
 def _slew_starts(s: Surroundings, *lag):
+    """Start the limit alone, or with (start, low, high) of a lag beside it."""
     rows = zip(*_slews(s), strict=True)
     value, low, high = ([(v, *lag[k : k + 1]) for v in row] for k, row in enumerate(rows))
     return starts(1.0, value, low[0], high[0])
 
 
 def _traps(s: Surroundings, strength: float, most: float):
-    """Time constants slower than the resonance, down to the longest record."""
+    """Start time constants slower than the resonance, up to the longest record."""
     taus = np.geomspace(max(8 / s.omega, s.duration / 100), s.duration / 3, 3)
     return starts(1.0, [(strength, tau) for tau in taus], (1e-4, 1.0 / s.omega), (most, 3 * s.duration))
 

@@ -59,7 +59,7 @@ class Instant:
 
     @property
     def x(self):
-        """Scaled displacement."""
+        """Scaled displacement x."""
         return self.state[0]
 
     @property
@@ -70,9 +70,10 @@ class Instant:
     @property
     def v(self):
         """Scaled x' half a step on (order 2: by the acceleration the step begins with)."""
+        # at order 1 x' is the highest derivative: not a state, but what the frozen step makes of the force
         if self.order == 1:
             return self.highest if self.last is None else self.last
-        if self.order > 2 or self.last is not None:
+        if self.order > 2 or self.last is not None:  # drifted already, or of a motion that is given
             return self.state[1]
         return self.state[1] + self.h / 2 * self.rates[1] * self.highest
 
@@ -92,11 +93,11 @@ class Instant:
         return self.tokens[2] * (self.highest if self.order == 2 else self.state[2])
 
     def pulled(self, force) -> "Instant":
-        """The same with one more force in the frozen equation."""
+        """Add one more force to the frozen equation."""
         return replace(self, offset=self.offset + force)
 
     def heavier(self, mass) -> "Instant":
-        """The same with more in front of x'', or of x^(n) below order 2."""
+        """Add mass: more in front of x'', or of x^(n) below order 2."""
         return replace(self, tokens=self.tokens.at[min(2, self.order)].add(mass))
 
 
@@ -111,7 +112,8 @@ class Effect:
         self.spec, self.theta = spec, tuple(theta)
 
     def __getattr__(self, name: str) -> Any:
-        """A number by its name, else what its row says."""
+        """Look up a number by its name, else what its row says."""
+        # asked before __init__ ran (copy, pickle), `spec` would ask for itself without end
         if name in ("spec", "theta") or name.startswith("__"):
             raise AttributeError(name)
         names = self.spec.names
@@ -122,12 +124,12 @@ class Effect:
         return f"effect({self.name!r}, form={self.form!r}, {numbers})"
 
     def tree_flatten_with_keys(self):
-        """Leaves by name, so that files and messages name them."""
+        """Flatten to leaves by name, so that files and messages name them."""
         return [(GetAttrKey(k), v) for k, v in zip(self.spec.names, self.theta, strict=True)], self.spec
 
     @classmethod
     def tree_unflatten(cls, spec, theta):
-        """An effect of other leaves."""
+        """Build an effect of other leaves."""
         return cls(spec, theta)
 
     @property
@@ -151,47 +153,48 @@ class Effect:
         return SimpleNamespace(**dict(zip(self.spec.names, self.theta, strict=True)))
 
     def numbers(self) -> list[tuple["Parameter", Array]]:
-        """Its numbers one by one, and what each of them is."""
+        """List its numbers one by one, and what each of them is."""
+        # a found term keeps many numbers in one array
         flat = [v[k] if v.ndim else v for v in self.theta for k in (range(v.shape[0]) if v.ndim else (0,))]
         return list(zip(self.spec.parameters, flat, strict=True))
 
     def times(self, factors) -> "Effect":
-        """The effect with each of its numbers times a factor."""
+        """Multiply each of its numbers by a factor."""
         return self.spec(*(v * f for (_, v), f in zip(self.numbers(), factors, strict=True)))
 
     def start(self, w, age=0.0) -> Float[Array, " states"]:
-        """States of what has been held at w, at that age of the session in s."""
+        """Set the states of what has been held at w, at that age of the session in s."""
         return self.kernel.start(self.p, w, age)
 
     def resumed(self, z, reached) -> Float[Array, " states"]:
-        """States where the session has gone to |X| = `reached` before."""
+        """Set the states where the session has gone to |X| = `reached` before."""
         return self.kernel.resumed(self.p, z, reached)
 
     def advance(self, z, before, after, h) -> Float[Array, " states"]:
-        """States after w ran linearly from `before` to `after` in h seconds."""
+        """Advance the states: w ran linearly from `before` to `after` in h seconds."""
         return self.kernel.advance(self.p, z, before, after, h)
 
     def apply(self, w, beside):
-        """What leaves the port where w enters; `beside`: the states (IN, OUT), the displacement (SQ)."""
+        """Compute what leaves the port where w enters; `beside`: the states (IN, OUT), the displacement (SQ)."""
         return self.spec.law(self.p, w, beside)
 
     def act(self, z, now: Instant) -> Instant:
-        """The frozen equation with the effect's force in it."""
+        """Put the effect's force into the frozen equation."""
         p, spec = self.p, self.spec
         # along a given motion the states are those of the instant; a step's force is read half a step on
         now = replace(now, z=z if now.last is not None else self.kernel.ahead(p, z, now))
-        if spec.mass:
+        if spec.mass:  # first: the acceleration that a law reads is then that of the changed mass
             now = now.heavier(spec.mass(p, now))
         return now.pulled(spec.law(p, now))
 
     def uncoupled(self, force, x):
-        """The film's force behind a force on the structure (SQ)."""
+        """Solve for the film's force behind a force on the structure (SQ)."""
         if self.spec.inverse:
             return self.spec.inverse(self.p, force, x)
         return solve(lambda f: self.apply(f, x), force)
 
     def undo(self, values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-        """What must enter for these smooth values to leave, for a record that starts at rest (IN, OUT)."""
+        """Solve for what must enter for these smooth values to leave, of a record that starts at rest (IN, OUT)."""
         if self.spec.inverse:
             return self.spec.inverse(self.p, values, dt)
         if not self.states:
@@ -207,7 +210,7 @@ class Effect:
         return jnp.append(first, jax.lax.scan(sample, (begun, first), values[1:])[1])
 
     def undo_sample(self, z, before, wanted, dt: float) -> tuple:
-        """(states, w) a sample on, w such that `wanted` leaves."""
+        """Solve for (states, w) a sample on, w such that `wanted` leaves."""
 
         def advanced(w):
             return self.advance(z, before, w, dt)
@@ -219,10 +222,10 @@ class Effect:
         return advanced(w), w
 
     def passes(self, values: Float[Array, " time"], dt: float) -> Array:
-        """True where something that enters makes these values leave (IN)."""
+        """Mark where something that enters makes these values leave (IN)."""
         if self.spec.passes:
             return self.spec.passes(self.p, values, dt)
-        if self.states:
+        if self.states:  # a memory delays what passes; it forbids nothing
             return jnp.ones(values.shape, bool)
         # beyond a limit no input gives the value back, whatever the inverse says there
         w = self.undo(values, dt)
@@ -230,7 +233,7 @@ class Effect:
 
 
 def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: int = _STEPS) -> Array:
-    """W with function(w) = wanted, element by element, by Newton's method from `begin` (from what is wanted).
+    """Solve function(w) = wanted element by element by Newton's method, from `begin` (default: from what is wanted).
 
     A step is taken only where it comes nearer: at a flat piece (a clip) w stays where it is.
     """

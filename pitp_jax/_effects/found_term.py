@@ -29,7 +29,7 @@ KNEES = (
     Parameter("tau", "s"),
     Parameter("d", "x", length=1, positive=False),
 )
-_EDGE = 0.02  # of the reach or more: what a step [x > a] is rounded over, scaled
+_EDGE = 0.02  # scaled: what a step [x > a] is rounded over, so that a fit can move a
 
 
 class Values(NamedTuple):
@@ -44,7 +44,7 @@ class Values(NamedTuple):
     @property
     def u(self):
         """Absolute voltage, sqrt|F|, without an infinite slope at zero."""
-        return jnp.sqrt(jnp.abs(self.f) + 1e-6)
+        return jnp.sqrt(jnp.abs(self.f) + 1e-6)  # a thousandth of the largest voltage
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Function:
 
     @property
     def parameter(self) -> Parameter:
-        """Its coefficient."""
+        """Its coefficient, in the unit that makes a force (V^2) of the function."""
         x, v, a, f = self.powers
         top, bottom = ("V^2" if f == 0 else "V" if f == 0.5 else "1"), x + v + a
         seconds = v + 2 * a
@@ -83,6 +83,7 @@ class Function:
         low = ("" if not bottom else "x" if bottom == 1 else f"x^{bottom:g}") + (" V^2" if f == 2 else "")
         unit = (top + time).removeprefix("1 ") if time else top
         low = low.strip()
+        # powers of the scales that take the stored coefficient back: those of the force over those of the function
         return Parameter(
             self.text, f"{unit}/{low}" if low else unit, length=-x, speed=-int(v), acceleration=-int(a), force=1 - f,
             positive=False, off=0.0,
@@ -90,11 +91,11 @@ class Function:
 
 
 def _over(q: Values):
-    """[x > a], rounded."""
+    """Compute the step [x > a], rounded."""
     return 0.5 * (1 + jnp.tanh((q.x - q.knees[0]) / _EDGE))
 
 
-# what functions are products of: (powers of x, x', x'' and F; value; knee)
+# what functions are products of: (powers of x, x', x'' and F; value; knee); the longest names first
 _FACTORS: dict[str, tuple] = {
     "max(|x'| - b, 0) sgn x'": ((0, 1, 0, 0), lambda q: q.v - jnp.clip(q.v, -q.knees[1], q.knees[1]), 1),
     "max(x - a, 0)": ((1, 0, 0, 0), lambda q: jnp.maximum(q.x - q.knees[0], 0.0), 0),
@@ -118,7 +119,7 @@ _FACTOR = re.compile(rf"({'|'.join(map(re.escape, _FACTORS))})(?:\^(\d))?")
 
 
 def _function(text: str) -> Function:
-    """A function from how it is written: a product of factors and their powers."""
+    """Build a function from how it is written: a product of factors and their powers."""
     factors = [(*_FACTORS[name], int(power or 1)) for name, power in _FACTOR.findall(text)]
     powers = tuple(sum(p[i] * n for p, _, _, n in factors) for i in range(4))
     alone = 1e-3 if text == "U" else 0.0  # zero where there is no voltage, whose root is rounded
@@ -140,21 +141,21 @@ NAMES = tuple(LIBRARY)
 
 
 def held_knees(functions: tuple[str, ...]) -> list[int]:
-    """Which of the knees some functions have."""
+    """List which of the knees some functions have."""
     return sorted({k for name in functions if (k := LIBRARY[name].knee) is not None})
 
 
 def _knees(p, functions) -> list:
-    """All of a, b, e, tau and d, those that the sum does not have at one."""
+    """List all of a, b, e, tau and d, those that the sum does not have at one."""
     held = held_knees(functions)
     return [p.knees[held.index(k)] if k in held else jnp.ones((), p.c.dtype) for k in range(len(KNEES))]
 
 
 def _starts(s: Surroundings) -> list[Start]:
-    """All coefficients at zero, bounded by thirty times the restoring force; knees within the records."""
-    speed = 2 * s.speed
+    """Start all coefficients at zero, bounded by thirty times the restoring force; knees within the records."""
+    speed = 2 * s.speed  # of a motion with this rms, about its largest
     units = [s.pull / (s.reach ** f.powers[0] * speed ** f.powers[1] * s.pull ** f.powers[3]) for f in _LISTED]
-    units[-1] = s.inertia / s.reach
+    units[-1] = s.inertia / s.reach  # c x x'': of a mass, not of a force
     knees = (0.0, s.speed, 0.5 * s.pull, 1 / s.omega, s.top)
     low = [*(-30 * u for u in units), s.bottom, 0.02 * s.speed, 0.02 * s.pull, 2 * s.dt, s.bottom]
     high = [*(30 * u for u in units), s.top, 5 * s.speed, 2 * s.pull, s.duration, s.top]
@@ -163,7 +164,7 @@ def _starts(s: Surroundings) -> list[Start]:
 
 @lru_cache(maxsize=256)
 def term_row(functions: tuple[str, ...]) -> EffectSpec:
-    """The row of a sum of these functions; its numbers are their coefficients c and those knees that they have."""
+    """Build the row of a sum of these functions; its numbers are their coefficients c and those knees they have."""
     held = held_knees(functions)
     lag = lags(1.0)
 
@@ -178,9 +179,9 @@ def term_row(functions: tuple[str, ...]) -> EffectSpec:
         return total(p, now, now.x, lambda f: f.inertial) if now.order > 1 else 0.0
 
     def law(p, now: Instant):
-        """The sum, at the velocity half a step on that it makes itself; friction is resolved after the rest."""
+        """Compute the sum at the velocity half a step on that it makes itself; friction is resolved last."""
         v = now.v
-        if now.last is None:
+        if now.last is None:  # one corrector step: a strong damping at the old velocity would overshoot
             v = now.pulled(total(p, now, v, _smooth)).v
         force = total(p, now, v, _smooth)
         if not any(LIBRARY[name].friction for name in functions):
@@ -191,7 +192,7 @@ def term_row(functions: tuple[str, ...]) -> EffectSpec:
         return force + jnp.sign(level) * dry(now.pulled(force), jnp.abs(level))
 
     def with_tau(rule):
-        return lambda p, *rest: rule(SimpleNamespace(tau=_knees(p, functions)[3]), *rest)
+        return lambda p, *others: rule(SimpleNamespace(tau=_knees(p, functions)[3]), *others)
 
     return EffectSpec(
         "found_term", "sum of functions", (*(LIBRARY[name].parameter for name in functions), *(KNEES[k] for k in held)),
@@ -208,7 +209,7 @@ def _smooth(f: Function) -> bool:
 
 
 def sparse_term(values) -> Effect:
-    """The sum without the functions that are not in it, from numbers in the order of `FOUND_TERM.parameters`."""
+    """Drop the functions whose coefficient is zero, from numbers in the order of `FOUND_TERM.parameters`."""
     kept = [k for k in range(len(NAMES)) if values[k] != 0]
     chosen = tuple(NAMES[k] for k in kept)
     knees = [values[len(NAMES) + k] for k in held_knees(chosen)]

@@ -1,8 +1,8 @@
-"""Masses the nominal does not have, and loads that let go (port M); a_2 is the nominal's mass, k its stiffness.
+"""Add masses the nominal does not have, and loads that let go (port M); a_2 is the nominal's mass, k its stiffness.
 
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass carried along by a spring,
-              f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')          or a share of the mass come loose
+              f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')          or a part of the mass come loose
 slack         x'' >= -g, sharp or soft: a load that is only pulled falls freely once the film lets go
 """
 
@@ -15,12 +15,12 @@ from .spec import EffectSpec, Parameter, Surroundings, starts
 
 
 def _massive(start):
-    """Nothing for a nominal of order 1, which has no mass."""
+    """Build starts that are none for a nominal of order 1, which has no mass."""
     return lambda s: start(s) if s.inertia > 0 else []
 
 
 def mode_starts(s: Surroundings, strength: float, most: float = 20.0, ratios=(0.6, 1.6, 2.5, 4.5)):
-    """Resonances below and above the nominal's, within reach of the sampling; `most`: bound of the strength."""
+    """Start resonances below and above the nominal's, within reach of the sampling; `most`: bound of the strength."""
     high = min(20 * s.omega, 1.5 / s.dt)  # half a turn a sample and more cannot be told from less
     values = [(strength, min(m * s.omega, 0.9 * high), 0.04) for m in ratios]
     return starts(1.0, values, (1e-4, 0.2 * s.omega, 1e-3), (most, high, 0.4))  # with more damping it is a lag
@@ -29,7 +29,8 @@ def mode_starts(s: Surroundings, strength: float, most: float = 20.0, ratios=(0.
 def _loosened(p, now: Instant):
     if now.order < 2:
         return 0.0 * now.x
-    slip = now.rates[0] * now.state[1] - now.z[1]
+    slip = now.rates[0] * now.state[1] - now.z[1]  # z' is kept in 1/s, x' in a scale of its own
+    # the loose mass accelerates with the pull of its spring, and no longer with the body
     pull = p.omega**2 * (now.x - now.z[0]) + 2 * p.zeta * p.omega * slip
     return p.p * now.coefficients[2] / (now.rates[0] * now.rates[1]) * pull
 
@@ -61,12 +62,12 @@ MASSES = (
 
 
 def _falling(start):
-    """Nothing where there is no mass, or no acceleration that a load could not follow."""
+    """Build starts that are none where there is no mass, or no acceleration that a load could not follow."""
     return lambda s: start(s) if s.inertia > 0 and s.acceleration > 0 else []
 
 
 def _free_fall(sign: float):
-    """As much push as is missing for sign x'' >= -g."""
+    """Build the law: as much push as is missing for sign x'' >= -g."""
 
     def law(p, now: Instant):
         if now.order != 2:
@@ -83,6 +84,7 @@ def _soft_fall(p, now: Instant):
         return 0.0 * now.x
     g = 1 / jnp.maximum(p.inverse, 1e-12)
     width = p.softness * g
+    # softplus: max(-(x'' + g), 0) without its corner
     missing = width * jax.nn.softplus(-(now.highest + g) / width)
     return -now.tokens[2] * missing * (p.inverse > 0)
 

@@ -1,4 +1,4 @@
-"""Kernels: the few memories that all forms of the catalogue need, each advanced by an exact rule where one is known.
+"""Advance the few memories that all forms of the catalogue need, by an exact rule where one is known.
 
     lags         tau_i z_i' = w - z_i, side by side, or each behind the one before         (exact for w linear)
     oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
@@ -23,7 +23,7 @@ from .._model.drive import slope
 from .._numerics.linear_recurrence import lag_after
 
 
-def _same(p, z, *rest):
+def _same(p, z, *others):
     return z
 
 
@@ -47,13 +47,13 @@ class Kernel:
 
 
 NOTHING = Kernel(0, lambda p, w, age: jnp.zeros((0,)))
-DELAY = Kernel(0, NOTHING.start)  # told from NOTHING by identity: the shift acts on records, see `shifted`
+DELAY = Kernel(0, NOTHING.start)  # differs from NOTHING by identity: the shift acts on records, see `shifted`
 
 
 def lags(*ratios: float, in_a_row: bool = False, of: Callable = lambda p, w: w) -> Kernel:
-    """Lags with the time constants ratio * tau; `of` is what they follow of w."""
+    """Build lags with the time constants ratio * tau; `of` is what they follow of w."""
 
-    def taus(p):
+    def taus(p):  # the smallest number stands for no lag, and keeps h / tau finite
         return [jnp.maximum(r * p.tau, 1e-9) for r in ratios]
 
     def advance(p, z, before, after, h):
@@ -67,21 +67,21 @@ def lags(*ratios: float, in_a_row: bool = False, of: Callable = lambda p, w: w) 
             before, after = state, chain[-1]
         return jnp.stack(chain)
 
-    def ahead(p, z, now):
+    def ahead(p, z, now):  # x taken as held over half a step: its end is not known yet
         return z + (now.x - z) * -jnp.expm1(-now.h / 2 / jnp.stack(taus(p)))
 
     return Kernel(len(ratios), lambda p, w, age: jnp.full((len(ratios),), of(p, w)), advance, ahead)
 
 
 def lead(values: Float[Array, " time"], dt: float, *taus) -> Float[Array, " time"]:
-    """What lags in a row made these smooth values of: v + tau v', lag by lag."""
+    """Undo lags in a row for smooth values: v + tau v', lag by lag."""
     for tau in taus:
         values = values + tau * slope(values, dt)
     return values
 
 
 def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
-    """(z, z' in 1/s) of a mass carried along by a spring, at rest beside w at first."""
+    """Build (z, z' in 1/s) of a mass carried along by a spring, at rest beside w at first."""
 
     def advance(p, z, before, after, h):
         w = frequency(p)
@@ -96,7 +96,7 @@ def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
 
 
 def play(*ratios: float) -> Kernel:
-    """Plays of the half widths ratio * width, in their middle at first."""
+    """Build plays of the half widths ratio * width, in their middle at first."""
 
     def inside(p, z, w):
         r = p.width * jnp.asarray(ratios, jnp.result_type(p.width))
@@ -111,9 +111,9 @@ def play(*ratios: float) -> Kernel:
 
 
 def _travelled(advance: Callable) -> Kernel:
-    """A state that begins relaxed and depends on the way alone, not on the time it took."""
+    """Build a state that begins relaxed and depends on the way alone, not on the time it took."""
 
-    def ahead(p, z, now):
+    def ahead(p, z, now):  # the way to half a step on, at the velocity of the step; none is known at order 1
         way = now.h / 2 * now.rates[0] * now.state[1] if len(now.state) > 1 else 0.0 * now.x
         return advance(p, z, 0.0 * way, way, 0.0)
 
@@ -121,7 +121,7 @@ def _travelled(advance: Callable) -> Kernel:
 
 
 def dahl(width: str = "width") -> Kernel:
-    """A state that saturates at the yield displacement r, the number of that name."""
+    """Build a state that saturates at the yield displacement r, the number of that name."""
 
     def advance(p, z, before, after, h):
         r = getattr(p, width)
@@ -133,7 +133,7 @@ def dahl(width: str = "width") -> Kernel:
 
 
 def bouc_wen(loading: Callable, unloading: Callable, power: Callable) -> Kernel:
-    """A state whose growth is resisted by c |z / width|^n, c = loading(p) or unloading(p), n = power(p)."""
+    """Build a state whose growth is resisted by c |z / width|^n, c = loading(p) or unloading(p), n = power(p)."""
 
     def advance(p, z, before, after, h):
         way = after - before
@@ -166,7 +166,7 @@ CLOCK = Kernel(
 
 
 def slew(goal: Callable = lambda p, z, before, after, h: after) -> Kernel:
-    """Towards a goal, no faster than 1 / inverse."""
+    """Build a state that runs towards a goal, no faster than 1 / inverse."""
 
     def advance(p, z, before, after, h):
         most = h / jnp.maximum(p.inverse, 1e-30)  # inverse 0: no limit
@@ -176,7 +176,7 @@ def slew(goal: Callable = lambda p, z, before, after, h: after) -> Kernel:
 
 
 def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " time"]:
-    """A series a number of samples earlier, linear between them; `before` stands ahead of the first one."""
+    """Read a series a number of samples earlier, linear between them; `before` stands ahead of the first one."""
     # by index and weight, not by interp: a delay is fitted, and its slope must be that of the line between samples
     at = jnp.arange(values.shape[0]) - samples
     index = jnp.floor(at)
@@ -188,11 +188,11 @@ def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " ti
 
 
 def advanced(values: Float[Array, " time"], samples) -> Float[Array, " time"]:
-    """A series a number of samples later: what a delay must be given now. The last value is repeated."""
+    """Read a series a number of samples later: what a delay must be given now. The last value is repeated."""
     place = jnp.arange(values.shape[0], dtype=values.dtype)
     return jnp.interp(place + samples, place, values)
 
 
 def total_delay(effects: Sequence) -> float:
-    """What a model's delays take together, s."""
+    """Add up a model's delays, s."""
     return sum(float(e.time) for e in effects if e.spec.kernel is DELAY)

@@ -1,4 +1,4 @@
-"""Forces that remember (port K) and springs that change over a session (port T), k = sigma_0 of the nominal.
+"""Add forces that remember (port K) and springs that change over a session (port T), k = sigma_0 of the nominal.
 
 creep, relaxation   f = k kappa mean_i (x - z_i),  or, beside a nominal that is the fresh film,  -k kappa mean_i z_i
                     tau_i z_i' = x - z_i;  creep where tau omega_0 > 15, relaxation below: near the border they are tied
@@ -25,13 +25,13 @@ _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
 def _branch_starts(slow: bool, most: float) -> Callable[[Surroundings], list[Start]]:
-    """Time constants a decade apart on the right side of the border."""
+    """Start time constants a decade apart on the right side of the border."""
 
     def start(s: Surroundings):
         border = BORDER / s.omega
         # two starts: the error is flat in tau a decade off
         if slow:
-            high = max(2 * s.duration, 2 * border)
+            high = max(2 * s.duration, 2 * border)  # slower creep is a drift within any record
             taus = 2.5 * border, min(12 * border, 0.7 * high)
             return starts(1.0, [(0.2, tau) for tau in taus], (1e-4, border), (most, high))
         return starts((1, 1 / s.omega), [(0.2, 1.0), (0.2, 5.0)], (1e-4, 0.15), (most, BORDER))
@@ -40,7 +40,7 @@ def _branch_starts(slow: bool, most: float) -> Callable[[Surroundings], list[Sta
 
 
 def _branches(name: str, form: str, title: str, *ratios: float, fresh: bool = False) -> EffectSpec:
-    """One row of creep or relaxation; `fresh`: the nominal is the film before it gave way."""
+    """Build one row of creep or relaxation; `fresh`: the nominal is the film before it gave way."""
     pull = "-z_i" if fresh else "x - z_i"
     return EffectSpec(
         name, form, _BRANCH, title, f"f = k kappa mean_i ({pull}), tau_i z_i' = x - z_i, tau_i = tau {ratios}",
@@ -50,7 +50,7 @@ def _branches(name: str, form: str, title: str, *ratios: float, fresh: bool = Fa
 
 
 def _loop_starts(*widths: float, low: float, high: float, strength: float, most: float = 20.0):
-    """Narrow and wide beside the largest displacement."""
+    """Start widths that are narrow and wide beside the largest displacement."""
     return lambda s: starts((1, s.reach), [(strength, width) for width in widths], (1e-4, low), (most, high))
 
 
@@ -66,6 +66,7 @@ LOOPS = (
     EffectSpec(
         "hysteresis", "plays", _WIDTH, "Rubbing inside the material makes a loop that is the same at every frequency.",
         "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
+        # widths about evenly apart in their logarithm: the loop is rounded like a real one, by four numbers in one
         kernel=play(0.15, 0.4, 1.0, 2.2), start=_loop_starts(0.08, 0.3, low=0.02, high=0.8, strength=0.4),
         law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
     ),
@@ -105,7 +106,7 @@ LOOPS = (
 
 
 def _within_session(start):
-    """Nothing where the session is no longer than a record: its clock is not known then."""
+    """Build starts that are none where the session is no longer than a record: its clock is not known then."""
     return lambda s: start(s) if s.session > 1.5 * s.duration else []
 
 

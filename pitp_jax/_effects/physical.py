@@ -1,4 +1,4 @@
-"""An effect's numbers in physical units, and in a model of other scales.
+"""Convert an effect's numbers to physical units, and to a model of other scales.
 
 physical = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: the model's scales of state and force
 """
@@ -12,19 +12,19 @@ from .spec import Parameter
 
 
 def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float:
-    """What takes a stored value to physical units, `state` and `force` being a model's scales."""
-    s = (*state, 1.0, 1.0)
+    """Compute what takes a stored value to physical units, `state` and `force` being a model's scales."""
+    s = (*state, 1.0, 1.0)  # a nominal of order 1 has no scale of x''
     return float(s[0] ** p.length * s[1] ** p.speed * s[2] ** p.acceleration * force**p.force)
 
 
 def in_scales(effect: Effect, old: tuple, new: tuple) -> Effect:
-    """The same effect in a model of other scales (state, force)."""
+    """Express the same effect in a model of other scales (state, force)."""
     return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 
 
 def physical(model: Model, p: Parameter, value: float) -> tuple[float, str]:
-    """A number stored in an effect, in physical units."""
+    """Convert a number stored in an effect to physical units."""
     unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))
-    if p.force:
+    if p.force:  # behind a linear input map the force is a voltage
         unit = unit.replace("V^2", model.input_map.unit)
     return value * physical_factor(p, model.scales.state, model.scales.force), unit

@@ -1,4 +1,4 @@
-"""What the sensor makes of the motion (port OUT): x to the reading y.
+"""Change what the sensor makes of the motion (port OUT): x to the reading y.
 
 sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3
 sensor_lag            tau y' = x - y, once or twice;   tau^2 y'' + 2 zeta tau y' + y = x
@@ -21,12 +21,13 @@ _THIRD = Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0)
 
 
 def _second_order(p, y, dt):
+    # the equation itself, read from right to left
     first = slope(y, dt)
     return y + 2 * p.zeta * p.tau * first + p.tau**2 * slope(first, dt)
 
 
 def _across(p, y, dt):
-    """X = y + w/2 sgn(y'): across the play at every reversal, no faster than a smooth motion can."""
+    """Compute x = y + w/2 sgn(y'): across the play at every reversal, no faster than a smooth motion can."""
     # the sign of y' rounded by tanh: a jump of the whole play within a sample no motion could follow
     least = jnp.maximum(p.width, 1e-12) / (_TURN * dt)
     return y + p.width / 2 * jnp.tanh(slope(y, dt) / least)
@@ -86,6 +87,7 @@ SENSOR = (
         start=lambda s: starts(
             (1 / s.omega, 1), [(0.25, 0.8)], (min(0.2 * s.dt * s.omega, 0.003), 0.35), (5, 3)
         ),
+        # at tau = 0 the oscillator stands at its bound, and would be read instead of x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),
     EffectSpec(

@@ -1,4 +1,4 @@
-"""One row of the catalogue: what an effect is called, where it enters, its numbers, its law and its memory.
+"""Define a row of the catalogue: what an effect is called, where it enters, its numbers, its law and its memory.
 
     sum_i sigma_i x^(i) + sigma_off + f(x, x', z) = coupling(V, x),    V = drive(u),    y = sensor(x)
 
@@ -96,7 +96,7 @@ class Start:
 
 
 def starts(unit, values: Sequence, low, high) -> list[Start]:
-    """Starts in units of the surroundings: one number or one per parameter in each place.
+    """Build starts in units of the surroundings: one number or one per parameter in each place.
 
     Args:
         unit: what values and bounds are multiples of.
@@ -105,7 +105,7 @@ def starts(unit, values: Sequence, low, high) -> list[Start]:
     """
     scale, bottom, top = (np.atleast_1d(np.asarray(v, float)) for v in (unit, low, high))
 
-    def numbers(row) -> tuple[float, ...]:
+    def numbers(row) -> tuple[float, ...]:  # one unit may serve all parameters, or each has its own
         return tuple(map(float, scale * np.atleast_1d(row)))
 
     return [Start(numbers(row), numbers(bottom), numbers(top)) for row in values]
@@ -165,16 +165,18 @@ class EffectSpec:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the arrays that hold its numbers."""
+        """Names of the arrays that hold its numbers."""
         return tuple(name for name, _ in self.arrays) or tuple(p.name for p in self.parameters)
 
     @property
     def off(self) -> tuple[float, ...]:
         """Numbers at which it does nothing."""
-        return tuple(1.0 if p.off is None else p.off for p in self.parameters)
+        return tuple(
+            1.0 if p.off is None else p.off for p in self.parameters
+        )  # 1: any width or time, beside strength 0
 
     def __call__(self, *values) -> Effect:
-        """The effect with these numbers, in the order of `parameters`."""
+        """Make the effect with these numbers, in the order of `parameters`."""
         if len(values) != len(self.parameters):
             raise TypeError(f"{self.key} has {len(self.parameters)} numbers, not {len(values)}")
         # an array keeps its precision, a plain number has that of training and rollout
@@ -187,5 +189,5 @@ class EffectSpec:
         return Effect(self, tuple(flat[a:b] for a, b in zip(ends, ends[1:], strict=False)))
 
     def neutral(self) -> Effect:
-        """The effect that is not there."""
+        """Make the effect that is not there."""
         return self(*self.off)

@@ -1,4 +1,4 @@
-"""Springs that are not linear (port K), k = sigma_0 of the nominal; forces f beside k x.
+"""Add springs that are not linear (port K), k = sigma_0 of the nominal; forces f beside k x.
 
 stiffening  k c x^3,   k c x |x / x_r|^p,   k x (1/(1 - (x/L)^2) - 1)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
@@ -16,7 +16,7 @@ from .spec import EffectSpec, Parameter, Surroundings, starts
 
 _LIMIT = 0.97**2  # of the squared length of the Gent-like spring; beyond, the force goes on linearly
 _SMALL = 0.03  # below, a ratio is replaced by its series: 0/0 in float32
-_KEPT = 0.97  # of a saturating spring is lost; without the rest nothing would bring it back
+_LOST = 0.97  # of a saturating spring; without the other 3 % nothing would bring it back
 
 
 def _power(p, now):
@@ -28,6 +28,7 @@ def _power(p, now):
 def _gent(p, now):
     square = (p.curvature * now.x) ** 2
     inside = square / (1 - jnp.minimum(square, _LIMIT))
+    # the tangent there: a rollout that runs against the chain's end meets a steep spring, not a division by zero
     beyond = _LIMIT / (1 - _LIMIT) + (square - _LIMIT) / (1 - _LIMIT) ** 2
     return now.k * now.x * jnp.where(square < _LIMIT, inside, beyond)
 
@@ -41,22 +42,23 @@ def _quadratic(p, now):
 
 
 def _ratio(r, of, series):
-    """of(r) / r - 1, by its series near zero."""
+    """Compute of(r) / r - 1, by its series near zero."""
     small = jnp.abs(r) < _SMALL
     return jnp.where(small, series, of(r) / jnp.where(small, 1.0, r) - 1)
 
 
 def _saturating(p, now):
     r = p.curvature * now.x
-    return _KEPT * now.k * now.x * _ratio(r, jnp.tanh, -(r**2) / 3)
+    return _LOST * now.k * now.x * _ratio(r, jnp.tanh, -(r**2) / 3)
 
 
 def _exponential(p, now):
-    r = jnp.clip(p.b * now.x, -3.0, 6.0)
+    r = jnp.clip(p.b * now.x, -3.0, 6.0)  # far on the hard side the exponential would outrun any step
     return now.k * now.x * _ratio(r, lambda r: -jnp.expm1(-r), -r / 2 + r**2 / 6)
 
 
 def _root(p, now):
+    # (sqrt(1 + 2 r) - 1) / r falls from 1 as the root does, and is smooth at x = 0, where a bare root is not
     r = p.curvature * jnp.abs(now.x)
     return now.k * now.x * _ratio(r, lambda r: jnp.sqrt(1 + 2 * r) - 1, -r / 2 + r**2 / 2)
 
@@ -68,13 +70,13 @@ def _hertz(depth):
 
 
 def _contact(p, depth, speed):
-    """Hertz's contact with a loss, over k kappa; never a pull."""
+    """Compute Hertz's contact with a loss, over k kappa; never a pull."""
     return _hertz(depth) * jnp.clip(1 + p.loss * speed, 0.0, 10.0)
 
 
 def _stop_starts(far: float, s: Surroundings, *more: float):
-    """Hard and soft stops within what was reached; `more`: start, low and high of a loss."""
-    if far <= 0.05 * s.reach:
+    """Start hard and soft stops within what was reached; `more`: start, low and high of a loss."""
+    if far <= 0.05 * s.reach:  # this side was hardly visited: no record can show a stop there
         return []
     # a stop whose resonance is above the sampling rate cannot be told from a harder one
     hardest = (1.0 / (s.dt * s.omega)) ** 2 + 1

@@ -1,4 +1,4 @@
-"""C99: one header, one source, a test vector, a Makefile, a loop and a page that says how to use them.
+"""Write C99: one header, one source, a test vector, a Makefile, a loop and a page that says how to use them.
 
 init(state, y0, u0)     predict_step(state, u) -> y     inverse_step(state, [y, y', ..., y^(n)]) -> u, flags
                         pi_step(state, [y, ..., y^(n)], measured), pi_target_step(state, y, measured) -> u, flags
@@ -51,10 +51,11 @@ def export_c(
 
 
 def write_sources(plan: Plan, folder: Path) -> None:
-    """`pitp_<name>.h` and `pitp_<name>.c`."""
+    """Write `pitp_<name>.h` and `pitp_<name>.c`."""
     values = substitutions(plan)
     (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
     writer = Writer("c", plan.single)
+    # written before the helpers and tables that they turn out to need, which stand in front of them in the file
     functions = "\n".join(
         writer.function(f"{what}_{part}", code, states, outputs)
         for what, written, count in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2))
@@ -77,7 +78,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
 
 
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
-    """What stands around the sources: test vector, Makefile, loop, README."""
+    """Write what stands around the sources: test vector, Makefile, loop, README."""
     values, writer, test = frame(plan, cost), Writer("c", plan.single), plan.test
     square = plan.model.input_map.one_sided
     values |= {
@@ -98,7 +99,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
 
 
 def frame(plan: Plan, cost: float | None) -> dict[str, str]:
-    """What a README and a check of any language say, as text."""
+    """Collect what a README and a check of any language say, as text."""
     test, precision = plan.test, "single" if plan.single else "double"
     return substitutions(plan) | {
         "count": str(planning.SAMPLES), "what": test.what, "range": repr(float(np.ptp(test.displacement))),
@@ -110,7 +111,7 @@ def frame(plan: Plan, cost: float | None) -> dict[str, str]:
 
 
 def substitutions(plan: Plan) -> dict[str, str]:
-    """What the header says, as text."""
+    """Collect what the header says, as text."""
     writer, model = Writer("c", plan.single), plan.model
     low, high, slew = plan.voltages
     bottom, top = plan.displacements
@@ -135,14 +136,14 @@ def substitutions(plan: Plan) -> dict[str, str]:
 
 
 def loop_text(gains: PIGains) -> str:
-    """The closed loop in one line."""
+    """Describe the closed loop in one line."""
     known = np.isfinite(gains.max_sensitivity)
     margins = f"gain margin {gains.gain_margin:.3g}, maximum sensitivity {gains.max_sensitivity:.3g}"
     return f"closed-loop time constant {gains.time_constant:.3g} s" + (f", {margins}" if known else "")
 
 
 def sizes(plan: Plan) -> dict[str, str]:
-    """What it takes of a controller: RAM and constants in bytes, operations of a call."""
+    """Estimate what it takes of a controller: RAM and constants in bytes, operations of a call."""
     width, n, block = 4 if plan.single else 8, plan.model.order, plan.differentiator.block
     reals = plan.predict.states + plan.inverse.states + (BLOCKS + 1) * block + (n + 1) + 8
     predict, inverse = plan.predict.run.operations(), plan.inverse.run.operations()
@@ -159,7 +160,7 @@ def sizes(plan: Plan) -> dict[str, str]:
 
 
 def table(writer: Writer, values: np.ndarray) -> str:
-    """Initialisers of an array, six numbers to a line."""
+    """Write the initialisers of an array, six numbers to a line."""
     values = np.asarray(values, np.float64)
     if values.ndim > 1:
         return ",\n".join("    {" + table(writer, row).strip() + "}" for row in values)
@@ -168,7 +169,7 @@ def table(writer: Writer, values: np.ndarray) -> str:
 
 
 def filled(template: str, values: dict[str, str]) -> str:
-    """A template with every @key@ replaced."""
+    """Fill a template: every @key@ is replaced."""
     text = (TEMPLATES / template).read_text(encoding="utf-8")
     for key, value in values.items():
         text = text.replace(f"@{key}@", value)

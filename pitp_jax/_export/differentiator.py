@@ -1,4 +1,4 @@
-"""How an exported step differentiates its target: a window around the sample, weighted.
+"""Differentiate the target of an exported step: a window around the sample, weighted.
 
     y^(i)(t) = sum_k W_ik m_k,   m_k = mean of the k-th block of samples          26 blocks of B samples
 
@@ -44,12 +44,12 @@ class Differentiator:
 
     @property
     def look_ahead(self) -> int:
-        """How many samples early a target is given."""
+        """Number of samples by which a target is given early."""
         return HALF * self.block + self.block // 2 + int(np.ceil(self.late / self.dt))
 
     @property
     def place(self) -> float:
-        """Where the derivative is taken, samples from the newest."""
+        """Place where the derivative is taken, samples from the newest."""
         return self.late / self.dt - self.look_ahead
 
     @cached_property
@@ -72,6 +72,7 @@ class Differentiator:
         def scaled(k):
             return (k + half - 0.5) / half
 
+        # Legendre on [-1, 1]: powers of the sample's number are nearly one another's multiples
         design = legendre.legvander(scaled(samples), degree).mean(1)
         to_coefficients = np.linalg.pinv(design)
         unit, rows = 1 / (half * self.dt), []
@@ -81,19 +82,19 @@ class Differentiator:
         return np.stack([*rows, legendre.legval(scaled(1.0), np.eye(degree + 1)) @ to_coefficients])
 
     def error(self, a: np.ndarray, omega: float, rounding: float) -> float:
-        """Of the force of a cosine of half-swing 1 at omega (rad/s) whose samples are rounded (rms), over a_0."""
+        """Compute the force's error over a_0, for a cosine of half-swing 1 at omega (rad/s), samples rounded."""
         samples = (np.arange(BLOCKS) - BLOCKS + 1)[:, None] * self.block - np.arange(self.block)
         seen = np.exp(1j * omega * self.dt * samples).mean(1)
         exact = np.exp(1j * omega * self.dt * self.place) * (1j * omega) ** np.arange(self.order + 1)
         truncated = abs(a @ (self.weights[:-1] @ seen - exact))
-        noise = np.linalg.norm(a @ self.weights[:-1]) / np.sqrt(self.block)
+        noise = np.linalg.norm(a @ self.weights[:-1]) / np.sqrt(self.block)  # a mean of B roundings
         return float((truncated + 4 * rounding * noise) / a[0])
 
 
 def differentiator(
     a: np.ndarray, dt: float, omega: float, rounding: float, late: float
 ) -> tuple[Differentiator, float]:
-    """The shortest window that is right to 0.2 % of the force, else the best one; and its error.
+    """Choose the shortest window that is right to 0.2 % of the force, else the best one; and give its error.
 
     Args:
         a: nominal coefficients a_0 ... a_n.

@@ -1,4 +1,4 @@
-"""FMU: the C sources behind the Functional Mock-up Interface 2.0 or 3.0, for co-simulation in fixed steps.
+"""Write an FMU: the C sources behind the Functional Mock-up Interface 2.0 or 3.0, for co-simulation in fixed steps.
 
     voltage, held from t to t + DT   ->  displacement(t + DT)
     target, target_1, ... target_n   ->  command, flags            (`inverse_step`)
@@ -60,6 +60,7 @@ def export_fmu(
     """
     if fmi not in _MISSING:
         raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")
+    # a co-simulation sets an input at the beginning of a step and keeps it: what comes next is not known
     plan = planning.plan(model, name, rate, precision, held=True)
     cost = rate_error(plan)
     with whole_folder(folder) as stage:
@@ -74,7 +75,7 @@ def export_fmu(
             (inside / "sources" / "buildDescription.xml").write_text(filled("build.xml", values), encoding="utf-8")
         _build(inside, values["id"], fmi)
         with ZipFile(stage / f"{values['id']}.fmu", "w", ZIP_DEFLATED) as archive:
-            for file in sorted(p for p in inside.rglob("*") if p.is_file()):
+            for file in sorted(p for p in inside.rglob("*") if p.is_file()):  # in one order on every file system
                 archive.write(file, file.relative_to(inside).as_posix())
         rmtree(inside)
         _write_check(plan, stage, values | frame(plan, cost))
@@ -101,6 +102,7 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
         for unit, base in [("V", 'kg="1" m="2" s="-3" A="-1"'), ("s", 's="1"')]
         + [(row[1], 'm="1"' + (f' s="-{i}"' if i else "")) for i, row in enumerate(named)]
     )
+    # the token must change with anything an importer compiled against, and with nothing else
     text = "".join((filled("fmu.c", {}), *values.values(), str(fmi)))
     stubs = "".join(
         f"EXPORT int fmi{fmi}{missing}(void *m) {{ return (void)m, ERROR; }}\n" for missing in _MISSING[fmi].split()
@@ -114,7 +116,7 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
 
 
 def _build(inside: Path, name: str, fmi: int) -> None:
-    """The Linux binary, where it can be made here."""
+    """Compile the Linux binary where that can be done here; other systems compile the sources on import."""
     compiler = which("cc") or which("gcc") or which("clang")
     if not sys.platform.startswith("linux") or compiler is None or sys.maxsize < 2**32:
         return
@@ -126,7 +128,7 @@ def _build(inside: Path, name: str, fmi: int) -> None:
 
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
-    """The test vector as cross-check files: what goes in, what comes out, and how it is run; a page and the check."""
+    """Write the test vector as cross-check files: what goes in, what comes out, how it is run; a page and the check."""
     time, test, name = np.arange(planning.SAMPLES) * plan.dt, plan.test, values["id"]
     square = plan.model.input_map.one_sided
     values |= {"force_error": "u**2 - planned**2" if square else "u - planned"}
@@ -135,7 +137,7 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
     (y,) = played(steps.predict(plan.model, plan.dt, held=True), test.voltage, float(plan.model.output.offset))
-    rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned]
+    rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned]  # outputs stand at the end of their step
     _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command"], rows)
     options = {"StartTime": 0.0, "StopTime": planning.SAMPLES * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
     (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()), encoding="utf-8")

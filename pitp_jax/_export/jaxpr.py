@@ -1,4 +1,4 @@
-"""A JAX program as scalar expressions: every primitive an effect, an encoder or a step may use, once.
+"""Turn a JAX program into scalar expressions: every primitive an effect, an encoder or a step may use, once.
 
     make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, arrays gone
 
@@ -24,34 +24,34 @@ _SAME = ("stop_gradient", "copy", "copy_p", "reduce_precision", "optimization_ba
 
 
 def program(function: Callable, *examples) -> Program:
-    """The scalar program of fn(*examples) -> a tree of arrays; inputs and outputs are the trees' leaves, flattened."""
+    """Write the scalar program of fn(*examples) -> a tree of arrays; inputs and outputs are leaves, flattened."""
     closed = jax.make_jaxpr(function)(*examples)
     make, shapes = Builder(), [v.aval.shape for v in closed.jaxpr.invars]
     inputs = sum(int(np.prod(s)) for s in shapes)
-    found = _run(make, closed.jaxpr, closed.consts, _cut(make.inputs(inputs), shapes))
-    return Program(inputs, tuple(v for f in found for v in f.ravel()))
+    outputs = _run(make, closed.jaxpr, closed.consts, _cut(make.inputs(inputs), shapes))
+    return Program(inputs, tuple(v for output in outputs for v in output.ravel()))
 
 
 def _cut(values: Sequence, shapes) -> list[np.ndarray]:
-    """Scalars in a row as arrays of these shapes."""
+    """Cut scalars in a row into arrays of these shapes."""
     ends = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
     return [_array(values[a:b], s) for a, b, s in zip(ends, ends[1:], shapes, strict=False)]
 
 
 def _array(values: Sequence, shape) -> np.ndarray:
-    found = np.empty(len(values), object)
-    found[:] = values
-    return found.reshape(shape)
+    array = np.empty(len(values), object)  # filled afterwards: np.array would look into what the values hold
+    array[:] = values
+    return array.reshape(shape)
 
 
 def _known(value) -> np.ndarray:
-    """An array of Python numbers."""
+    """Make an array of Python numbers."""
     value = np.asarray(value)
     return _array(value.ravel().tolist(), value.shape)
 
 
 def _run(make: Builder, jaxpr: Jaxpr, consts: Sequence, args: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The outputs of a jaxpr for arrays of scalars."""
+    """Evaluate a jaxpr for arrays of scalars."""
     values: dict[Any, np.ndarray] = dict(zip(jaxpr.constvars, map(_as_array, consts), strict=True))
     values.update(zip(jaxpr.invars, args, strict=True))
 
@@ -59,8 +59,8 @@ def _run(make: Builder, jaxpr: Jaxpr, consts: Sequence, args: Sequence[np.ndarra
         return _known(v.val) if isinstance(v, Literal) else values[v]
 
     for equation in jaxpr.eqns:
-        found = _apply(make, equation, [read(v) for v in equation.invars])
-        values.update(zip(equation.outvars, found, strict=True))
+        outputs = _apply(make, equation, [read(v) for v in equation.invars])
+        values.update(zip(equation.outvars, outputs, strict=True))
     return [read(v) for v in jaxpr.outvars]
 
 
@@ -105,12 +105,12 @@ def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
         raise BadInput(f"a step with the operation {name} cannot be written as C: report it with the model")
     moving = _MOVES[name]
     firsts = np.cumsum([0, *(a.size for a in args[:moving])])
+    # JAX itself moves the places, as numbers: no rule of slicing or padding is written a second time here
     pool = np.concatenate([a.ravel() for a in args[:moving]])
     places = [jnp.asarray(f + np.arange(a.size).reshape(a.shape)) for f, a in zip(firsts, args, strict=False)][:moving]
     still = [_number(a, equation) for a in args[moving:]]
-    found = equation.primitive.bind(*places, *still, **params)
-    outputs = found if equation.primitive.multiple_results else [found]
-    outputs = [np.asarray(output) for output in outputs]
+    bound = equation.primitive.bind(*places, *still, **params)
+    outputs = [np.asarray(output) for output in (bound if equation.primitive.multiple_results else [bound])]
     return [pool[o.ravel()].reshape(o.shape) for o in outputs]  # a bare pool[o] of no axes would be its element
 
 
@@ -122,7 +122,8 @@ _MOVES = {
 
 
 def _number(array: np.ndarray, equation) -> jax.Array:
-    """Indices, which must be known."""
+    """Read indices, which must be known."""
+    # the step would need an array in memory, and a check of its bounds
     if any(isinstance(a, Node) for a in array.ravel()):
         raise BadInput(f"a step whose {equation.primitive.name} takes a place found while it runs cannot be written")
     return jnp.asarray(np.asarray(array.tolist(), int))
@@ -142,13 +143,13 @@ def _converted(make, params, args, equation):
 
 
 def _power(make, params, args, equation):
-    def power(base):
-        found, square, left = 1.0, base, abs(params["y"])
-        while left:
-            found = make.make("mul", found, square) if left % 2 else found
-            left //= 2
-            square = make.make("mul", square, square) if left else square
-        return make.make("div", 1.0, found) if params["y"] < 0 else found
+    def power(base):  # by squaring, as XLA does it: `pow` takes long on a controller
+        result, square, exponent = 1.0, base, abs(params["y"])
+        while exponent:
+            result = make.make("mul", result, square) if exponent % 2 else result
+            exponent //= 2
+            square = make.make("mul", square, square) if exponent else square
+        return make.make("div", 1.0, result) if params["y"] < 0 else result
 
     return [_each(power, args)]
 
@@ -161,21 +162,21 @@ def _chosen(make, params, args, equation):
 
 
 def _one_of(make, which, cases):
-    found = cases[-1]
+    chosen = cases[-1]
     for k in range(len(cases) - 2, -1, -1):
-        found = make.select(make.make("le", which, k), found, cases[k])
-    return found
+        chosen = make.select(make.make("le", which, k), chosen, cases[k])
+    return chosen
 
 
 def _branches(make, params, args, equation):
-    """Both branches, and the one that counts: they have no effects."""
-    found = [_run(make, *_opened(b), args[1:]) for b in params["branches"]]
+    """Write all branches, and choose the one that counts: they have no side effects."""
+    branches = [_run(make, *_opened(b), args[1:]) for b in params["branches"]]
     which = args[0].item()
     if not isinstance(which, Node):
-        return found[min(max(int(which), 0), len(found) - 1)]
+        return branches[min(max(int(which), 0), len(branches) - 1)]
     if which.truth:
-        return [_each(lambda n, y: make.select(which, n, y), pair) for pair in zip(*found, strict=True)]
-    return [_each(lambda *c: _one_of(make, which, c), case) for case in zip(*found, strict=True)]
+        return [_each(lambda n, y: make.select(which, n, y), pair) for pair in zip(*branches, strict=True)]
+    return [_each(lambda *c: _one_of(make, which, c), case) for case in zip(*branches, strict=True)]
 
 
 def _clamped(make, params, args, equation):
@@ -187,13 +188,13 @@ def _reduced(op: str):
         axes = tuple(params["axes"])
         kept = [k for k in range(args[0].ndim) if k not in axes]
         rows = args[0].transpose(*kept, *axes).reshape(*(args[0].shape[k] for k in kept), -1)
-        found = np.empty(rows.shape[:-1], object)
-        for place in np.ndindex(found.shape):
+        reduced = np.empty(rows.shape[:-1], object)
+        for place in np.ndindex(reduced.shape):
             first, *others = rows[place]
             for value in others:
                 first = make.make(op, first, value)
-            found[place] = first
-        return [found]
+            reduced[place] = first
+        return [reduced]
 
     return reduce
 
@@ -208,25 +209,26 @@ def _product(make, params, args, equation):
         size = [int(np.prod([array.shape[k] for k in part])) for part in (batch, free, summed)]
         return rows.reshape(size), shape[len(batch) :], shape[: len(batch)]
 
+    # every product of JAX is a batch of plain ones: (batch, free, summed) on either side
     left, left_free, batch = sorted_out(args[0], left_batch, left_sum)
     right, right_free, _ = sorted_out(args[1], right_batch, right_sum)
-    found = np.empty((len(left), left.shape[1], right.shape[1]), object)
+    products = np.empty((len(left), left.shape[1], right.shape[1]), object)
     for k, (a, b) in enumerate(zip(left, right, strict=True)):
-        found[k] = _matrix(make, a, b.T)
-    return [found.reshape((*batch, *left_free, *right_free))]
+        products[k] = _matrix(make, a, b.T)
+    return [products.reshape((*batch, *left_free, *right_free))]
 
 
 def _matrix(make: Builder, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The product; a loop over a table where it is large, one factor is known and the other a vector."""
+    """Multiply; by a loop over a table where the product is large, one factor is known and the other a vector."""
     if left.size * right.shape[1] > _WRITTEN_OUT:
         if right.shape[1] == 1 and not _unknown(left):
             return _array(_table(make, left, right[:, 0]), (len(left), 1))
         if len(left) == 1 and not _unknown(right):
             return _array(_table(make, right.T, left[0]), (1, right.shape[1]))
-    found = np.empty((len(left), right.shape[1]), object)
-    for i, j in np.ndindex(found.shape):
-        found[i, j] = make.total([make.make("mul", a, b) for a, b in zip(left[i], right[:, j], strict=True)])
-    return found
+    product = np.empty((len(left), right.shape[1]), object)
+    for i, j in np.ndindex(product.shape):
+        product[i, j] = make.total([make.make("mul", a, b) for a, b in zip(left[i], right[:, j], strict=True)])
+    return product
 
 
 def _unknown(array: np.ndarray) -> bool:
@@ -239,7 +241,7 @@ def _table(make: Builder, weights: np.ndarray, vector: np.ndarray) -> list[Node]
 
 
 def _scattered(make, params, args, equation):
-    """At known places: which element each place takes, and how many it takes."""
+    """Scatter to known places: which element each place takes, and how many it takes."""
     target, where, update = args
     kind, indices = equation.outvars[0].aval.dtype, _number(where, equation)
 
@@ -249,12 +251,13 @@ def _scattered(make, params, args, equation):
 
     if np.max(spread(np.ones(update.size)), initial=0) > 1:
         raise BadInput("a step that adds twice to one place cannot be written: report it with the model")
-    found, added = target.ravel().copy(), equation.primitive.name != "scatter"
+    scattered, added = target.ravel().copy(), equation.primitive.name != "scatter"
+    # numbered from 1, so that 0 is a place that nothing goes to
     for k, source in enumerate(spread(np.arange(1, update.size + 1)).astype(int)):
         if source:
             new = update.ravel()[source - 1]
-            found[k] = make.make("add", found[k], new) if added else new
-    return [found.reshape(target.shape)]
+            scattered[k] = make.make("add", scattered[k], new) if added else new
+    return [scattered.reshape(target.shape)]
 
 
 def _count(make, params, args, equation):
@@ -262,7 +265,7 @@ def _count(make, params, args, equation):
 
 
 def _scanned(make, params, args, equation):
-    """Written out, or a loop where it is long and gives nothing but its last carry."""
+    """Write a scan out, or as a loop where it is long and gives nothing but its last carry."""
     jaxpr, consts = _opened(params["jaxpr"])
     fixed, carried, length = params["num_consts"], params["num_carry"], params["length"]
     known, carry, rows = args[:fixed], args[fixed : fixed + carried], args[fixed + carried :]
@@ -273,20 +276,21 @@ def _scanned(make, params, args, equation):
     order = range(length - 1, -1, -1) if params["reverse"] else range(length)
     gathered: list = [None] * length
     for t in order:
-        found = _run(make, jaxpr, consts, [*known, *carry, *(r[t] for r in rows)])
-        carry, gathered[t] = found[:carried], found[carried:]
+        outputs = _run(make, jaxpr, consts, [*known, *carry, *(r[t] for r in rows)])
+        carry, gathered[t] = outputs[:carried], outputs[carried:]
     return [*carry, *(np.stack(column) for column in zip(*gathered, strict=True))]
 
 
 def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, length: int):
-    """The loop as one node; None where writing it out is no longer."""
+    """Write the loop as one node; None where writing it out is no longer."""
+    # numbers that are known are folded into the body, the others come in beside the carry
     inner, loose = Builder(), [k for k in known if _unknown(k)]
     shapes = [a.shape for a in (*loose, *carry)] + [r.shape[1:] for r in rows]
     inputs = sum(int(np.prod(s)) for s in shapes)
     pieces = iter(_cut(inner.inputs(inputs), shapes))
     inside = [next(pieces) if _unknown(k) else k for k in known]
-    found = _run(inner, *opened, [*inside, *pieces])
-    body = Program(inputs, tuple(v for f in found for v in f.ravel()))
+    outputs = _run(inner, *opened, [*inside, *pieces])
+    body = Program(inputs, tuple(v for output in outputs for v in output.ravel()))
     if length * len(body.nodes()) < _UNROLLED:
         return None
     flat = [v for a in (*loose, *carry) for v in a.ravel()]
@@ -298,7 +302,7 @@ def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, len
 
 
 def _repeated(make, params, args, equation):
-    """A loop whose test is known at every turn (a counter); one that waits for a value has no bound in time."""
+    """Write out a loop whose test is known at every turn (a counter); one that waits for a value is refused."""
     tests, bodies = params["cond_nconsts"], params["body_nconsts"]
     first, second, carry = args[:tests], args[tests : tests + bodies], args[tests + bodies :]
     while True:
@@ -311,14 +315,14 @@ def _repeated(make, params, args, equation):
 
 
 def _convolved(make, params, args, equation):
-    """In one dimension: products of polynomials."""
+    """Convolve in one dimension: products of polynomials."""
     (low, high), left, right = params["padding"][0], list(args[0].ravel()), args[1].ravel()
     padded = [0.0] * low + left + [0.0] * high
-    found = [
+    sums = [
         make.total([make.make("mul", a, b) for a, b in zip(padded[k:], right, strict=False)])
         for k in range(len(padded) - len(right) + 1)
     ]
-    return [_array(found, equation.outvars[0].aval.shape)]
+    return [_array(sums, equation.outvars[0].aval.shape)]
 
 
 def _square(make, params, args, equation):

@@ -1,4 +1,4 @@
-"""MATLAB: a function file each way and one that checks them, no toolbox; GNU Octave runs it as well.
+"""Write MATLAB: a function file each way and one that checks them, no toolbox; GNU Octave runs it as well.
 
 [y, s] = pitp_<name>_predict(u, s)        [u, s, flags] = pitp_<name>_inverse([y y' ... y^(n)], s)
 """
@@ -38,7 +38,7 @@ def export_matlab(model: Model, folder: str | Path, *, name: str = "model", rate
 
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
-    """A page, and a function that runs the test vector."""
+    """Write a page, and a function that runs the test vector."""
     test, square = plan.test, plan.model.input_map.one_sided
     columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
     values |= {name: ";\n".join(map(repr, column.tolist())) for name, column in columns.items()}
@@ -49,7 +49,8 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
 
 
 def functions(written: Written, outputs: int) -> str:
-    """`start` and `step`, and the bodies of their loops."""
+    """Write `start` and `step`, and the bodies of their loops."""
+    # local functions of the file: MATLAB shows only the first to the outside
     writer, text = Writer("matlab"), ""
     for name, code, states, count in (("start", written.start, 0, 0), ("step", written.run, written.states, outputs)):
         inputs = [f"s({k + 1})" for k in range(states)] + [f"in({k + 1})" for k in range(code.inputs - states)]

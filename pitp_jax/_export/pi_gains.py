@@ -1,4 +1,4 @@
-"""Gains of a PI controller on the force, from the model and one number, the closed-loop time constant (IMC).
+"""Tune a PI controller on the force, from the model and one number, the closed-loop time constant (IMC).
 
     F = F_ff + P e + I int e dt,   I = a_0 / lambda,   P = (a_1 / a_0) I,   e = wanted - measured (model coordinates)
     L(z) = (P + I dt z / (z - 1)) z^-1 G(z),   G = dx/dF of the sampled decoder with its effects
@@ -22,10 +22,11 @@ from jax.flatten_util import ravel_pytree
 from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._model.model import Model, check_model
+from .._model.programs import in_double
 from . import steps
 
 SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)
-_CHOSEN = 1.7  # what the default time constant keeps to
+_CHOSEN = 1.7  # what the default time constant keeps to, below the limit: a model is not the actuator
 _LEVELS = (0.25, 0.6, 1.0)  # of the stroke
 _PEAK = np.concatenate([-np.geomspace(0.2, 1e-3, 40), [0.0], np.geomspace(1e-3, 0.2, 40)])
 
@@ -76,7 +77,7 @@ def pi_gains(model: Model, dt: float | None = None, time_constant: float | None 
     pairs = poles[np.abs(poles.imag) > 0.1 * np.abs(poles)]
     slowest = 2 / np.abs((pairs if len(pairs) else poles).real).min()
     with jax.enable_x64(True):
-        loops, stiffness = _linearised(steps.in_double(model), dt)
+        loops, stiffness = _linearised(in_double(model), dt)
     a0 = min([a[0], *stiffness])
     tuned = partial(_tuned, a0, a[1] / a[0], loops, dt)
     if time_constant is None:
@@ -105,6 +106,7 @@ def _tuned(a0: float, zero: float, loops: list, dt: float, time_constant: float)
     for frequency, response in loops:
         z = np.exp(1j * frequency * dt)
         L = (p + i * dt * z / (z - 1)) * response / z
+        # between two frequencies L crosses the real axis: by the line between them
         rise = np.sign(L.imag)
         at = np.flatnonzero((rise[1:] * rise[:-1] <= 0) & (rise[1:] != rise[:-1]))
         part = L.imag[at] / (L.imag[at] - L.imag[at + 1])
@@ -116,7 +118,7 @@ def _tuned(a0: float, zero: float, loops: list, dt: float, time_constant: float)
 
 
 def _linearised(model: Model, dt: float) -> tuple[list, list[float]]:
-    """(rad/s, G) about each displacement that a voltage holds, and dF/dx between them."""
+    """Linearise: (rad/s, G) about each displacement that a voltage holds, and dF/dx between them."""
     late = total_delay(model.effects)
     model = replace(model, effects=tuple(e for e in model.effects if not e.delays))
     forward, back = steps.predict(model, dt, held=True), jax.jit(partial(_holding, steps.inverse(model, dt)))
@@ -128,11 +130,12 @@ def _linearised(model: Model, dt: float) -> tuple[list, list[float]]:
         u, above = float(back(y)), float(back(y + step))
         forces = model.input_map.force(np.array([u, above]))
         slope = float(np.diff(forces)[0]) / (1e-3 * reach)
+        # past a snap the held equilibrium is not stable (slope <= 0): no loop is tuned about it
         if not (np.isfinite(u) and np.isfinite(slope) and slope > 0 and (u > 0 or not square)):
             continue
         stiffness.append(slope)
         A, B, C, D = _state_space(forward, y, u)
-        gain = polarity / (2 * u) if square else polarity
+        gain = polarity / (2 * u) if square else polarity  # dx/dF = dx/du du/dF, F = u^2
         frequency = _grid(A, dt, model.natural_frequency)
         z = np.exp(1j * frequency * dt)[:, None, None]
         inner = np.linalg.solve(
@@ -145,7 +148,7 @@ def _linearised(model: Model, dt: float) -> tuple[list, list[float]]:
 
 
 def stroke(model: Model) -> float:
-    """The largest displacement of the training, m, else the static one under its largest voltage."""
+    """Find the largest displacement of the training, m, else the static one under its largest voltage."""
     if model.provenance.region:
         return float(np.abs(model.provenance.region[0]).max() * model.scales.state[0])
     high = max(map(abs, model.provenance.voltage_range))
@@ -154,16 +157,17 @@ def stroke(model: Model) -> float:
 
 
 def _holding(step: steps.Step, y):
-    """The voltage that holds a displacement: of the inverse, begun under itself."""
+    """Find the voltage that holds a displacement: of the inverse, begun under itself."""
     still = jnp.zeros(step.inputs).at[0].set(y)
     voltage = jnp.zeros(())
+    # again under what it gave: states of the drive (a lag, a leak) are then those of a held voltage
     for _ in range(3):
         voltage = step.run(step.start(jnp.asarray(y), voltage), still)[1][0]
     return voltage
 
 
 def _state_space(step: steps.Step, y: float, u: float):
-    """(A, B, C, D) of one step about an actuator held at y under u."""
+    """Differentiate one step about an actuator held at y under u: (A, B, C, D)."""
     flat, unravel = ravel_pytree(step.start(jnp.asarray(y), jnp.asarray(u)))
     flat = flat.astype(jnp.float64)
 
@@ -176,7 +180,7 @@ def _state_space(step: steps.Step, y: float, u: float):
 
 
 def _grid(A: np.ndarray, dt: float, natural: float) -> np.ndarray:
-    """Frequencies in rad/s up to half the sampling rate, dense about every resonance."""
+    """Choose frequencies in rad/s up to half the sampling rate, dense about every resonance."""
     turning = np.linalg.eigvals(A)
     turning = turning[(np.abs(turning) > 1e-3) & (np.angle(turning) > 1e-6)]
     resonances = np.angle(turning) / dt

@@ -1,4 +1,4 @@
-"""What is exported: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
+"""Prepare what is exported: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
 
 Every language writes the same `Plan`. The test vector is the beginning of the longest record the model was identified
 on; a model that carries none has a sum of sines over its range of voltage.
@@ -23,6 +23,7 @@ from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
 from .._model.model import Model
+from .._model.programs import in_double
 from .._numerics.spline_derivative import derivatives
 from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
@@ -68,7 +69,7 @@ class Plan:
 
     @cached_property
     def predict(self) -> Written:
-        """The decoder's step."""
+        """The decoder's step as a program."""
         return _written(steps.predict(self.model, self.dt, held=self.held))
 
     @cached_property
@@ -107,7 +108,7 @@ class Plan:
 
     @cached_property
     def differentiator(self) -> Differentiator:
-        """How a target is differentiated.
+        """Weights by which a target is differentiated.
 
         Raises:
             BadInput: single precision is too coarse for it.
@@ -117,7 +118,7 @@ class Plan:
         farthest = abs(float(model.output.offset)) + full
         kind = np.float32 if self.single else np.float64
         rounding = float(np.spacing(kind(farthest))) / np.sqrt(12) / (smallest / 2)
-        found, error = differentiator(
+        window, error = differentiator(
             model.physical_coefficients, self.dt, model.natural_frequency, rounding, self.late
         )
         if self.single and error > ALLOWED:
@@ -126,21 +127,25 @@ class Plan:
                 f"{1e3 * farthest:.3g} mm would be off by {100 * error:.2g} % of the force: "
                 "export it in double precision, or at another --rate"
             )
-        return found
+        return window
 
     @cached_property
     def gains(self) -> PIGains:
-        """Of the PI steps."""
+        """Gains of the PI steps."""
         return pi_gains(self.model, self.dt, self.time_constant)
 
     @property
     def reference_time(self) -> float:
-        """T of the lags through which a target without derivatives is followed, s."""
+        """Time constant T of the lags through which a target without derivatives is followed, s."""
         return max(1 / self.model.natural_frequency, self.dt)
 
     def reference(self) -> np.ndarray:
-        """What a call adds to [r, T r', ..., T^n r^(n)] for [target - r, T r', ...], r = target / (1 + s T)^(n + 1)."""
+        """Compute the change of [r, T r', ..., T^n r^(n)] over a call, for [target - r, T r', ...] at its beginning.
+
+        r = target / (1 + s T)^(n + 1)
+        """
         n = self.model.order
+        # n + 1 equal lags: as many as the equation has derivatives, so that x^(n) has no jump
         chain = np.eye(n + 1, k=1)
         chain[n] = [-comb(n + 1, i) for i in range(n + 1)]
         moved = expm(chain * self.dt / self.reference_time) - np.eye(n + 1)
@@ -149,7 +154,7 @@ class Plan:
 
     @cached_property
     def test(self) -> "Vector":
-        """The test vector."""
+        """The test vector of every language."""
         return _vector(self)
 
 
@@ -167,7 +172,7 @@ class Vector:
 def plan(
     model: object, name: str, rate: float | None, precision: str, time_constant: float | None = None, *, held=False
 ) -> Plan:
-    """A plan, or what is wrong with the request.
+    """Make a plan, or say what is wrong with the request.
 
     Raises:
         BadInput: no single model, a name that is no identifier, a rate or a precision that is none.
@@ -182,7 +187,7 @@ def plan(
         raise BadInput(f"--rate {rate!r}: must be a positive number of Hz")
     with jax.enable_x64(True):
         made = Plan(
-            steps.in_double(model),
+            in_double(model),
             1 / rate if rate else model.provenance.dt,
             name,
             precision == "single",
@@ -203,7 +208,7 @@ def _written(step: steps.Step) -> Written:
 
 
 def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> tuple[np.ndarray, ...]:
-    """What a step gives along its inputs, by JAX in float64, from an actuator held at y0 (m) under u0 (V)."""
+    """Run a step along its inputs, by JAX in float64, from an actuator held at y0 (m) under u0 (V)."""
     with jax.enable_x64(True):
         rows = jnp.asarray(values, jnp.float64).reshape(len(values), -1)
         start = step.start(jnp.asarray(y0, jnp.float64), jnp.asarray(u0, jnp.float64))
@@ -211,7 +216,7 @@ def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> 
 
 
 def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
-    """The voltage within range and slew, as the templates have it."""
+    """Keep the voltage within range and slew, as the templates do."""
     (low, high, slew), last = plan.voltages, 0.0
     kept = np.clip(wanted, low, high)
     for k, u in enumerate(kept):
@@ -231,7 +236,7 @@ def _vector(plan: Plan) -> Vector:
         top = high if high < _NONE else np.sqrt(plan.model.scales.force)
         u = 0.6 * top * np.sin(0.05 * t) ** 2 * (1 + 0.3 * np.sin(0.71 * t))
     u = np.clip(u, low, high)
-    if plan.single:
+    if plan.single:  # the controller reads the vector in float: the reference must begin with the same numbers
         u = u.astype(np.float32).astype(np.float64)
     rest = float(plan.model.output.offset)
     (y,) = played(steps.predict(plan.model, plan.dt), u, rest)
@@ -242,7 +247,7 @@ def _vector(plan: Plan) -> Vector:
 
 
 def rate_error(plan: Plan) -> float | None:
-    """What another rate than the model's costs: e_rms (%) over the model's own test voltage; None at its own rate.
+    """Measure what another rate than the model's costs: e_rms (%) over the model's own test voltage; None at its own.
 
     One voltage, whatever the rate, so that the figures of several rates compare.
     """
@@ -260,7 +265,7 @@ def rate_error(plan: Plan) -> float | None:
 
 @contextmanager
 def whole_folder(folder: str | Path) -> Iterator[Path]:
-    """A new folder that appears with all its files or not at all.
+    """Make a new folder that appears with all its files or not at all.
 
     Raises:
         BadInput: it exists, or cannot be made.

@@ -1,4 +1,4 @@
-"""Scalar expressions: what an array program becomes when every element of every array has a name of its own.
+"""Hold scalar expressions: what an array program becomes when every element of every array has a name of its own.
 
     a Python number                 known when the program is written: folded
     Node(op, args)                  known when it runs; equal expressions are one node
@@ -88,17 +88,18 @@ class Program:
     outputs: tuple
 
     def nodes(self) -> list[Node]:
-        """What the outputs need, in an order to write it in."""
-        found, open_ = {}, [o for o in self.outputs if isinstance(o, Node)]
+        """List what the outputs need, in an order to write it in."""
+        # from the outputs backwards: what nothing uses is never written
+        needed, open_ = {}, [o for o in self.outputs if isinstance(o, Node)]
         while open_:
             node = open_.pop()
-            if id(node) not in found:
-                found[id(node)] = node
+            if id(node) not in needed:
+                needed[id(node)] = node
                 open_ += [a for a in node.args if isinstance(a, Node)]
-        return sorted(found.values(), key=lambda n: n.place)
+        return sorted(needed.values(), key=lambda n: n.place)  # a node is made after its arguments
 
     def operations(self) -> int:
-        """How many operations a run takes, those of loops as often as they turn."""
+        """Count the operations of a run, those of loops as often as they turn."""
         count = 0
         for node in self.nodes():
             if isinstance(node.block, Loop):
@@ -110,7 +111,7 @@ class Program:
         return count
 
     def constants(self) -> int:
-        """How many numbers its tables hold."""
+        """Count the numbers its tables hold."""
         blocks = [node.block for node in self.nodes() if node.block is not None]
         return sum(b.body.constants() if isinstance(b, Loop) else np.asarray(b).size for b in blocks)
 
@@ -123,7 +124,8 @@ class Builder:
     count: int = 0
 
     def node(self, op: str, args: tuple = (), *, truth: bool = False, block: object = None) -> Node:
-        """The node of this operation, new or as made before."""
+        """Return the node of this operation, new or as made before."""
+        # by type too: 1, 1.0 and True are equal to Python, and three things in C
         key = (op, tuple(id(a) if isinstance(a, Node) else (type(a), a) for a in args), id(block))
         if key not in self.known:
             self.known[key] = Node(op, args, self.count, truth, block)
@@ -131,11 +133,11 @@ class Builder:
         return self.known[key]
 
     def inputs(self, count: int) -> list[Node]:
-        """Places in the input array."""
+        """Make the places in the input array."""
         return [self.node("input", (k,)) for k in range(count)]
 
     def make(self, op: str, *args):
-        """An operation: folded where its arguments are known, simplified where one is 0 or 1."""
+        """Make an operation: folded where its arguments are known, simplified where one is 0 or 1."""
         if not any(isinstance(a, Node) for a in args):
             return FOLDED[op](*args)
         simple = _simpler(op, args)
@@ -144,7 +146,7 @@ class Builder:
         return self.node(op, args, truth=op in TRUTHS)
 
     def select(self, which, no, yes):
-        """`yes` where it is true."""
+        """Choose `yes` where it is true, else `no`."""
         if not isinstance(which, Node):
             return yes if which else no
         if no is yes or (not isinstance(no, Node) and not isinstance(yes, Node) and no == yes):
@@ -153,14 +155,14 @@ class Builder:
         return self.node("select", (which, no, yes), truth=truth)
 
     def total(self, terms: Sequence):
-        """Their sum, in order."""
-        found = 0.0
+        """Add the terms up, in order."""
+        result = 0.0
         for term in terms:
-            found = self.make("add", found, term)
-        return found
+            result = self.make("add", result, term)
+        return result
 
     def block(self, node: Node, count: int) -> list[Node]:
-        """What a "matrix" or a "loop" gives, one by one."""
+        """Make what a "matrix" or a "loop" gives, one by one."""
         return [self.node("item", (node, k)) for k in range(count)]
 
 
@@ -172,12 +174,12 @@ def _is(value, number: float) -> bool:
 
 
 def _simpler(op: str, args: tuple):
-    """The result where a neutral or an absorbing number stands in an operation; None where none does.
+    """Simplify an operation in which a neutral or an absorbing number stands; None where none does.
 
     0 times a node is 0: what is not finite never gets this far (`steps` guards its inputs).
     """
     first, last = args[0], args[-1]
-    if op == "mul":
+    if op == "mul":  # an effect that is off, a weight of zero: whole branches of a step go away
         if _is(first, 0) or _is(last, 0):
             return 0.0
         return last if _is(first, 1) else first if _is(last, 1) else None

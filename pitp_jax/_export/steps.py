@@ -1,4 +1,4 @@
-"""The steps that are written out: one sample of the decoder and one of eq. 13, with every effect, in rig coordinates.
+"""Define the steps that are written out: one sample of the decoder and one of eq. 13, with effects, in rig coordinates.
 
     predict   (s, V, u_{-1}), u                    ->  y at the sample of u (7 samples later with hold "bandlimited")
     inverse   (m, z, x_{-1}, V_{-1}, V_{-2}), [y, y', ..., y^(n)]
@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,13 +51,8 @@ class Step:
     late: int = 0
 
 
-def in_double(model: Model) -> Model:
-    """The same model in float64; call it under `jax.enable_x64(True)`."""
-    return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, model)
-
-
 def predict(model: Model, dt: float, *, held: bool = False) -> Step:
-    """Displacement (rig, m) at the sample of a drive voltage (V).
+    """Build the step from a drive voltage (V) to the displacement (rig, m) at its sample.
 
     `held`: the voltage stands from this call to the next, and the displacement is that of the next.
     """
@@ -90,12 +84,12 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
 
 
 def samples_of(effect: Effect, dt: float) -> int:
-    """How many voltages a delay keeps."""
+    """Count the voltages a delay keeps."""
     return int(np.floor(float(effect.time) / dt)) + 2
 
 
 def inverse(model: Model, dt: float) -> Step:
-    """Drive voltage (V) and whether none makes it, for [y, ..., y^(n)] (rig, m / s^i) at this sample."""
+    """Build the step from [y, ..., y^(n)] (rig, m / s^i) to the drive voltage (V) and whether none makes it."""
     n, scales = model.order, jnp.asarray(model.scales.state)
     senses = bool(ports.sensors(model))
 
@@ -133,14 +127,15 @@ def inverse(model: Model, dt: float) -> Step:
 
 
 def _parabola(values: Float[Array, "3 ..."]) -> Float[Array, "window ..."]:
-    """The last three samples carried on: k = -8 ... 8 of v + k (v' dt) + k^2 / 2 (v'' dt^2)."""
+    """Carry the last three samples on: k = -8 ... 8 of v + k (v' dt) + k^2 / 2 (v'' dt^2)."""
     k = np.arange(-_BESIDE, _BESIDE + 1.0)[:, None]
+    # Lagrange's polynomials through k = -2, -1, 0
     through = np.concatenate([k * (k + 1) / 2, -k * (k + 2), (k + 1) * (k + 2) / 2], 1)
     return jnp.tensordot(jnp.asarray(through), values, 1)
 
 
 def _undone(model: Model, films, levels, begun, dt: float):
-    """The drive behind the film, what the drive effects' inverses carry on, and whether the drive lets it pass.
+    """Compute the drive behind the film, what the drive effects' inverses carry on, and whether the drive lets it pass.
 
     `levels`: per effect its states and the last three values of what entered it.
     """
@@ -160,7 +155,7 @@ def _undone(model: Model, films, levels, begun, dt: float):
 
 
 def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Float[Array, " tokens"]:
-    """[x, ..., x^(n)] behind a reading and its derivatives (scaled), by the chain rule along the reading's own motion.
+    """Compute [x, ..., x^(n)] behind a reading and its derivatives (scaled), by the chain rule along its own motion.
 
     x(s) = undo(y(. + s)) at the sample, y_k(s) = sum_i y_k^(i) s^i / i!:   x^(i) = d^i x / ds^i at s = 0
     """

@@ -1,4 +1,4 @@
-"""A scalar program as text: one line a value, in C99 or in MATLAB.
+"""Write a scalar program as text: one line a value, in C99 or in MATLAB.
 
     v12 = v7 * v9;      a value used once stands where it is used, as long as the line stays short
 
@@ -42,7 +42,7 @@ class Writer:
     beside: list[str] = field(default_factory=list)
 
     def number(self, value) -> str:
-        """A literal that reads back as the same number."""
+        """Write a literal that reads back as the same number."""
         if isinstance(value, (bool, np.bool_)):
             return "true" if value else "false"
         value = float(value)
@@ -50,16 +50,16 @@ class Writer:
             sign = "-" if value < 0 else ""
             return f"({sign}Inf)" if self.language == "matlab" else f"({sign}(real)INFINITY)"
         if self.single:
-            top = float(np.finfo(np.float32).max)
+            top = float(np.finfo(np.float32).max)  # beyond float's range a limit stays a number
             text = str(np.float32(min(max(value, -top), top)))
         else:
             text = repr(value)
-        text = text if any(c in text for c in ".e") else text + ".0"
+        text = text if any(c in text for c in ".e") else text + ".0"  # 1 / 2 of two integers is 0 in C
         text += "f" if self.single else ""
-        return f"({text})" if value < 0 else text
+        return f"({text})" if value < 0 else text  # behind a minus sign it would read as a decrement
 
     def body(self, program: Program, inputs: list[str], outputs: list[str]) -> list[str]:
-        """Lines that compute a program from named inputs and end with its assignments."""
+        """Write lines that compute a program from named inputs and end with its assignments."""
         nodes, uses = program.nodes(), {}
         for user in (*(n.args for n in nodes), program.outputs):
             for a in user:
@@ -79,30 +79,30 @@ class Writer:
             elif node.op == "item":
                 names[node] = self._place(names[node.args[0]], node.args[1])
             else:
-                found = self._operation(node.op, [text(a) for a in node.args])
-                if uses[node] == 1 and len(found) < _SHORT and not node.truth:
-                    names[node] = found
+                written = self._operation(node.op, [text(a) for a in node.args])
+                if uses[node] == 1 and len(written) < _SHORT and not node.truth:
+                    names[node] = written
                 else:
                     names[node] = f"v{node.place}"
-                    lines.append(self._line(names[node], found, node.truth))
+                    lines.append(self._line(names[node], written, node.truth))
         for name, value in zip(outputs, program.outputs, strict=True):
             lines.append(f"{name} = {self._as_number(value, text(value))};")
         return lines
 
     def function(self, name: str, program: Program, state: int, outputs: int) -> str:
-        """C: static void name(const real s[], const real in[], real next[], real out[])."""
+        """Write C: static void name(const real s[], const real in[], real next[], real out[])."""
         inputs = [f"s[{k}]" for k in range(state)] + [f"in[{k}]" for k in range(program.inputs - state)]
         to = [f"next[{k}]" for k in range(len(program.outputs) - outputs)] + [f"out[{k}]" for k in range(outputs)]
         lines = self.body(program, inputs, to)
         used = " ".join(lines)
         for missing in ("s", "in", "out"):
-            if not re.search(rf"\b{missing}\[", used):
+            if not re.search(rf"\b{missing}\[", used):  # compilers warn of an argument that is not used
                 lines.insert(0, f"(void){missing};")
         head = f"static void {name}(const real s[], const real in[], real next[], real out[])"
         return f"{head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
     def helpers(self, text: str) -> str:
-        """The helpers that a text of C uses."""
+        """List the helpers that a text of C uses."""
         return "\n".join(code for name, code in _HELPERS.items() if f"{name}(" in text)
 
     def _operation(self, op: str, args: list[str]) -> str:
@@ -164,7 +164,7 @@ class Writer:
     def _loop(self, loop: Loop, name: str, args: list[str]) -> list[str]:
         carry, rows = loop.carry, loop.body.inputs - loop.known - loop.carry
         body = f"loop_{len(self.beside)}"
-        self.beside.append("")
+        self.beside.append("")  # its place, before the body asks for tables of its own
         place = len(self.beside) - 1
         sizes = (("known", loop.known), ("s", carry), ("row", rows))
         inputs = [self._place(n, k) for n, size in sizes for k in range(size)]
@@ -194,7 +194,7 @@ class Writer:
 
 
 def _closes(text: str) -> bool:
-    """Whether its first parenthesis closes with its last character."""
+    """Tell whether its first parenthesis closes with its last character."""
     depth = 0
     for k, c in enumerate(text):
         depth += (c == "(") - (c == ")")

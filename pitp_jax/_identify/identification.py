@@ -18,6 +18,7 @@ from .._effects import effect
 from .._errors import BadInput, ComputationFailed
 from .._model.input_map import INPUT_MAPS
 from .._model.model import Hold, Model, Output, Provenance, linear_model
+from .._model.substeps import substeps
 from .._model_file.lineage import descended
 from .._numerics.levenberg_marquardt import minimise
 from .._record.initial_state import Beginning, aligned
@@ -237,7 +238,6 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
     x_rms = float(np.sqrt(np.nanmean(np.concatenate(moved) ** 2)))
     omega = (a[0] / a[n]) ** (1 / n)
     dt = records[0].dt
-    fastest = max(float(np.abs(np.roots(a[::-1])).max()), 1e-12)
     provenance = Provenance(
         dt=dt,
         displacement_unit=records[0].displacement_unit,
@@ -258,7 +258,7 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
         force_scale=force_scale,
         output=output,
         hold=chosen.hold,
-        substeps=int(np.clip(np.ceil(fastest * dt / 0.25), 1, 16)),
+        substeps=substeps(a, dt),
         provenance=provenance,
     )
     return replace(model, effects=(effect("delay", time=chosen.delay),)) if chosen.delay > 0 else model

@@ -1,7 +1,7 @@
-"""What the user should know of a target and of the plan for it: one line each, with the share and the remedy.
+"""Warn of what the user should know of a target and of the plan for it: one line each, with its extent and the remedy.
 
 Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Gaussian, x * g_s, costs
-100 rms(x * g_s - x) / range; the least width s that leaves no corner is told with that figure.
+100 rms(x * g_s - x) / range; the least width s that leaves no corner is reported with that figure.
 """
 
 import numpy as np
@@ -13,14 +13,15 @@ from .._record.reading import Target
 from .limits import Limits
 from .target_path import Path
 
-_JUMP = 0.3  # a change of x^(n-1) in one sample by this share of its range is a corner, not motion
-_TOLD = 0.01  # shares below are not worth a line
-_FAR = 0.1  # of the largest voltage: a target that begins beyond is told
+_JUMP = 0.3  # a change of x^(n-1) in one sample by this fraction of its range is a corner, not motion
+_WORTH_A_LINE = 0.01  # fraction of the target
+_FAR = 0.1  # of the largest voltage: a target that begins beyond is reported
 _WIDTHS = 12  # doublings of the rounding, from one sample on
 
 
-def rough_share(wanted: np.ndarray, dt: float, model: Model) -> float:
-    """Share of samples where x^(n-1) jumps by more than 30 % of its range in one sample: corners and noise."""
+def roughness(wanted: np.ndarray, dt: float, model: Model) -> float:
+    """Compute the fraction of samples where x^(n-1) jumps by more than 30 % of its range: corners and noise."""
+    # x^(n) is what the force must follow: where x^(n-1) jumps, it is an impulse that no voltage makes
     x = wanted
     for _ in range(model.order - 1):
         x = np.diff(x) / dt
@@ -29,25 +30,25 @@ def rough_share(wanted: np.ndarray, dt: float, model: Model) -> float:
 
 
 def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float] | None:
-    """Width (s) of the narrowest Gaussian that leaves no corner, and what it changes of the target, % of its range."""
+    """Find the width (s) of the narrowest Gaussian that leaves no corner, and its change of the target, % of range."""
     for width in 2.0 ** np.arange(_WIDTHS):
-        if 8 * width > len(wanted):
+        if 8 * width > len(wanted):  # such a filter would hand back a mean, not a motion
             break
         round_ = gaussian_filter1d(wanted, width, mode="nearest")
-        if rough_share(round_, dt, model) == 0:
+        if roughness(round_, dt, model) == 0:
             return width * dt, e_rms_percent(round_, wanted)
     return None
 
 
 def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:
-    """Lines about a target before it is planned."""
+    """Write lines about a target before it is planned."""
     warnings = ()
     if target.dt > 1.01 * model.provenance.dt:
         warnings += (
             f"the target is sampled every {target.dt:g} s, coarser than the model's {model.provenance.dt:g} s: "
             "resample it finer to keep its shape between samples",
         )
-    rough = rough_share(wanted, target.dt, model)
+    rough = roughness(wanted, target.dt, model)
     if rough > 0:
         cost = rounding(wanted, target.dt, model)
         how = "" if cost is None else f"; a Gaussian of {1e3 * cost[0]:.3g} ms does, and costs {cost[1]:.2g} % of range"
@@ -66,7 +67,7 @@ def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path) -> t
 
 
 def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
-    """A line where the target begins far from where the machine stands."""
+    """Write a line where the target begins far from where the machine stands."""
     if abs(voltage - limits.ends) <= _FAR * limits.high:
         return ()
     return (
@@ -75,25 +76,25 @@ def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
     )
 
 
-def on_smoothing(model: Model, wanted: np.ndarray, dt: float, percent: float, left: float) -> tuple[str, ...]:
-    """A line on what is played of a target that is not smooth."""
-    if rough_share(wanted, dt, model) == 0 or not percent > 0:
+def on_smoothing(model: Model, wanted: np.ndarray, dt: float, percent: float, missed: float) -> tuple[str, ...]:
+    """Write a line on what is played of a target that is not smooth; `missed`: rms, m."""
+    if roughness(wanted, dt, model) == 0 or not percent > 0:
         return ()
     return (
-        f"its corners and its noise are played smoothed: the model's rollout is {left:.2g} m (rms) off the target, "
+        f"its corners and its noise are played smoothed: the model's rollout is {missed:.2g} m (rms) off the target, "
         f"{percent:.2g} % of its range",
     )
 
 
 def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
-    """A line each where more than a hundredth of the target cannot be played as asked."""
+    """Write a line each where more than a hundredth of the target cannot be played as asked."""
     lines = ()
-    if infeasible > _TOLD:
+    if infeasible > _WORTH_A_LINE:
         lines += (
             f"{100 * infeasible:.0f} % of the target needs the actuator to push, or a faster drive: "
             "raise the mean, lower the frequency or the amplitude",
         )
-    if saturated > _TOLD:
+    if saturated > _WORTH_A_LINE:
         lines += (
             f"{100 * saturated:.0f} % of the target's voltage is cut, by {limits.range_text} or {limits.slew:.3g} V/s: "
             "ask for less, or raise the limit if the rig allows it",
@@ -102,7 +103,7 @@ def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, 
 
 
 def on_stroke(wanted: np.ndarray, reached: float, limits: Limits) -> tuple[str, ...]:
-    """Lines where the target goes farther than the membrane may, or the plan does in spite of the bound."""
+    """Write lines where the target goes farther than the membrane may, or the plan does in spite of the bound."""
     if not np.isfinite(limits.farthest):
         return ()
     lines, most = (), 1e3 * limits.farthest

@@ -1,11 +1,11 @@
-"""The best change of a voltage where its rollout is linear: `linearised` and the limits as a programme of `stage_qp`.
+"""Find the best change of a voltage where its rollout is linear: `linearised` and the limits as a `stage_qp` programme.
 
     y_t = y_t(u) + C_t z,   u_t + c + j d within its range,   |u_{t+1} - u_t + d| <= slew dt,   |y_t| <= farthest
 
 Lengths count in what the first voltage missed, voltages in U. The change is linear over stages of a fortieth of the
 resonance's period at most, of one sample where the horizon is short: its number of stages sets the time a step takes.
 Where F = u^2 has no slope, at u = 0, that of a small voltage is taken: a step that way is not barred, and what it
-brings is judged by the rollout. A delay moves all samples of the voltage against those of the reading.
+brings is for the rollout to show. A delay moves all samples of the voltage against those of the reading.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ from .._simulate.prediction import FAR
 from .linearised import linearise
 from .stage_qp import StageQP, solve_stage_qp
 
-_STAGES = 4000  # about, up to a stage of a
-_SHARE = 40  # th of the resonance's period
+_STAGES = 4000  # about, as long as a stage is no longer than a
+_PER_PERIOD = 40  # th of the resonance's period
 _FLOOR = 0.03  # of U: the least film voltage linearised about
 _FREE = 4.0  # a bound in units of U that never holds
 _SLACK = 0.02  # of U, to begin with
@@ -54,7 +54,7 @@ class Wish:
 
     @property
     def unit(self) -> float:
-        """U, V."""
+        """Range U of the voltages, V."""
         return float(self.high.max() - self.low.min())
 
 
@@ -68,7 +68,7 @@ class Played:
 
 
 def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) -> np.ndarray:
-    """The change of the voltage, V, shape (T,).
+    """Compute the change of the voltage, V, shape (T,).
 
     Args:
         model: in float64.
@@ -79,11 +79,12 @@ def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) 
     """
     count, period = len(now.voltage), 2 * np.pi / model.natural_frequency
     late = min(sum(round(float(e.time) / wish.dt) for e in model.effects if e.delays), count - 1)
-    length = int(np.clip(-(-count // _STAGES), 1, max(period / wish.dt / _SHARE, 1)))
+    length = int(np.clip(-(-count // _STAGES), 1, max(period / wish.dt / _PER_PERIOD, 1)))
     cut = _Cut(_padded(-(-count // length)), length)
     seen = _readings(model, wish, now, cut, late)
     programme = _programme(wish, now, cut, late, size, rho, *seen)
     z = np.asarray(solve_stage_qp(programme, _SLACK)[0])[1:]
+    # the last two entries of z: the change c at a stage's first sample, and its slope d
     change = (z[:, -2, None] + np.arange(length) * z[:, -1, None]).reshape(-1)[:count]
     return change * wish.unit
 
@@ -101,16 +102,16 @@ class _Cut:
 
 
 def _padded(stages: int) -> int:
-    """Up to an eighth more, so that horizons of about the same length share a compiled program."""
+    """Round up by an eighth at most, so that horizons of about the same length share a compiled program."""
     unit = 2 ** max(int(np.log2(stages)) - 3, 3)
     return -(-stages // unit) * unit
 
 
 def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tuple[np.ndarray, np.ndarray]:
-    """`Stages` in m, along the rollout from the first sample on that the voltage reaches."""
+    """Linearise in m along the rollout (`Stages`), from the first sample on that the voltage reaches."""
     u = jnp.asarray(now.voltage)
     film = np.asarray(model.drive.film(ports.delayed(model, u, wish.dt, True), wish.dt, jnp.asarray(True)))
-    if model.input_map.one_sided:
+    if model.input_map.one_sided:  # the slope of a square at 0 is 0: a film at rest would never be moved
         film = np.maximum(film, _FLOOR * wish.unit)
     pairs = np.stack([film, np.append(film[1:], film[-1])], -1)[late:]
     sound = np.where(np.abs(now.states[late:]) < FAR, now.states[late:], 0.0)  # behind the target it may run away
@@ -120,7 +121,7 @@ def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tu
 
 
 def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward, reading) -> StageQP:
-    """The programme; a stage without a past comes first, whose control is the first slope."""
+    """Write the programme; a stage without a past comes first, whose control is the first slope."""
     v = now.voltage / wish.unit
     counted = cut(wish.counted[late:].astype(float), 0.0)
     C = reading * counted[..., None] / size
@@ -150,11 +151,12 @@ def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward,
 
 
 def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np.ndarray):
-    """Rows on z and their bounds: voltages, the slope in units of the slew's, readings where they are bounded."""
+    """Write rows on z and their bounds: voltages, the slope in units of the slew's, readings where they are bounded."""
     v, step = now.voltage / wish.unit, min(wish.slew * wish.dt / wish.unit, 1.0)
     n, j = reading.shape[-1], np.arange(cut.length)
     G = np.zeros((cut.stages, cut.length + 1, n))
     G[:, :-1, -2], G[:, :-1, -1], G[:, -1, -1] = 1.0, j, 1 / step
+    # one slope serves all samples of a stage: the tightest of their bounds counts
     slope_low, slope_high = cut(-1 - rise / step, -_FREE).max(1), cut(1 - rise / step, _FREE).min(1)
     low = np.concatenate([cut(wish.low / wish.unit - v, -_FREE), slope_low[:, None]], 1)
     high = np.concatenate([cut(wish.high / wish.unit - v, _FREE), slope_high[:, None]], 1)
@@ -168,5 +170,5 @@ def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np
 
 
 def second_differences(u: np.ndarray) -> np.ndarray:
-    """At every sample, u as at the first before it."""
+    """Compute second differences at every sample, u before the first as at the first."""
     return np.diff(np.concatenate([np.full(2, u[0]), u]), 2)

@@ -1,4 +1,4 @@
-"""The course of a feedforward: from rest along the target and back, by eq. 13, by shooting, or by the nearest motion.
+"""Plan the course of a feedforward: from rest along the target and back, by eq. 13, shooting, or the nearest motion.
 
     r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit bites
     min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         where one does
@@ -11,12 +11,14 @@ misses by more.
 
 from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._metrics import e_rms_percent, rmse
 from .._model.model import Model
+from .._model.programs import in_double
 from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
@@ -61,52 +63,54 @@ class Course:
     age: float
     start: Float[Array, " state"]
 
-    def left(self, played: Played) -> float:
-        """Rmse on the target's own samples, m."""
+    def missed(self, played: Played) -> float:
+        """Compute the rmse on the target's own samples, m."""
         where = self.path.target
         return rmse(played.reading[where], self.path.displacement[where])
 
     def error(self, played: Played) -> float:
-        """The same by eq. 15, nan without a range."""
+        """Compute the error by eq. 15, % of range; nan without a range."""
         where = self.path.target
         return e_rms_percent(played.reading[where], self.path.displacement[where])
 
     def beyond(self, played: Played) -> bool:
-        """Whether it goes farther than the membrane may."""
+        """Tell whether it goes farther than the membrane may."""
+        # not <=, rather than >: a rollout that is no number is beyond
         return not np.abs(played.reading).max() <= self.limits.farthest
 
     def play(self, voltage: np.ndarray) -> np.ndarray:
-        """The reading of its rollout, m."""
-        model = self.model
-        u = jnp.asarray(voltage[None], model.coefficients.dtype)
-        states = fast_rollout(model, u, self.dt, self.start[None])[0]
-        return np.asarray(ports.readings(model, states), np.float64) * model.scales.state[0]
+        """Roll a voltage out: its reading, m; in float64, for derivatives of float32's rounding are volts."""
+        with jax.enable_x64(True):
+            model, start = in_double((self.model, self.start))
+            states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), self.dt, start[None])[0]
+            return np.asarray(ports.readings(model, states)) * model.scales.state[0]
 
     def plan(self, reference: np.ndarray) -> Planned:
-        """Eq. 13 along a reference, cut at the limits, and the ramp down."""
+        """Solve eq. 13 along a reference, cut at the limits, and add the ramp down."""
         model, motion = self.model, reference
-        if model.effects:
+        if model.effects:  # the target is what the sensor shall read; the equation is of the motion behind it
             scale = model.scales.state[0]
             motion = np.asarray(ports.moves(model, jnp.asarray(reference / scale), self.dt), np.float64) * scale
         equation = scaled_equation(model, fast_derivatives(motion, self.dt, model.order))
         force, voltage, features = invert_path(model, equation, self.dt, jnp.asarray(self.age, equation.dtype))
         u, saturated = limit_slew(np.asarray(voltage, np.float64), self.limits, self.dt)
         full = np.append(u, self.path.ramp_down(u[-1], self.limits, self.dt))
-        reading = self.play(full if np.isfinite(self.limits.farthest) else u)
+        reading = self.play(full if np.isfinite(self.limits.farthest) else u)  # the ramp counts for a stroke alone
         return Planned(full, reading, np.asarray(features), _infeasible(model, np.asarray(force), self.dt), saturated)
 
     def best(self, cut: Planned, shots: int) -> Played:
-        """Shooting as long as it helps; where a limit bites, the nearest motion, beginning with what shooting found."""
+        """Shoot as long as it helps; where a limit bites, take the nearest motion, beginning with the best shot."""
         wanted = reference = self.path.displacement
         most = _TRAVEL * travel(cut.voltage)
         best = now = cut
         bites = shots > 0 and bool(cut.infeasible.any() or cut.saturated.any())
         for _ in range(shots):
             missed = wanted - now.reading[: len(wanted)]
+            # where the voltage is cut, asking for more changes nothing there and tears the edges of the cut
             reference = reference + np.where(now.saturated | ~np.isfinite(missed), 0.0, missed)
             now = self.plan(reference)
             bites = bites or bool(now.saturated.any())
-            if not self.left(now) < self.left(best) or (bites and travel(now.voltage) > _HEADROOM * most):
+            if not self.missed(now) < self.missed(best) or (bites and travel(now.voltage) > _HEADROOM * most):
                 break
             best = now
         if bites and travel(best.voltage) > most:  # shot at before a limit bit
@@ -114,24 +118,26 @@ class Course:
         return self.nearest(cut, best, most) if bites or self.beyond(best) else best
 
     def nearest(self, cut: Planned, best: Planned, most: float) -> Played:
-        """The nearest motion of total variation `most`, V; eq. 13's or shooting's own where nothing is won."""
-        wish, found = self._wish(best, _HEADROOM * most), best
+        """Find the nearest motion of total variation `most`, V; eq. 13's or shooting's own where nothing is won."""
+        wish, near = self._wish(best, _HEADROOM * most), best
         for _ in range(_TRIES):
-            found = self._kept(nearest_motion(self.model, wish, best.voltage), wish)
-            turned, reached = travel(found.voltage) / most, np.abs(found.reading).max() / self.limits.farthest
+            near = self._kept(nearest_motion(self.model, wish, best.voltage), wish)
+            turned, reached = travel(near.voltage) / most, np.abs(near.reading).max() / self.limits.farthest
             if turned <= 1 and not reached > 1:
                 break
+            # of what came out above its bound that much less is asked for
             wish = replace(wish, budget=wish.budget / max(turned, 1.0), farthest=wish.farthest / max(reached, 1.0))
-        if (turned := travel(found.voltage)) > most:  # it is convex: a mixture has no more than its share
-            share = (most - travel(best.voltage)) / (turned - travel(best.voltage))
-            found = self._kept(best.voltage + share * (found.voltage - best.voltage), wish)
-        if self.beyond(best):
-            return min((found, best, cut), key=lambda p: np.nan_to_num(np.abs(p.reading).max(), nan=np.inf))
-        better = self.left(found) < self.left(best) and travel(found.voltage) <= most * (1 + _INTERIOR)
-        return found if better and not self.beyond(found) else best
+        if (turned := travel(near.voltage)) > most:
+            # total variation is convex: a mixture has no more than the mixed ones, weighed alike
+            part = (most - travel(best.voltage)) / (turned - travel(best.voltage))
+            near = self._kept(best.voltage + part * (near.voltage - best.voltage), wish)
+        if self.beyond(best):  # the membrane comes first: the smallest stroke, whatever it misses
+            return min((near, best, cut), key=lambda p: np.nan_to_num(np.abs(p.reading).max(), nan=np.inf))
+        better = self.missed(near) < self.missed(best) and travel(near.voltage) <= most * (1 + _INTERIOR)
+        return near if better and not self.beyond(near) else best
 
     def _wish(self, begun: Planned, budget: float) -> Wish:
-        """The target within its horizon; behind it the voltage comes to its end, below a raised cosine."""
+        """Write the target within its horizon; behind it the voltage comes to its end, below a raised cosine."""
         last, count = self.path.target.stop, len(begun.voltage)
         cosine = 0.5 * (1 + np.cos(np.pi * np.arange(1, count - last + 1) / (count - last)))
         inside = np.ones(last)
@@ -157,7 +163,8 @@ class Course:
         )
 
     def _kept(self, voltage: np.ndarray, wish: Wish) -> Played:
-        """Played, to the last bit within the limits."""
+        """Play a voltage, to the last bit within the limits."""
+        # first outward by what an interior point stops short: a limit that is asked for is then met exactly
         middle = (self.limits.low + self.limits.high) / 2
         outward = middle + (1 + _INTERIOR) * (voltage - middle)
         u, _ = limit_slew(np.clip(outward, wish.low, wish.high), self.limits, self.dt)
@@ -165,7 +172,7 @@ class Course:
 
 
 def _infeasible(model: Model, force: np.ndarray, dt: float) -> np.ndarray:
-    """Where no voltage makes this scaled force, or no effect of the drive lets it pass."""
+    """Mark where no voltage makes this scaled force, or no effect of the drive lets it pass."""
     # an actuator at rest asks for a force of zero, give or take a bit
     slack = _ROUNDING * np.abs(force[np.isfinite(force)]).max(initial=0.0)
     never = np.asarray(model.input_map.infeasible(jnp.asarray(force + slack)))

@@ -1,4 +1,4 @@
-"""The discrete inverse: the force sequence behind consecutive states of the decoder (docs/readings.md, eq. 13).
+"""Invert the decoder: the force sequence behind its consecutive states (docs/readings.md, eq. 13).
 
 With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
 
@@ -19,7 +19,7 @@ from .._simulate.decoder import film_voltage, frozen_increment
 
 
 def _affine(model: Model, state, dt):
-    """p(s) and the three g_j(s) of one frozen step, for all rows."""
+    """Compute p(s) and the three g_j(s) of one frozen step, for all rows."""
     units = jnp.eye(3, dtype=state.dtype)
 
     def stepped(forces):
@@ -37,7 +37,7 @@ def discrete_inverse(
     first: Float[Array, ""] | None = None,
     sweeps: int = 20,
 ) -> Float[Array, " time-1"]:
-    """Voltage of every step from consecutive decoder states (scaled, S then memory), substeps = 1.
+    """Solve for the voltage of every step from consecutive decoder states (scaled, S then memory), substeps = 1.
 
     Args:
         model: as rolled out.
@@ -73,13 +73,14 @@ def discrete_inverse(
     top = moved[:, n - 1] - free[:, n - 1]
     if model.hold == "zoh":
         return film_voltage(model, top / gains[:, :, n - 1].sum(1))
+    # of order 1 there is no x^(n-2): the first memory, a lag of x, sees the alternating mode instead
     second = n - 2 if n > 1 else (n if model.memory.size else None)
     below = None if second is None else (moved[:, second] - free[:, second], gains[:, :, second])
     return _solve_foh(model, (top, gains[:, :, n - 1]), below, first, sweeps)[:-1]
 
 
 def _solve_foh(model: Model, upper, lower, first, sweeps):
-    """Gauss-Newton for all voltages at once, in units where the largest force is one."""
+    """Solve for all voltages at once by Gauss-Newton, in units where the largest force is one."""
     top, top_gain = upper
     dtype = top.dtype
     force, voltage = model.input_map.force, model.input_map.voltage
@@ -88,6 +89,7 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
     rows = [(top / top_gain.sum(1), top_gain / top_gain.sum(1)[:, None], jnp.ones((), dtype))]
     if lower is not None:
         total = lower[1].sum(1)
+        # both rows are rounded alike, so the one that answers less weighs less
         weight = jnp.median(jnp.abs(total / top_gain.sum(1))) ** 2
         rows.append((lower[0] / total, lower[1] / total[:, None], weight))
     known = jnp.zeros((), dtype) if first is None else jnp.asarray(first, dtype) / unit
@@ -99,18 +101,19 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
     def sweep(u, _):
         now, later = u[:-1], u[1:]
         middle = (now + later) / 2
+        # 1e-9 on the diagonal: where a square has no slope (u = 0) a voltage stays as it is
         diagonal, beside, right = (
             jnp.full(count + 1, 1e-9, dtype),
             jnp.zeros(count, dtype),
             jnp.zeros(count + 1, dtype),
         )
         for value, gain, weight in rows:
-            left = value - (gain[:, 0] * force(now) + gain[:, 1] * force(middle) + gain[:, 2] * force(later))
+            missed = value - (gain[:, 0] * force(now) + gain[:, 1] * force(middle) + gain[:, 2] * force(later))
             by_now = gain[:, 0] * slope(now) + gain[:, 1] * slope(middle) / 2
             by_later = gain[:, 2] * slope(later) + gain[:, 1] * slope(middle) / 2
             diagonal = diagonal.at[:-1].add(weight * by_now**2).at[1:].add(weight * by_later**2)
             beside = beside + weight * by_now * by_later
-            right = right.at[:-1].add(weight * by_now * left).at[1:].add(weight * by_later * left)
+            right = right.at[:-1].add(weight * by_now * missed).at[1:].add(weight * by_later * missed)
         diagonal = diagonal.at[0].add(anchor)
         right = right.at[0].add(anchor * (known - u[0]))
         pad = jnp.zeros(1, dtype)

@@ -1,10 +1,10 @@
-"""Equation inverse: the drive voltage along a motion (paper, eq. 13).
+"""Invert the equation: the drive voltage along a motion (paper, eq. 13).
 
     F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = drive^-1(V)   (e.g. V + tau V')
 
 Memories follow x alone, so they are known along a motion. The closed form inverts the continuous equation; for
 consecutive states of the decoder see `discrete`, for a voltage to play `feedforward_plan`. Every quantity is an array
-over time (`_model.rows`): 120,000 samples at order 2 with five memories in 3 ms on two cores, vmapped 8 to 24.
+over time (`_model.rows`), not a function of one instant mapped over them.
 """
 
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ _HUGE = 1e3  # of the training force: what stands for a force no field makes
 
 
 def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Float[Array, "time memory"]):
-    """Eq. 13 before the root: the scaled force each instant needs, from scaled [x, ..., x^(n)] and memories."""
+    """Evaluate eq. 13 before the root: the scaled force at each instant, from scaled [x, ..., x^(n)] and memories."""
     rows = list(equation.T)
     return equation_force(model, model.encoder.over()([*rows[:-1], *memory.T]), rows)[0]
 
@@ -30,7 +30,7 @@ def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Flo
 def force_and_voltage(
     model: Model, equation: Float[Array, "time tokens"], dt: float, start: Float[Array, " memory"]
 ) -> tuple[Float[Array, " time"], Float[Array, " time"], Float[Array, "time memory"]]:
-    """Scaled force, drive voltage before limits (V) and memories along scaled [x, ..., x^(n)].
+    """Compute scaled force, drive voltage before limits (V) and memories along scaled [x, ..., x^(n)].
 
     Args:
         model: without effects.
@@ -46,7 +46,7 @@ def force_and_voltage(
 
 @jit
 def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
-    """Scaled force, voltage before limits (V) and features along a path that starts at rest; vmap for a batch.
+    """Compute scaled force, voltage before limits (V) and features along a path from rest; vmap for a batch.
 
     `age`: of the session at its first sample, s, which effects of the slow time read.
     """
@@ -62,5 +62,5 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, 
 
 
 def scaled_equation(model: Model, derivatives: Float[np.ndarray, "time tokens"]) -> Float[Array, "time tokens"]:
-    """[x, ..., x^(n)] in the model's units and precision."""
+    """Convert [x, ..., x^(n)] to the model's units and precision."""
     return jnp.asarray(derivatives / model.scales.state, model.coefficients.dtype)

@@ -1,10 +1,10 @@
-"""Feedforward: the voltage that makes the model follow a target, eq. 13 and then shooting, or the nearest one.
+"""Feed forward: find the voltage that makes the model follow a target, by eq. 13 and shooting, or the nearest one.
 
     u = inverse(target), moved by what the rollout misses          where no limit bites
     min |target - rollout(u)|^2 over the u within the limits       where one does                        (`course`)
 
 A smooth way leads up from zero volts (or the voltage that holds a machine where it stands) and back down, exactly.
-Every limit is kept; what the target asks beyond them is told.
+Every limit is kept; what the target asks beyond them is reported.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from .._record.reading import Target
 from .._shown import Shown
 from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import rest_state, settled_state
-from .._simulate.prediction import at_rate, outside_share
+from .._simulate.prediction import at_rate, outside_fraction, outside_words
 from .advice import on_reach, on_smoothing, on_start, on_stroke, on_target
 from .course import Course
 from .limits import limits_of
@@ -39,7 +39,7 @@ class Feedforward(Shown):
         saturated: True where it asks for more than a voltage or slew limit allows.
         target: True on the target's own samples.
         wanted: the target there, as it was given; nan before and after.
-        outside_training_share: share of target samples outside the trained region.
+        outside_training_share: fraction of target samples outside the trained region.
         self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
             the inversion, not a prediction of tracking. nan for a target that holds one value: `warnings` says by how
             much that is missed.
@@ -70,7 +70,7 @@ def feedforward(
     start_input: float = 0.0,
     shots: int = _SHOTS,
 ) -> Feedforward:
-    """The voltage that makes the model follow a target displacement, or come as near as the limits allow.
+    """Find the voltage that makes the model follow a target displacement, or come as near as the limits allow.
 
     Args:
         model: identified or trained.
@@ -104,6 +104,7 @@ def feedforward(
     path = extend(wanted, target.dt, model, limits, stands)
     warnings += on_target(model, target, wanted, path)
     first, last = path.target.start, path.target.stop
+    # the session's clock at the first sample played; nothing was done to the actuator before it began
     age = max(model.provenance.age(target.time[0] - first * target.dt), 0.0)
     start = rest_state(model, age) if start is None else start
     if any(e.name == "stiffness_drift" for e in model.effects):
@@ -111,11 +112,11 @@ def feedforward(
     course = Course(model, path, limits, target.dt, age, start)
     cut = course.plan(path.displacement)
     best = course.best(cut, shots)
-    share = outside_share(model, cut.features[first:last])
-    if share > 0.01:
+    outside = outside_fraction(model, cut.features[first:last])
+    if outside > 0.01:
         warnings += (
-            f"{100 * share:.0f} % of the target lies outside the region the model was trained in: "
-            "expect more error there",
+            f"{100 * outside:.0f} % of the target lies outside the region the model was trained in: "
+            f"{outside_words(model, cut.features[first:last], target.time)}; expect more error there",
         )
     inside = np.zeros(len(best.voltage), bool)
     inside[first:last] = True
@@ -127,9 +128,10 @@ def feedforward(
     error = course.error(best)
     if np.isnan(error):
         warnings += (
-            f"the target holds one value, eq. 15 has no range: the model's rollout is {course.left(best):.2g} m off it",
+            f"the target holds one value, eq. 15 has no range: "
+            f"the model's rollout is {course.missed(best):.2g} m off it",
         )
-    warnings += on_smoothing(model, wanted, target.dt, error, course.left(best))
+    warnings += on_smoothing(model, wanted, target.dt, error, course.missed(best))
     return Feedforward(
         time=target.time[0] + (np.arange(len(best.voltage)) - first) * target.dt,
         voltage=best.voltage,
@@ -137,7 +139,7 @@ def feedforward(
         saturated=saturated,
         target=inside,
         wanted=np.concatenate([np.full(first, np.nan), target.displacement, np.full(len(ramp), np.nan)]),
-        outside_training_share=share,
+        outside_training_share=outside,
         self_check_e_rms_percent=error,
         equation_e_rms_percent=course.error(cut),
         warnings=warnings,
@@ -145,12 +147,13 @@ def feedforward(
 
 
 def standing(model: Model, voltage: float, dt: float):
-    """The scaled state in which a held voltage leaves the model, and its displacement, m; (None, 0) at 0 V."""
+    """Find the scaled state in which a held voltage leaves the model, and its displacement, m; (None, 0) at 0 V."""
     if voltage == 0:
         return None, 0.0
     kind = model.coefficients.dtype
     level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
     level /= float(model.scales.state[0])
+    # the nominal's own level to begin with; encoder and effects move it from there, so it is run until it stands
     still = jnp.zeros(model.order, kind).at[0].set(level)
     begun = settled_state(model, still, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
     count = int(np.clip(settling(model)[0] / dt, 64, _WAITS))

@@ -1,4 +1,4 @@
-"""What a feedforward must keep: the amplifier's range and slew, and the membrane's stroke.
+"""Keep the limits of a feedforward: the amplifier's range and slew, and the membrane's stroke.
 
 low <= u <= high,   |u'| <= slew,   |x| <= farthest
 """
@@ -41,7 +41,7 @@ def limits_of(
     max_displacement: float | None,
     start_input: float = 0.0,
 ) -> tuple[Limits, tuple[str, ...]]:
-    """The limits given, or those of the training records; and warnings.
+    """Choose the limits given, or those of the training records; and warn.
 
     Raises:
         BadInput: a limit that is not positive, an endless voltage, or a start beyond it.
@@ -91,5 +91,5 @@ def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarr
 
 
 def travel(voltage: np.ndarray) -> float:
-    """Total variation, V."""
+    """Compute the total variation, V."""
     return float(np.abs(np.diff(voltage)).sum())

@@ -1,4 +1,4 @@
-"""A rollout linearised about a voltage: what a small change of it does to the reading, stage by stage.
+"""Linearise a rollout about a voltage: what a small change of it does to the reading, stage by stage.
 
     s_{t+1} = f(s_t, V_t, V_{t+1}),   A_t = df/ds,  B_t = df/d(V_t, V_{t+1}),   y_t = reading(s_t)
     V_{t+1} = q V_t + a u_t + b u_{t+1}                                          the electrode's lag
@@ -38,7 +38,7 @@ def linearise(
     dt: float,
     unit: Float[Array, ""],
 ) -> Stages:
-    """The stages along a rollout.
+    """Compute the stages along a rollout.
 
     Args:
         model: any; its delays are the caller's.
@@ -52,6 +52,7 @@ def linearise(
     fractions = np.arange(2 * model.substeps + 1) / (2 * model.substeps)
     size = states.shape[-1]
     n, zero = size + 3, jnp.zeros((), states.dtype)
+    # the electrode's lag is linear: its three numbers are its slopes, at any voltage
     q, a, b = jax.grad(lambda *v: film_after(model.drive, *v, dt), argnums=(0, 1, 2))(zero, zero, zero)
     V = jnp.zeros(n, states.dtype).at[size:].set(jnp.stack([q, a + b, b]))
     ramp = jnp.zeros((2, n), states.dtype).at[0, size + 1 :].set(1.0).at[1, -1].set(1.0)
@@ -60,13 +61,13 @@ def linearise(
         return step(model, s, between(pair, model.hold, fractions, jnp)[0], dt)
 
     def sample(s, pair):
-        """The matrix that takes z one sample on, and the gradient of the reading."""
+        """Compute the matrix that takes z one sample on, and the gradient of the reading."""
         A, B = jax.jacfwd(onward, argnums=(0, 1))(s, pair)
         moved = unit * B[:, 1:] * V
         moved = moved.at[:, :size].add(A).at[:, size].add(unit * B[:, 0])
         return jnp.concatenate([moved, V[None], ramp]), jax.grad(lambda s: ports.reading(model, s))(s)
 
-    def across(product, now):
+    def across(product, now):  # all stages side by side, one sample of each at a time
         matrix, gradient = jax.vmap(sample)(*now)
         return matrix @ product, jnp.einsum("ks,ksm->km", gradient, product[:, :size])
 

@@ -1,4 +1,4 @@
-"""The nearest motion that the limits allow: constrained least squares over the whole horizon.
+"""Find the nearest motion that the limits allow: constrained least squares over the whole horizon.
 
     minimise    sum_target (y_t - w_t)^2 / m^2  +  rho sum (u_{t+1} - 2 u_t + u_{t-1})^2 / U^2         y = rollout(u)
     subject to  low_t <= u_t <= high_t,  |u_{t+1} - u_t| <= slew dt,  sum |u_{t+1} - u_t| <= budget,  |y_t| <= farthest
@@ -8,12 +8,12 @@ Gauss-Newton about the current rollout: every change of the voltage solves a qua
 iterate keeps them. m is what the first voltage misses, U the range of voltages. 10,000 samples take a second or two.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .._model.model import Model
+from .._model.programs import in_double
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
 from .change_programme import Played, Wish, best_change, second_differences
@@ -27,15 +27,16 @@ _BEYOND = 1e3  # weight of a reading beyond the farthest
 
 
 def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
-    """The voltage (V, shape (T,)) that keeps the limits and whose rollout comes nearest to what is wanted.
+    """Find the voltage (V, shape (T,)) that keeps the limits and whose rollout comes nearest to what is wanted.
 
     Args:
         model: any.
         wish: the motion and the limits.
         first: a voltage within the limits of range and slew to begin with.
     """
+    # an interior point divides by slacks that go to zero; beside voltages of order one float32 would lose them
     with jax.enable_x64(True):
-        model = jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, model)
+        model = in_double(model)
         now = _play(model, wish, first)
         size = np.sqrt(sum((part**2).sum() for part in _misses(wish, now)))
         if not 0 < size < np.inf:
@@ -62,7 +63,7 @@ def _play(model: Model, wish: Wish, voltage: np.ndarray) -> Played:
 
 
 def _misses(wish: Wish, played: Played) -> tuple[np.ndarray, np.ndarray]:
-    """Of the target, and beyond the farthest, weighed; m."""
+    """Compute what is missed of the target, and what is beyond the farthest, weighed; m."""
     missed = (played.reading - wish.reading)[wish.counted]
     if not np.isfinite(wish.farthest):
         return missed, np.zeros(0)
@@ -76,7 +77,7 @@ def _cost(wish: Wish, played: Played, size: float, rho: float) -> float:
 
 
 def _smoothness(model: Model, wish: Wish, first: np.ndarray) -> float:
-    """rho: a swing of U/4 at the resonance all along costs 1e-4 of what the first voltage misses, at 10 times that 1.
+    """Choose rho: a swing of U/4 at the resonance all along costs 1e-4 of what the first voltage misses, at 10 times 1.
 
     But no more than a few hundredths for the second differences of the first voltage itself.
     """

@@ -1,4 +1,4 @@
-"""PI trim on top of a feedforward (paper, Fig. 14), as a simulated closed loop.
+"""Trim a feedforward by a PI controller (paper, Fig. 14), in a simulated closed loop.
 
     v_t = h(u_ff,t) + P e_t + I z_t,   u_t = h^-1(v_t) within range and slew,   e = direction (x_target - x)
     z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: what a limit cuts leaves z within T
@@ -66,10 +66,12 @@ def pi_trim(
     low, high = limits
     h = input_map or LinearInput()
     integrates = jnp.asarray(i) > 0
+    # faster than a sample the back-calculation would overshoot
     within = jnp.maximum(p / jnp.where(integrates, i, 1.0) if tracking is None else tracking, dt)
 
     def kept(wanted, feed, before):
-        """Exactly the feedforward where nothing is added."""
+        """Convert a force to a voltage within range and slew; exactly the feedforward where nothing is added."""
+        # h^-1(h(u)) rounds: without this, gains of zero would not play the file as it stands
         u = jnp.where(wanted == h.force(feed), feed, h.voltage(wanted))
         return jnp.clip(jnp.clip(u, low, high), before - max_slew * dt, before + max_slew * dt)
 
@@ -82,6 +84,7 @@ def pi_trim(
         asked = h.force(u) + correction
         first = kept(asked, u, before)
         last = kept(h.force(u_next) + correction, u_next, first)
+        # what the limits cut is taken out of the integral, or it would wind up while they bite
         total = (
             total + jnp.where(integrates, (h.force(first) - asked) / jnp.where(integrates, i, 1.0), 0.0) * dt / within
         )

@@ -1,4 +1,4 @@
-"""One sample at a time: eq. 13 and one decoder step, compiled ahead of time for a control loop.
+"""Step one sample at a time: eq. 13 and one decoder step, compiled ahead of time for a control loop.
 
     inverse   (m, x, V_{-1}, V_{-2}), [x, ..., x^(n)]  ->  u = V + tau (3 V - 4 V_{-1} + V_{-2}) / (2 dt)
     decoder   (s, V, u_{-1}), u                        ->  displacement at the sample of u
@@ -48,7 +48,7 @@ class CompiledStep:
 
 
 def inverse_step(model: Model, dt: float) -> CompiledStep:
-    """Drive voltage before limits (V) for [x, ..., x^(n)] (from rest, model coordinates, m / s^i) at this sample.
+    """Compile the drive voltage before limits (V) for [x, ..., x^(n)] (from rest, model coordinates, m / s^i).
 
     Args:
         model: identified or trained, without effects.
@@ -75,6 +75,7 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
         memory = memory_after(model.memory, memory, before, x[0], dt)
         force = equation_force(model, model.encoder.over()([*x[:-1], *memory]), list(x))[0]
         film = film_voltage(model, force)
+        # V' from the last two samples: what comes next is not known in a loop
         voltage = film + lag(model.drive) * (3 * film - 4 * film_1 + film_2) / (2 * dt)
         return jnp.concatenate([memory, jnp.stack([x[0], film, film_1])]), voltage
 
@@ -86,7 +87,7 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
 
 
 def decoder_step(model: Model, dt: float) -> CompiledStep:
-    """Displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
+    """Compile the displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
 
     Args:
         model: identified or trained, without effects.
@@ -123,7 +124,7 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
 
 
 def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """The `run` of a `CompiledStep` from its bytes, compiled for this machine before it returns.
+    """Restore the `run` of a `CompiledStep` from its bytes, compiled for this machine before it returns.
 
     Args:
         exported: what `CompiledStep.exported.serialize()` gave.
@@ -138,7 +139,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 
 
 def _compile(exported: export.Exported):
-    """Through `jax.jit`, whose dispatch takes half the time of a `Compiled` object; called once, to have it done.
+    """Compile through `jax.jit`, whose dispatch takes half the time of a `Compiled` object, by calling it once.
 
     Numbers of 64 bits are rounded on the way in: the caller may have enabled them or not.
     """
@@ -151,7 +152,7 @@ def _compile(exported: export.Exported):
 
 @singledispatch
 def memory_after(memory: AbstractMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
-    """The memories one sample on, x linear from `before` to `now` (scaled)."""
+    """Advance the memories by one sample, x linear from `before` to `now` (scaled)."""
     return memory.trajectory(jnp.stack([before, now]), dt, state)[1]
 
 
@@ -162,7 +163,7 @@ def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) 
 
 @singledispatch
 def lag(drive: AbstractDrive) -> Array:
-    """The time constant tau of u = V + tau V', s."""
+    """Look up the time constant tau of u = V + tau V', s."""
     raise BadInput(f"no real-time inverse of a {type(drive).__name__}")
 
 
@@ -178,7 +179,7 @@ def _(drive: ElectrodeLag) -> Array:
 
 @singledispatch
 def film_after(drive: AbstractDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
-    """Film voltage one sample on, the drive linear from `before` to `now`."""
+    """Advance the film voltage by one sample, the drive linear from `before` to `now`."""
     raise BadInput(f"no real-time step of a {type(drive).__name__}")
 
 
@@ -202,7 +203,7 @@ def _refuse(model: Model, dt: float) -> None:
 def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
     def guarded(carry, values):
         after, output = one(carry, values)
-        sound = jnp.isfinite(values).all()
+        sound = jnp.isfinite(values).all()  # one sample lost by a sensor must not spoil the carry of all that follow
         after, output = jnp.asarray(after, jnp.float32), jnp.asarray(output, jnp.float32)
         return jnp.where(sound, after, carry), jnp.where(sound, output, jnp.nan)
 

@@ -1,4 +1,4 @@
-"""A quadratic programme along a horizon, by a primal-dual interior point whose every step is one Riccati recursion.
+"""Solve a quadratic programme along a horizon by a primal-dual interior point whose every step is a Riccati recursion.
 
     minimise    sum_k  z_k' Q_k z_k / 2 + q_k' z_k + rho (w_k + b_k)^2 / 2
     subject to  z_{k+1} = A_k z_k + e w_k,  z_0 = 0                            (e: the last unit vector)
@@ -50,11 +50,13 @@ class _Iterate(NamedTuple):
 
 @eqx.filter_jit
 def solve_stage_qp(problem: StageQP, start: float) -> tuple[Float[Array, "stages n"], Array, Array]:
-    """All z_k, the iterations taken and the last duality gap; the smallest slack begins at `start`."""
+    """Solve for all z_k; also the iterations taken and the last duality gap. The smallest slack begins at `start`."""
     still = jnp.zeros_like(problem.q)
     a = jnp.abs(problem.h) + start
+    # an infeasible start: slacks are positive, and the equations that define them are met on the way
     slack = jax.tree.map(lambda s: jnp.maximum(s, start), _distances(problem, still, a))
     count = sum(s.size for s in slack)
+    # all products of slack and multiplier alike, as on the central path, where the first steps are long
     first = _Iterate(still, a, slack, jax.tree.map(lambda s: 1 / (count * s), slack))
 
     def going(carry):
@@ -66,12 +68,12 @@ def solve_stage_qp(problem: StageQP, start: float) -> tuple[Float[Array, "stages
         off = jax.tree.map(lambda d, s: jnp.abs(d - s).max(), _distances(problem, now.z, now.a), now.slack)
         return now, carry[1] + 1, _gap(now.slack, now.multiplier), jnp.stack(off).max()
 
-    found, step, gap, _ = jax.lax.while_loop(going, on, (first, jnp.asarray(0), jnp.asarray(1.0), jnp.asarray(1.0)))
-    return found.z, step, gap
+    last, step, gap, _ = jax.lax.while_loop(going, on, (first, jnp.asarray(0), jnp.asarray(1.0), jnp.asarray(1.0)))
+    return last.z, step, gap
 
 
 def _distances(problem: StageQP, z: Array, a: Array) -> tuple[Array, Array, Array]:
-    """How far every inequality is from holding as an equation: bounds (2, stages, rows), (2, stages), (1,)."""
+    """Compute how far every inequality is from holding as an equation: bounds (2, stages, rows), (2, stages), (1,)."""
     value, change = jnp.einsum("krn,kn->kr", problem.G, z), problem.g * z[:, -1] + problem.h
     return (
         jnp.stack([value - problem.low, problem.high - value]),
@@ -85,7 +87,11 @@ def _gap(slack, multiplier) -> Array:
 
 
 def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
-    """One predictor and corrector."""
+    """Take one Mehrotra predictor-corrector step on the KKT system; the a_k are eliminated stage by stage.
+
+    With S = m / s per inequality: G' S G joins Q, the two bounds on |g z + h| join as 4 S+ S- / (S+ + S-) on g z + h,
+    and the budget's multiplier is one number, whose answer (`per_price`) is one more right-hand side.
+    """
     stiffness = jax.tree.map(lambda m, s: m / s, now.multiplier, now.slack)
     bounds, (upper, lower), budget = stiffness
     total, lean = upper + lower, upper - lower
@@ -98,7 +104,7 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
     spent_per_price = ((problem.g * per_price[:, -1] * lean - 1) / total).sum()
 
     def newton(target):
-        """The full step towards these products of slack and multiplier."""
+        """Solve for the full step towards these products of slack and multiplier."""
         of_bounds, (up, down), price = jax.tree.map(
             lambda c, s, m: c / s + m, target, now.slack, now.multiplier
         )  # multipliers where the slack is zero
@@ -116,9 +122,11 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
         return _Iterate(z, a, slack, multiplier)
 
     gap = _gap(now.slack, now.multiplier) / count
+    # predictor: straight to products of zero, as far as the bounds let it
     aim = newton(jax.tree.map(jnp.zeros_like, now.slack))
     length = _longest(now, aim, 1.0)
     ahead = jax.tree.map(lambda a, b: a + length * (b - a), now, aim)
+    # corrector: back to the centre by the cube of what the predictor left of the gap, and with its second-order error
     centre = (_gap(ahead.slack, ahead.multiplier) / count / gap) ** 3 * gap
     second = jax.tree.map(
         lambda s, m, t, n: centre - (t - s) * (n - m), now.slack, now.multiplier, aim.slack, aim.multiplier
@@ -128,31 +136,31 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
     return jax.tree.map(lambda a, b: a + length * (b - a), now, aim)
 
 
-def _longest(now: _Iterate, aim: _Iterate, share: float) -> Array:
-    """The step, at most 1, that goes this share of the way to the first slack or multiplier of zero."""
+def _longest(now: _Iterate, aim: _Iterate, part: float) -> Array:
+    """Find the step, at most 1, that goes this part of the way to the first slack or multiplier of zero."""
 
     def to_zero(value, ahead):
         return jnp.min(jnp.where(ahead < value, value / jnp.where(ahead < value, value - ahead, 1.0), jnp.inf))
 
     ways = jax.tree.map(to_zero, (now.slack, now.multiplier), (aim.slack, aim.multiplier))
-    return jnp.minimum(1.0, share * jnp.stack(jax.tree.leaves(ways)).min())
+    return jnp.minimum(1.0, part * jnp.stack(jax.tree.leaves(ways)).min())
 
 
 def _factor(problem: StageQP, Q: Array):
-    """Gains K_k = P_e A / H, H = rho + P_ee and closed-loop matrices A - e K, backwards."""
+    """Compute gains K_k = P_e A / H, H = rho + P_ee and closed-loop matrices A - e K, backwards."""
 
     def back(P, stage):
         A, Q = stage
         H, column = problem.rho + P[-1, -1], P[-1]
         P = Q + A.T @ (P - jnp.outer(column, column) / H) @ A
-        return (P + P.T) / 2, (column @ A / H, H)
+        return (P + P.T) / 2, (column @ A / H, H)  # rounding would let P lose its symmetry over thousands of stages
 
     gains, H = jax.lax.scan(back, jnp.zeros_like(Q[0]), (problem.A, Q), reverse=True)[1]
     return gains, H, problem.A.at[:, -1].add(-gains)
 
 
-def _sweep(problem: StageQP, factors, q: Array, share: float) -> Array:
-    """All z_k of the problem without inequalities for another q, b times `share`."""
+def _sweep(problem: StageQP, factors, q: Array, size: float) -> Array:
+    """Solve for all z_k of the problem without inequalities for another q, b times `size`."""
     gains, H, closed = factors
 
     def back(p, stage):
@@ -160,7 +168,7 @@ def _sweep(problem: StageQP, factors, q: Array, share: float) -> Array:
         return q + p @ closed - gain * push, (p[-1] + push) / H
 
     start = jnp.zeros_like(q[0])
-    pushes = jax.lax.scan(back, start, (closed, gains, H, q, share * problem.rho * problem.b), reverse=True)[1]
+    pushes = jax.lax.scan(back, start, (closed, gains, H, q, size * problem.rho * problem.b), reverse=True)[1]
 
     def on(z, stage):
         closed, push = stage

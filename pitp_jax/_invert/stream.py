@@ -1,4 +1,4 @@
-"""Streaming inversion: any number of samples in blocks, in flat memory.
+"""Invert a stream: any number of samples in blocks, in flat memory.
 
     rows [x, ..., x^(n)]   from R samples on either side (`spline_derivative`)
     memory m               carried from window to window
@@ -42,7 +42,7 @@ class Piece:
 def invert_stream(
     model: Model, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
 ) -> Iterator[Piece]:
-    """Voltages for a displacement that arrives in blocks of any sizes and starts at rest (eq. 13, without shooting).
+    """Invert a displacement that arrives in blocks of any sizes and starts at rest (eq. 13, without shooting).
 
     Args:
         model: identified or trained, without effects.
@@ -76,16 +76,17 @@ def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
     for more in _derivatives(_sized(moved, window), dt, model.order):
         rows = np.concatenate([rows, more])
         while len(rows) > window:
-            found = force_and_voltage(model, scaled_equation(model, rows[:window]), dt, state)
-            yield _piece(model, found, slice(back, window - _AHEAD))
-            state, back = found[2][window - 2 * _AHEAD], _AHEAD
+            inverted = force_and_voltage(model, scaled_equation(model, rows[:window]), dt, state)
+            yield _piece(model, inverted, slice(back, window - _AHEAD))
+            # windows overlap by the rows that a derivative of V looks at on either side
+            state, back = inverted[2][window - 2 * _AHEAD], _AHEAD
             rows = rows[window - 2 * _AHEAD :]
     if len(rows):
         yield _piece(model, force_and_voltage(model, scaled_equation(model, rows), dt, state), slice(back, None))
 
 
 def _whole(blocks) -> Iterator[np.ndarray]:
-    """The blocks, as long as nothing is missing: one nan would make a whole window's voltage zero."""
+    """Pass the blocks on as long as nothing is missing: one nan would make a whole window's voltage zero."""
     first = 0
     for block in blocks:
         values = np.asarray(block, np.float64)
@@ -96,13 +97,13 @@ def _whole(blocks) -> Iterator[np.ndarray]:
         yield values
 
 
-def _piece(model: Model, found, kept: slice) -> Piece:
-    force, voltage, _ = found
+def _piece(model: Model, inverted, kept: slice) -> Piece:
+    force, voltage, _ = inverted
     return Piece(np.asarray(voltage)[kept], np.asarray(model.input_map.infeasible(force + _ROUNDING))[kept])
 
 
 def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
-    """The same samples in blocks of `size` or a little more; the last may be shorter."""
+    """Collect the same samples into blocks of `size` or a little more; the last may be shorter."""
     waiting, count = [], 0
     for block in blocks:
         waiting.append(block)
@@ -115,13 +116,13 @@ def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
 
 
 def _derivatives(blocks: Iterator[np.ndarray], dt: float, order: int) -> Iterator[np.ndarray]:
-    """Rows [x, ..., x^(n)] in order; the last three reaches of samples are held back for what comes next."""
+    """Yield rows [x, ..., x^(n)] in order; the last three reaches of samples wait for what comes next."""
     r, held, begun = reach(order), np.zeros(0), False
     for block in blocks:
         held = np.concatenate([held, block])
         if len(held) <= 6 * r:
             continue
-        if not begun:
+        if not begun:  # the filters' start-up reaches R samples in: there the spline itself serves, as in one piece
             yield derivatives(held[: 3 * r], dt, order)[:r]
         yield inner(held[r:] if begun else held, dt, order)
         held, begun = held[-3 * r :], True

@@ -1,4 +1,4 @@
-"""Trajectories for the inverse: a target, its lead-in from rest and the ramp back to zero.
+"""Lay the path of the inverse: a target, its lead-in from rest and the ramp back to zero.
 
 x^(i): quintic (order + 3) spline through the samples, differentiated
 lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state
@@ -47,7 +47,7 @@ class Path:
     lead_out: float
 
     def ramp_down(self, voltage: float, limits: Limits, dt: float) -> np.ndarray:
-        """Raised cosine from the last voltage to the one at the ends, within the slew limit."""
+        """Ramp by a raised cosine from the last voltage to the one at the ends, within the slew limit."""
         far = voltage - limits.ends
         count = max(int(np.ceil(max(np.pi * abs(far) / (2 * limits.slew), self.lead_out) / dt)), 2)
         tail = limits.ends + far * 0.5 * (1 + np.cos(np.pi * np.arange(1, count + 1) / count))
@@ -56,7 +56,7 @@ class Path:
 
 
 def settling(model: Model) -> tuple[float, float]:
-    """How long lead-in and lead-out take by the slowest mode, s."""
+    """Compute how long lead-in and lead-out take by the slowest mode, s."""
     poles = np.roots(model.physical_coefficients[::-1])
     poles = poles[np.abs(poles) > 0]
     memory, electrode = model.memory, model.drive
@@ -93,8 +93,9 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
     still = float(force_of(np.asarray(limits.ends)))
     first = float(np.asarray(model.input_map.voltage(still + model.physical_coefficients @ states[0])))
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
-    share = np.abs(states[0, 1:]) / np.maximum(np.abs(states[:, 1:]).max(0), 1e-30)
-    moves = abs(states[0, 0]) > 1e-3 * span or share[0] > 1e-2 or (share[1 : order - 1] > _SUDDEN).any()
+    # the first sample's derivatives beside the largest of the target
+    first_of = np.abs(states[0, 1:]) / np.maximum(np.abs(states[:, 1:]).max(0), 1e-30)
+    moves = abs(states[0, 0]) > 1e-3 * span or first_of[0] > 1e-2 or (first_of[1 : order - 1] > _SUDDEN).any()
     if not moves and abs(first - limits.ends) <= limits.unnoticed:
         early = int(np.ceil(total_delay(model.effects) / dt))
         lead = np.zeros(early + 2 * order if early else 0)  # at rest: what is late has to be played before
@@ -115,7 +116,7 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
-    """A way from rest to [x, ..., x^(n)] = `end` that a force within [low, high] can drive, by the nominal ODE.
+    """Find a way from rest to [x, ..., x^(n)] = `end` that a force within [low, high] can drive, by the nominal ODE.
 
         F = sum_k c_k B_k(t),   minimise |D^2 c|^2 + |c / F_max|^2  subject to  X(T) = end,  low <= c <= high
 
@@ -137,6 +138,7 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     size = np.where(size > 0, size, 1.0)
     smooth = np.diff(np.eye(basis.shape[1]), 2, axis=0)
     unit = max(abs(high), abs(low))
+    # the end state by a weight of 1e4, not as a constraint: where the bounds forbid it, the nearest one is reached
     rows = np.vstack([1e4 * last / size[:, None], smooth, 1e-2 * np.eye(basis.shape[1])])
     rhs = np.concatenate([1e4 * end / size / unit, np.zeros(len(smooth) + basis.shape[1])])
     c = lsq_linear(rows, rhs, bounds=(0.98 * low / unit, 0.98 * high / unit)).x * unit
@@ -144,8 +146,9 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
 
 
 def _respond(a: np.ndarray, forces: np.ndarray, dt: float) -> np.ndarray:
-    """States [x, ..., x^(n-1)] of the nominal ODE from rest under forces (T, k), linear between samples: (T, n, k)."""
+    """Roll the nominal ODE out from rest under forces (T, k), linear between samples: [x, ..., x^(n-1)], (T, n, k)."""
     n = len(a) - 1
+    # the force and its rise over a sample as two more states: one matrix exponential is the exact step
     chained = np.zeros((n + 2, n + 2))
     chained[:n, :n] = np.vstack([np.eye(n)[1:], -a[:-1][None] / a[-1]])
     chained[n - 1, n], chained[n, n + 1] = 1 / a[-1], 1 / dt

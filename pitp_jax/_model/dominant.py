@@ -14,16 +14,16 @@ _RINGS = 0.7  # damping below which a pair has a resonance, sqrt(1/2)
 
 
 def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
-    """Of the coefficients a_0 ... a_n, in rad/s; 0 where the model is nothing but integrators."""
-    a = np.nan_to_num(a)  # a model that went astray is found out by its runs
+    """Find the frequency for coefficients a_0 ... a_n, in rad/s; 0 where the model is nothing but integrators."""
+    a = np.nan_to_num(a)  # a model whose training diverged still gets a number; its runs show what is wrong
     roots = np.roots(a[::-1])
-    roots = roots[np.abs(roots) > 0]
+    roots = roots[np.abs(roots) > 0]  # an integrator's pole has no damping ratio
     damping = -roots.real / np.abs(roots)
     if ((roots.imag > 0) & (damping < _RINGS)).any():
         ringing = np.where(roots.imag > 0, damping, np.inf)
         return float(np.abs(roots[np.argmin(ringing)]))
-    even = a[::2] * (-1.0) ** np.arange(len(a[::2]))
-    squares = np.roots(even[::-1]) if a[0] else np.zeros(0)
+    even = a[::2] * (-1.0) ** np.arange(len(a[::2]))  # Re a(jw) as a polynomial in w^2
+    squares = np.roots(even[::-1]) if a[0] else np.zeros(0)  # without a spring the phase starts at -90 degrees
     lags = np.sqrt(squares.real[(np.abs(squares.imag) <= 1e-9 * np.abs(squares)) & (squares.real > 0)])
     corners = lags if len(lags) else np.abs(roots)
     return float(corners.min()) if len(corners) else 0.0

@@ -4,7 +4,7 @@ direct        V = u
 electrode     tau V' = u - V          u linear between samples; V = 0 at rest, settled where a record starts moving
 
 An electrode's sheet resistance charges the film's capacitance through a lag. It acts before the square, so no lag of
-the force or of the sensor replaces it: on recordings of two actuators it cut the equation error by half.
+the force or of the sensor replaces it (what it is worth: docs/decisions/parts.md).
 """
 
 from abc import abstractmethod
@@ -21,30 +21,30 @@ class AbstractDrive(eqx.Module):
 
     @abstractmethod
     def film(self, voltage: Float[Array, " time"], dt: float, rest: Bool[Array, ""]) -> Float[Array, " time"]:
-        """Film voltage V along a sampled drive u; `rest`: the record starts from rest, uncharged."""
+        """Compute the film voltage V along a sampled drive u; `rest`: the record starts from rest, uncharged."""
 
     @abstractmethod
     def lead(self, film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-        """The drive u for a smooth V, by the continuous equation."""
+        """Compute the drive u for a smooth V by the continuous equation."""
 
     @abstractmethod
     def undo(self, film: Float[Array, " time"], dt: float, first: Float[Array, ""]) -> Float[Array, " time"]:
-        """The drive u whose `film` is exactly V, sample by sample, given u(0)."""
+        """Compute the drive u whose `film` is exactly V, sample by sample, given u(0)."""
 
 
 class DirectDrive(AbstractDrive):
     """An ideal amplifier and perfect electrodes."""
 
     def film(self, voltage, dt, rest):
-        """V = u."""
+        """Return V = u."""
         return voltage
 
     def lead(self, film, dt):
-        """U = V."""
+        """Return u = V."""
         return film
 
     def undo(self, film, dt, first):
-        """U = V."""
+        """Return u = V."""
         return film
 
 
@@ -54,25 +54,29 @@ class ElectrodeLag(AbstractDrive):
     log_tau: Float[Array, ""]
 
     def film(self, voltage, dt, rest):
-        """Exact for u linear between samples."""
+        """Solve the lag exactly for u linear between samples."""
+        # a record cut out of a longer one shows no charging: the film is at the drive's voltage already
         start = jnp.where(rest, 0.0, voltage[0])
         return first_order_lags(voltage, jnp.exp(self.log_tau)[None], dt, start[None])[:, 0]
 
     def lead(self, film, dt):
-        """U = V + tau V', V' by central differences of 4th order: of 2nd next to the ends, one-sided of 1st at them."""
+        """Compute u = V + tau V', with V' by `slope`."""
         return film + jnp.exp(self.log_tau) * slope(film, dt)
 
     def undo(self, film, dt, first):
-        """U_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c: alternates, and decays by dt / (3 tau) a sample."""
+        """Solve `first_order_lags` for its input: u_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c.
+
+        An error of `first` alternates in sign and decays by dt / (3 tau) a sample.
+        """
         fraction = (dt / jnp.exp(self.log_tau)).astype(film.dtype)
-        settle = -jnp.expm1(-fraction)
-        rise = 1 - settle / fraction
+        settle = -jnp.expm1(-fraction)  # 1 - q
+        rise = 1 - settle / fraction  # c, the part of u_{t+1} that reaches V_{t+1}
         drive = (film[1:] - (1 - settle) * film[:-1]) / rise
-        keep = -(settle - rise) / rise
+        keep = -(settle - rise) / rise  # between -1 and 0: the inverse is stable for any tau
         return scalar_recurrence(keep, drive, first)
 
 
 def slope(values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """First derivative by central differences of 4th order (2nd next to the ends, 1st at them)."""
+    """Differentiate by central differences of 4th order (2nd next to the ends, one-sided of 1st at them)."""
     inner = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12 * dt)
     return jnp.asarray(jnp.gradient(values, dt)).at[2:-2].set(inner)

@@ -1,4 +1,4 @@
-"""Encoders: from what the model sees now (state S and memory m, scaled) to tokens (paper, eqs. 4 and 5).
+"""Encoders map what the model sees now (state S and memory m, scaled) to tokens (paper, eqs. 4 and 5).
 
     sigma_i = sigma_i^0 g(l_i),    sigma_off = l_off,    l = encoder(S, m)
 
@@ -22,7 +22,7 @@ from .rows import Rows, affine, as_product, vmapped, written_out
 
 # layers at one instant (vmapped, differentiated) are products, over many written out, in a scan over records joined
 Way = Literal["instant", "instants", "records"]
-_WIDE = 1e6  # no bound
+_NO_BOUND = 1e6  # scaled features are of order one
 _WRITTEN_OUT = 32  # hidden units of a net; beyond, a matrix product is faster and compiles faster
 _FEW = 256  # instants for which the paper's tables cost more to build than they save
 
@@ -34,21 +34,21 @@ class AbstractEncoder(eqx.Module):
     def __call__(
         self, features: Float[Array, " features"], *, key: PRNGKeyArray | None = None
     ) -> Float[Array, " tokens"]:
-        """Logits, shape (n + 2,); `key` turns dropout on where the encoder has any."""
+        """Compute the logits, shape (n + 2,); `key` turns dropout on where the encoder has any."""
 
     def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
-        """fn(features): logits, one row per token and one for the offset, of instants of any shape.
+        """Build fn(features): logits, one row per token and one for the offset, of instants of any shape.
 
-        What is constant is computed here, once.
+        What is constant is computed here, once, and not at every step of a scan.
         """
         return lambda features: vmapped(self, features)
 
     @abstractmethod
     def scaled(self, factor: float) -> "AbstractEncoder":
-        """The encoder with its last layer `factor` times this one's: at 0 the identified linear model."""
+        """Scale the last layer by `factor`: at 0 the encoder is the identified linear model."""
 
     def token_nets(self) -> "AbstractEncoder":
-        """Like it, but 1 at the weights of nets that a polynomial of the same inputs stands beside, and 0 elsewhere."""
+        """Mark by 1 the weights of nets that a polynomial of the same inputs stands beside, all others by 0."""
         return jax.tree.map(jnp.zeros_like, self)
 
 
@@ -58,25 +58,26 @@ class ConstantEncoder(AbstractEncoder):
     outputs: int = eqx.field(static=True)
 
     def __call__(self, features, *, key=None):
-        """Zeros."""
+        """Return zeros for any features."""
         return jnp.zeros((self.outputs,), features.dtype)
 
     def over(self, way="instants"):
-        """Zeros."""
+        """Build the function that returns zeros."""
         return lambda features: [jnp.zeros_like(features[0])] * self.outputs
 
     def scaled(self, factor):
-        """Zeros stay zeros."""
+        """Return the encoder itself: zeros stay zeros."""
         return self
 
 
 class _Net(eqx.Module):
-    """One hidden tanh layer; zero until trained."""
+    """One hidden tanh layer, whose readout begins at zero: an untrained net leaves the nominal as it is."""
 
     hidden: eqx.nn.Linear
     readout: eqx.nn.Linear
 
     def __init__(self, features, outputs, width, key):
+        # the hidden layer is random: with zeros in both no gradient would reach either
         first, second = jax.random.split(key)
         self.hidden = _linear(features, width, key=first)
         self.readout = _zero(_linear(width, outputs, key=second))
@@ -86,7 +87,7 @@ class _Net(eqx.Module):
 
 
 def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], Sequence[Rows]]:
-    """fn(features): outputs of nets that each see some columns; over records they share one hidden matrix."""
+    """Build fn(features): outputs of nets that each see some columns; over records they share one hidden matrix."""
     if way == "records":
         return _side_by_side(nets)
     layer = as_product if way == "instant" else written_out
@@ -97,7 +98,10 @@ def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], 
 
 
 def _side_by_side(nets: Sequence[tuple[_Net, list[int]]]) -> Callable[[Rows], Sequence[Rows]]:
-    """The same with all nets in one hidden matrix and one block-diagonal readout."""
+    """Build the same with all nets in one hidden matrix and one block-diagonal readout.
+
+    Zeros multiplied along cost less than starting three small products at every step of a scan.
+    """
     width = 1 + max(c for _, columns in nets for c in columns)
     (weights, inner), (readouts, outer) = (
         zip(*(affine(part) for part in parts), strict=True)
@@ -106,6 +110,7 @@ def _side_by_side(nets: Sequence[tuple[_Net, list[int]]]) -> Callable[[Rows], Se
     wide = [
         jnp.zeros((len(w), width), w.dtype).at[:, jnp.array(c)].set(w) for w, (_, c) in zip(weights, nets, strict=True)
     ]
+    # a column that a net does not see has weight zero
     hidden = as_product(jnp.concatenate(wide), jnp.concatenate(inner))
     readout = as_product(jax.scipy.linalg.block_diag(*readouts), jnp.concatenate(outer))
     ends = np.cumsum([len(w) for w in readouts])[:-1]
@@ -121,17 +126,15 @@ class CompactEncoder(AbstractEncoder):
 
     A tanh saturates outside the data and a hardening spring does not, hence the polynomials. Every restoring force
     f(x, m) is sigma_0 x + sigma_off, so nothing is lost by keeping velocity and memory out of sigma_0 and sigma_n; what
-    is won is that neither can pump energy. The net sees the fast memories only: with all of them a 50 s record
-    drifted by 1.8 % of range after training on 10 s, with the three fastest of five 1.5 %, and the median fell from
-    0.38 to 0.31 %.
+    is won is that neither can pump energy. The net sees the fast memories only: what it learns of the slow ones does
+    not hold beyond the training records (docs/decisions/training.md).
 
     Features are clipped to `bounds` first, so tokens stay where training put them: outside, the spring is linear.
 
-    `frugal`: for few excitations, from whose past a net learns what was played instead of what the past does.
+    `frugal`: without nets that see memories, for few excitations, where such nets learn what was played.
 
         sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
-        all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x; in a lumped fit of
-                                                                            a Peano-HASEL 1 / 27 of it at 10 mm
+        all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x
 
     Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without
     one no token can express a force left over when x crosses zero), `frugal`, bounds of shape (2, features).
@@ -162,45 +165,50 @@ class CompactEncoder(AbstractEncoder):
     ):
         first, second, third = jax.random.split(key, 3)
         self.order, self.offset, self.frugal = order, offset, frugal
+        # at order 1 sigma_0 and sigma_n are all the tokens: there is no damping between them
         moving, reads_past = order + (0 if frugal else memories), offset and not frugal
         self.spring = _Net(1, 2, width, first)
         self.damping = _Net(moving, order - 1, width, second) if order > 1 else None
         self.past = _Net(1 + fast_memories(memories), 1, width, third) if reads_past else None
-        products = order + order * (order + 1) // 2
+        products = order + order * (order + 1) // 2  # S, and the products of two of its entries
         self.spring_poly = jnp.zeros((2, 3), jnp.float32)
         self.damping_poly = jnp.zeros((order - 1, products), jnp.float32)
         self.fading = jnp.zeros((memories if offset else 0, 3), jnp.float32)
         self.coupling = jnp.zeros((3,), jnp.float32) if frugal else None
-        wide = np.broadcast_to([[-_WIDE], [_WIDE]], (2, order + memories))
+        wide = np.broadcast_to([[-_NO_BOUND], [_NO_BOUND]], (2, order + memories))
         self.bounds = jnp.asarray(wide if bounds is None else bounds, jnp.float32)
 
     def __call__(self, features, *, key=None):
-        """Logits of one instant."""
+        """Compute the logits of one instant."""
         return jnp.stack(self.over("instant")(list(features)))
 
     def over(self, way="instants"):
-        """The formula."""
-        n, low, high = self.order, *jax.lax.stop_gradient(self.bounds)
+        """Build the formula of the class for rows of any shape."""
+        n, low, high = self.order, *jax.lax.stop_gradient(self.bounds)  # set from the data, not trained
         memories, sums = len(low) - n, as_product if way == "instant" else written_out
         moving, past = list(range(n if self.frugal else n + memories)), [0, *range(n, n + fast_memories(memories))]
         seen_by = [(self.spring, [0]), (self.damping, moving), (self.past, past)]
+
         wide = way == "instants" and len(self.spring.hidden.weight) > _WRITTEN_OUT
         nets = _nets([(net, c) for net, c in seen_by if net is not None], "records" if wide else way)
 
         def logits(features: Rows) -> Rows:
+            # a cubic would run away outside the data; clipped, the tokens stay and the spring goes on linearly
             seen = [jnp.clip(f, low[i], high[i]) for i, f in enumerate(features)]
-            (x, *_), state, memory, found = seen, seen[:n], seen[n:], iter(nets(seen))
+            (x, *_), state, memory, outputs = seen, seen[:n], seen[n:], iter(nets(seen))
             powers = [x, x * x, x * x * x]
-            first, last = sums(self.spring_poly, next(found))(powers)
+            # a net's outputs are the bias that its polynomial adds to
+            first, last = sums(self.spring_poly, next(outputs))(powers)
             products = [*state, *(state[i] * state[k] for i, k in zip(*np.triu_indices(n), strict=True))]
-            middle = [] if self.damping is None else sums(self.damping_poly, next(found))(products)
-            (offset,) = [jnp.zeros_like(x)] if self.past is None else next(found)
-            for k, row in enumerate(memory[: len(self.fading)]):
+            middle = [] if self.damping is None else sums(self.damping_poly, next(outputs))(products)
+            (offset,) = [jnp.zeros_like(x)] if self.past is None else next(outputs)
+            for k, row in enumerate(memory[: len(self.fading)]):  # none without an offset token
                 offset = offset + (self.fading[k, 0] + self.fading[k, 1] * x + self.fading[k, 2] * powers[1]) * row
             raw = [first, *middle, last]
             if self.coupling is None:
                 return [*raw, offset]
             common = jnp.exp(sum(c * power for c, power in zip(self.coupling, powers, strict=True)))
+            # the token g(l) is multiplied, not the logit: a coupling of force divides every token alike
             for k in np.flatnonzero(shared_by(n)):
                 raw[k] = logit_of(positive_factor(raw[k]) * common)
             return [*raw, offset * common]
@@ -208,7 +216,7 @@ class CompactEncoder(AbstractEncoder):
         return logits
 
     def scaled(self, factor):
-        """Readouts and polynomials are the last, linear layer."""
+        """Scale readouts, polynomials, weights of memories and coupling: the logits are linear in all but the last."""
 
         def outputs(e):
             readouts = tuple(net.readout for net in (e.spring, e.damping, e.past) if net is not None)
@@ -218,7 +226,7 @@ class CompactEncoder(AbstractEncoder):
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
     def token_nets(self):
-        """Those of spring and damping."""
+        """Mark the nets of spring and damping, which stand beside polynomials."""
 
         def nets(e):
             return tuple(net for net in (e.spring, e.damping) if net is not None)
@@ -227,7 +235,7 @@ class CompactEncoder(AbstractEncoder):
 
 
 class AdaptedEncoder(AbstractEncoder):
-    """Another encoder on another day: its creep and its restoring force times factors, tilted over the stroke.
+    """Adapt an encoder to another day: its creep and its restoring force times factors, tilted over the stroke.
 
         logits(S, m) = inner(S, x + creep_k (m_k - x)),       t = clip(x, low, high) - middle
         all tokens and sigma_off times exp(tilt_0 t),         sigma_0 and sigma_off also times exp(tilt_1 t)
@@ -245,47 +253,51 @@ class AdaptedEncoder(AbstractEncoder):
     reach: Float[Array, " three"]
 
     def __call__(self, features, *, key=None):
-        """Logits of one instant."""
+        """Compute the logits of one instant."""
         rows = list(features)
         return jnp.stack(self._tilted(rows[0], list(self.inner(jnp.stack(self._seen(rows)), key=key))))
 
     def over(self, way="instants"):
-        """The formula."""
+        """Build the formula of the class around the inner encoder's."""
         inner = self.inner.over(way)
         return lambda features: self._tilted(features[0], list(inner(self._seen(list(features)))))
 
     def _seen(self, features: list[Array]) -> list[Array]:
         first = len(features) - len(self.creep)
+        # by the distance from x: what has settled is seen as it is
         lags = [features[0] + c * (m - features[0]) for c, m in zip(self.creep, features[first:], strict=True)]
         return [*features[:first], *lags]
 
     def _tilted(self, x: Array, logits: list[Array]) -> list[Array]:
         low, middle, high = self.reach
-        t = jnp.clip(x, low, high) - middle
+        t = jnp.clip(x, low, high) - middle  # exp(tilt t) of an x that no record reached could be anything
         common, spring = jnp.exp(self.tilt[0] * t), jnp.exp(self.tilt[1] * t)
         *tokens, offset = logits
         for k in np.flatnonzero(shared_by(len(tokens) - 1)):
-            both = common * spring if k == 0 else common
+            both = common * spring if k == 0 else common  # k = 0 is met up to order 2 alone: see `shared_by`
             tokens[k] = logit_of(positive_factor(tokens[k]) * both)
         return [*tokens, offset * (self.offset * common * spring)]
 
     def scaled(self, factor):
-        """The inner one's last layer."""
+        """Scale the inner encoder's last layer; the factors of the day stay."""
         return AdaptedEncoder(self.inner.scaled(factor), self.offset, self.creep, self.tilt, self.reach)
 
 
 def plain(encoder: AbstractEncoder) -> AbstractEncoder:
-    """The encoder as it was trained, without what another day made of it."""
+    """Return the encoder as it was trained, without what another day made of it."""
     return encoder.inner if isinstance(encoder, AdaptedEncoder) else encoder
 
 
 def fast_memories(count: int) -> int:
-    """How many of the memories, fastest first, the offset's net sees: all but the two slowest."""
+    """Count the memories that the offset's net sees, fastest first: all but the two slowest."""
     return max(count - 2, 0)
 
 
 def shared_by(order: int) -> np.ndarray:
-    """Which logits carry what all tokens have in common; from order 3 on the last one, which multiplies the others."""
+    """Mark the logits that carry what all tokens have in common.
+
+    Up to order 2 these are all; from order 3 on the last one, which multiplies the polynomial of all sections.
+    """
     return np.arange(order + 1) >= (0 if order < 3 else order)
 
 
@@ -300,7 +312,7 @@ class _Branches(eqx.Module):
 
     def __init__(self, features, width, depth, dropout, key):
         keys = jax.random.split(key, depth + 3)
-        one = eqx.filter_vmap(lambda k: _linear(1, width, key=k))
+        one = eqx.filter_vmap(lambda k: _linear(1, width, key=k))  # one leading axis of inputs, not a list of layers
         self.branches = one(jax.random.split(keys[0], features))
         self.fusion = _linear(features * width, width, key=keys[1])
         self.enhance = [_linear(width, width, key=k) for k in keys[2:-1]]
@@ -326,9 +338,9 @@ class PaperEncoder(AbstractEncoder):
         self.networks = build(jax.random.split(key, tokens))
 
     def __call__(self, features, *, key=None):
-        """Logits of one instant; the offset logit is always zero."""
+        """Compute the logits of one instant; the offset logit is always zero."""
         count = self.networks.readout.weight.shape[0]
-        if key is None:
+        if key is None:  # without a key no dropout: a rollout must not draw numbers
             logits = eqx.filter_vmap(lambda net: net(features, None))(self.networks)
         else:
             keys = jax.random.split(key, count)
@@ -336,24 +348,24 @@ class PaperEncoder(AbstractEncoder):
         return jnp.concatenate([logits, jnp.zeros((1,), logits.dtype)])
 
     def over(self, way="instants"):
-        """Few instants one by one, many by tables."""
+        """Build the logits of few instants one by one, of many by tables (`relu_tables`)."""
 
         def logits(features: Rows) -> Rows:
             if features[0].size < _FEW:
                 return vmapped(self, features)
-            found = logits_by_tables(self.networks, jnp.stack([f.reshape(-1) for f in features]))
-            return [*found.reshape(-1, *features[0].shape), jnp.zeros_like(features[0])]
+            logits = logits_by_tables(self.networks, jnp.stack([f.reshape(-1) for f in features]))
+            return [*logits.reshape(-1, *features[0].shape), jnp.zeros_like(features[0])]
 
         return logits
 
     def scaled(self, factor):
-        """The readouts are linear."""
+        """Scale the readouts, which are the last, linear layer."""
         last = self.networks.readout
         return eqx.tree_at(lambda e: e.networks.readout, self, jax.tree.map(lambda a: factor * a, last))
 
 
 def _linear(features: int, outputs: int, *, key) -> eqx.nn.Linear:
-    """In float32 also where JAX makes float64 by default."""
+    """Make a linear layer in float32, also where JAX makes float64 by default."""
     return eqx.nn.Linear(features, outputs, dtype=jnp.float32, key=key)
 
 

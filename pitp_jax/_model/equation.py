@@ -7,7 +7,7 @@ from .rows import Rows
 
 
 def equation_force(model: Model, logits: Rows, equation: Rows) -> tuple[Array, list[Array]]:
-    """Scaled force the model needs under these logits along rows x, ..., x^(n), scaled, and the tokens."""
+    """Compute the scaled force needed under these logits along scaled rows x, ..., x^(n); and the tokens."""
     tokens, force = model.tokens_from(logits)
     for token, row in zip(tokens, equation, strict=True):
         force = force + token * row

@@ -1,4 +1,4 @@
-"""Input maps: drive voltage u to equivalent force F, and back.
+"""Input maps turn the drive voltage u into the equivalent force F, and back.
 
 square:  F = u^2                 u = sqrt(max(F, 0))        (paper, eqs. 6 and 13)
 linear:  F = u                   u = F                      (electronic benchmarks, piezo)
@@ -30,15 +30,15 @@ class AbstractInputMap(eqx.Module):
 
     @abstractmethod
     def force(self, voltage: Values) -> Values:
-        """Equivalent force (V^2 or V) of a voltage (V)."""
+        """Compute the equivalent force (V^2 or V) of a voltage (V)."""
 
     @abstractmethod
     def voltage(self, force: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The non-negative (square) or signed (linear) voltage that makes this force."""
+        """Compute the non-negative (square) or signed (linear) voltage that makes this force."""
 
     @abstractmethod
     def infeasible(self, force: Float[Array, "..."]) -> Bool[Array, "..."]:
-        """True where no voltage makes this force."""
+        """Mark by True where no voltage makes this force."""
 
 
 class SquareInput(AbstractInputMap):
@@ -47,16 +47,16 @@ class SquareInput(AbstractInputMap):
     name, unit, one_sided = "square", "V^2", True
 
     def force(self, voltage):
-        """F = u^2 in V^2."""
+        """Compute F = u^2 in V^2."""
         return voltage * voltage
 
     def voltage(self, force):
-        """U = sqrt(max(F, 0)) in V, with a zero derivative (not nan) at F <= 0."""
-        positive = force > 0
+        """Compute u = sqrt(max(F, 0)) in V, with a zero derivative (not nan) at F <= 0."""
+        positive = force > 0  # asked twice: the untaken branch of a `where` is differentiated too, and 0 * inf is nan
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, force, 1.0)), 0.0)
 
     def infeasible(self, force):
-        """F < 0: the square cannot pull back."""
+        """Mark F < 0: the square cannot pull back."""
         return force < 0
 
 
@@ -66,15 +66,15 @@ class LinearInput(AbstractInputMap):
     name, unit, one_sided = "linear", "V", False
 
     def force(self, voltage):
-        """F = u in V."""
+        """Return F = u in V."""
         return voltage
 
     def voltage(self, force):
-        """U = F in V."""
+        """Return u = F in V."""
         return force
 
     def infeasible(self, force):
-        """Never."""
+        """Mark nothing: every force has a voltage."""
         return jnp.zeros(jnp.shape(force), bool)
 
 

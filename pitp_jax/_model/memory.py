@@ -1,4 +1,4 @@
-"""Memories: what a token may know besides the current state S.
+"""Memories hold what a token may know besides the current state S.
 
     none        m = ()
     elapsed     m = t / T                       seconds since the excitation began (paper, eq. 4)
@@ -6,7 +6,7 @@
     ringing     r'' = w^2 (x - r) - 2 zeta w r' m = r, r'/w, then the fading ones: a mass that hangs on the moved one
 
 All memories are linear in x, so a decoder step with frozen tokens stays affine in the force. Raw time cannot
-extrapolate past the longest training record; fading memories can (50 s record, 10 s training: 0.5 % against 6 %).
+extrapolate past the longest training record; fading memories can.
 """
 
 from abc import abstractmethod
@@ -31,17 +31,17 @@ class AbstractMemory(eqx.Module):
 
     @abstractmethod
     def initial(self, x: Float[Array, ""]) -> Float[Array, " memory"]:
-        """The memory of an actuator that has been held at x for ever (at rest: x = 0)."""
+        """Compute the memory of an actuator that has been held at x for ever (at rest: x = 0)."""
 
     @abstractmethod
     def rate(self) -> Callable[[Rows, Array], list[Array]]:
-        """fn(memory, x): its time derivatives in 1/s, row by row; what is constant is computed here, once."""
+        """Build fn(memory, x): its time derivatives in 1/s, row by row; what is constant is computed here, once."""
 
     @abstractmethod
     def trajectory(
         self, x: Float[Array, " time"], dt: float, start: Float[Array, " memory"]
     ) -> Float[Array, "time memory"]:
-        """The memory along a known x, linear between samples, in one parallel pass."""
+        """Compute the memory along a known x, linear between samples, in one parallel pass."""
 
 
 class NoMemory(AbstractMemory):
@@ -49,19 +49,19 @@ class NoMemory(AbstractMemory):
 
     @property
     def size(self):
-        """Zero."""
+        """No memory states: 0."""
         return 0
 
     def initial(self, x):
-        """Nothing."""
+        """Return an empty vector."""
         return jnp.zeros((0,), jnp.result_type(x))
 
     def rate(self):
-        """Nothing."""
+        """Build the function that returns no rows."""
         return lambda memory, x: []
 
     def trajectory(self, x, dt, start):
-        """Nothing."""
+        """Return rows without columns."""
         return jnp.zeros((x.shape[0], 0), x.dtype)
 
 
@@ -72,19 +72,19 @@ class ElapsedTime(AbstractMemory):
 
     @property
     def size(self):
-        """One."""
+        """One memory state, the time: 1."""
         return 1
 
     def initial(self, x):
-        """Zero at the record's first sample."""
+        """Return zero, the time of the record's first sample."""
         return jnp.zeros((1,), jnp.result_type(x))
 
     def rate(self):
-        """1/T."""
+        """Build the function that returns 1 / T, T the horizon."""
         return lambda memory, x: [jnp.full_like(x, 1.0 / jnp.asarray(self.horizon, x.dtype))]
 
     def trajectory(self, x, dt, start):
-        """T/T."""
+        """Compute t / T, T the horizon."""
         return (start + jnp.arange(x.shape[0], dtype=x.dtype)[:, None] * dt / self.horizon).astype(x.dtype)
 
 
@@ -99,26 +99,25 @@ class FadingMemory(AbstractMemory):
         return self.log_tau.shape[0]
 
     def initial(self, x):
-        """Every lag has settled at x."""
+        """Return x for every lag: all have settled."""
         return jnp.full((self.size,), 1.0, jnp.result_type(x)) * x
 
     def rate(self):
-        """(x - z) / tau."""
-        pace = jnp.exp(-self.log_tau)
+        """Build the function (x - z_k) / tau_k."""
+        pace = jnp.exp(-self.log_tau)  # outside the function: once for a rollout, not at every step
         return lambda memory, x: [(x - z) * pace[k] for k, z in enumerate(memory)]
 
     def trajectory(self, x, dt, start):
-        """Exact for x linear between samples."""
+        """Solve the lags exactly for x linear between samples."""
         return first_order_lags(x, jnp.exp(self.log_tau), dt, start)
 
 
 class RingingMemory(AbstractMemory):
     """A second mass on a spring beside the bank of lags: eigenfrequency `exp(log_omega)` (rad/s), damping ratio zeta.
 
-    What it pulls with, kappa (r - x), is linear in the memory and in x, so the offset token has it; above zeta = 0.99
-    it would be two lags. A mode within the driven band is felt well below it too: without one the whole model bends
-    to imitate it: free runs of a roll with one at 1.7 times its first resonance met their records to 0.38 % without,
-    to 0.27 % with it (the first second of each, noise 0.17 %).
+    What it pulls with, kappa (r - x), is linear in the memory and in x, so the offset token has it. A mode within the
+    driven band is felt well below it too: without one the whole model bends to imitate it
+    (docs/decisions/second_resonance.md).
     """
 
     log_omega: Float[Array, ""]
@@ -127,20 +126,22 @@ class RingingMemory(AbstractMemory):
 
     @property
     def size(self):
-        """Two, and the number of time constants."""
+        """Two for the mass, and the number of time constants."""
         return 2 + self.log_tau.shape[0]
 
     @property
     def ring(self) -> tuple[Array, Array]:
         """Eigenfrequency (rad/s) and damping ratio of the second mass."""
+        # overdamped it would be two more lags, and sqrt(1 - zeta^2) in its closed form no number
         return jnp.exp(self.log_omega), jnp.minimum(jnp.exp(self.log_zeta), 0.99)
 
     def initial(self, x):
-        """At rest beside x, every lag settled."""
+        """Return the mass at rest beside x, every lag settled."""
         return jnp.full((self.size,), 1.0, jnp.result_type(x)).at[1].set(0.0) * x
 
     def rate(self):
-        """(w v, w (x - r - 2 zeta v)) with v = r' / w, then (x - z) / tau."""
+        """Build the function (w v, w (x - r - 2 zeta v)) with v = r' / w, then (x - z_k) / tau_k."""
+        # v = r' / w, so that place and speed are of one size and float32 keeps both
         (omega, zeta), lags = self.ring, FadingMemory(self.log_tau).rate()
 
         def rates(memory: Rows, x: Array) -> list[Array]:
@@ -150,6 +151,6 @@ class RingingMemory(AbstractMemory):
         return rates
 
     def trajectory(self, x, dt, start):
-        """Exact for x linear between samples."""
+        """Solve mass and lags exactly for x linear between samples."""
         lags = first_order_lags(x, jnp.exp(self.log_tau), dt, start[2:])
         return jnp.concatenate([oscillator(x, *self.ring, dt, start[:2]), lags], -1)

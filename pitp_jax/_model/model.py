@@ -63,17 +63,18 @@ class Provenance:
     clock: float = 0.0
 
     def with_(self, **changes) -> "Provenance":
-        """A copy with some fields replaced."""
+        """Copy it with some fields replaced."""
         return replace(self, **changes)
 
     def age(self, time: float) -> float:
-        """How long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""
+        """Compute how long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""
+        # a record that counts from its own start says nothing about a session dated by the calendar
         age = float(time) - self.clock
         return age if abs(age) < ABSOLUTE else 0.0
 
     def driven_by(self, records: Sequence[Record]) -> "Provenance":
-        """The same with range and slew of the voltage widened to those of these records."""
-        low, high = self.voltage_range
+        """Widen range and slew of the voltage to those of these records."""
+        low, high = self.voltage_range  # never narrower: what an earlier session has shown is still known
         return self.with_(
             voltage_range=(
                 min(low, *(float(r.voltage.min()) for r in records)),
@@ -87,7 +88,7 @@ class Removed:
     """Stands where a model's provenance was: nothing of it can be read."""
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Fails, but for names that Python itself asks about."""
+        """Fail with advice, but for names that Python itself asks about."""
         if name.startswith("__"):
             raise AttributeError(name)
         raise RuntimeError(
@@ -113,11 +114,11 @@ class Output(eqx.Module):
     polarity: float = eqx.field(converter=np.float64, default=1.0)
 
     def to_model(self, y):
-        """Measured output to displacement from rest."""
+        """Convert measured output to displacement from rest."""
         return self.polarity * (y - self.offset)
 
     def to_rig(self, x):
-        """Displacement from rest to what the sensor would read."""
+        """Convert displacement from rest to what the sensor would read."""
         return self.polarity * x + self.offset
 
 
@@ -162,17 +163,17 @@ class Model(eqx.Module):
     effects: tuple = ()
 
     def __repr__(self) -> str:
-        """Two lines: what it is, and its first coefficients."""
+        """Describe it in two lines: what it is, and its coefficients."""
         kind = "identified" if isinstance(self.encoder, ConstantEncoder) else f"trained ({type(self.encoder).__name__})"
         parts = [f"{self.memory.size} memory states"] if self.memory.size else []
         parts += [effect.name for effect in self.effects]
-        told = f"Model: {kind}, order {self.order}, input map {self.input_map.name}"
+        head = f"Model: {kind}, order {self.order}, input map {self.input_map.name}"
         try:
             numbers = ", ".join(f"a{i} {a:.4g}" for i, a in enumerate(self.physical_coefficients))
             hertz = f"; {self.natural_frequency / (2 * np.pi):.4g} Hz"
         except Exception:  # under a transformation the coefficients are no numbers
             numbers, hertz = "traced coefficients", ""
-        return f"{told}{''.join(f', {p}' for p in parts)}\n  {numbers}{hertz}"
+        return f"{head}{''.join(f', {p}' for p in parts)}\n  {numbers}{hertz}"
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(repr(self))}</pre>"
@@ -189,34 +190,37 @@ class Model(eqx.Module):
 
     @property
     def natural_frequency(self) -> float:
-        """Of the mode that is meant by the resonance, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
+        """Frequency of the mode that is meant by the resonance, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
 
         A bare integrator has none: there it is that of the motion it was identified on.
         """
+        # the scale of x' over that of x
         return dominant_frequency(self.physical_coefficients) or float(self.scales.rates[0])
 
     def tokens(
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
-        """Scaled tokens sigma_0 ... sigma_n and the offset token at one instant (S then memory, scaled)."""
+        """Compute the scaled tokens sigma_0 ... sigma_n and the offset token at one instant (S then memory, scaled)."""
         tokens, offset = self.tokens_from(self.encoder(features, key=key))
         return jnp.stack(tokens), offset
 
     def tokens_from(self, logits: Rows | Float[Array, " logits"]) -> tuple[list[Array], Array]:
-        """Tokens and offset token, row by row, of an encoder's logits; the polynomial they make is stable (`sections`).
+        """Compute tokens and offset token, row by row, from an encoder's logits.
 
-        From order 3 on the factors act on the nominal's sections, and the coefficients follow in proportion.
+        Their polynomial is stable (`sections`): from order 3 on the factors act on the nominal's sections, and the
+        coefficients follow in proportion.
         """
         *factor, offset = [*map(positive_factor, logits[:-1]), logits[-1]]
-        if self.order >= 3:
+        if self.order >= 3:  # up to order 2 positive tokens are stable by themselves (Routh-Hurwitz)
             (*sections, last), nominal = factor, list(jnp.asarray(self.scales.sections, offset.dtype))
             moved = product([f * s for f, s in zip(sections, nominal, strict=True)])
+            # ratios to the nominal's own product: what rounding did to the sections cancels
             factor = [last * a * (1 / b) for a, b in zip(moved, product(nominal), strict=True)]
         return [self.coefficients[i] * f for i, f in enumerate(factor)], offset
 
     def changed(self, factors: np.ndarray) -> "Model":
-        """The model whose nominal coefficients are these factors times its own, shape (n + 1,)."""
-        coefficients = np.asarray(self.coefficients, np.float64) * factors
+        """Multiply the nominal coefficients by these factors, shape (n + 1,)."""
+        coefficients = np.asarray(self.coefficients, np.float64) * factors  # rounded once, at the end
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
 
@@ -244,7 +248,7 @@ def linear_model(
     substeps: int,
     provenance: Provenance,
 ) -> Model:
-    """A model with constant tokens from physical coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects."""
+    """Build a model with constant tokens from coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects."""
     coefficients = np.asarray(coefficients, np.float64)
     scaled = coefficients * np.asarray(state_scale) / force_scale
     return Model(

@@ -1,6 +1,7 @@
 """How a logit moves a token: g(l) = 1 + l for l > -1/2, -1 / (4 l) below.
 
-Positive, C1, g(0) = 1, and exactly linear where tokens usually are.
+Positive, C1 (both branches have value 1/2 and slope 1 at l = -1/2), g(0) = 1, and exactly linear where tokens usually
+are.
 """
 
 import jax.numpy as jnp
@@ -8,12 +9,13 @@ from jaxtyping import Array, Float
 
 
 def positive_factor(logit: Float[Array, "..."]) -> Float[Array, "..."]:
-    """G(l)."""
+    """Compute g(l), by which the token is multiplied."""
+    # the inner `where` keeps the untaken branch from dividing by zero, which the gradient would see
     low = logit < -0.5
     return jnp.where(low, -0.25 / jnp.where(low, logit, -1.0), 1.0 + logit)
 
 
 def logit_of(factor: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The l of g(l) = factor > 0."""
+    """Solve g(l) = factor > 0 for l."""
     low = factor < 0.5
     return jnp.where(low, -0.25 / jnp.where(low, factor, 1.0), factor - 1.0)

@@ -1,4 +1,4 @@
-"""Compiled programs that all models of one structure share: what a model was made from is no part of their key.
+"""Compile programs that all models of one structure share: what a model was made from is no part of their key.
 
     jit(f)(model, ...) = eqx.filter_jit(f)(bare(model), ...)
 
@@ -15,6 +15,7 @@ from typing import ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -30,21 +31,26 @@ def on_device(values, dtype=None) -> Array:
     return jax.device_put(np.asarray(values, dtype))
 
 
+def in_double(tree: T) -> T:
+    """The same with its arrays of numbers in float64; call it under `jax.enable_x64(True)`."""
+    return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, tree)
+
+
 def bare(tree: T) -> T:
-    """The same with every model in it without its provenance; reading that fails then."""
+    """Take the provenance off every model in a tree; reading it fails then."""
 
     def removed(node):
         if not isinstance(node, Model):
             return node
         without = copy(node)  # not `replace`: what is stacked, or half a model, passes no check of shapes
-        object.__setattr__(without, "provenance", REMOVED)
+        object.__setattr__(without, "provenance", REMOVED)  # a copy of our own: nobody else holds it yet
         return without
 
     return jax.tree.map(removed, tree, is_leaf=lambda node: isinstance(node, Model))
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """`eqx.filter_jit` for functions of models; a model that is returned comes without provenance."""
+    """Compile a function of models (`eqx.filter_jit`); a model that is returned comes without provenance."""
     compiled = eqx.filter_jit(function)
 
     @wraps(function)

@@ -1,10 +1,10 @@
-"""Rows: one array per quantity, all of one shape; a formula over rows is written once for every shape.
+"""Rows hold one array per quantity, all of one shape: a formula over rows is written once for every shape.
 
     y_o = b_o + sum_i W_oi f_i
 
 Rows are scalars at one instant, instants along a motion or records side by side. A small net vmapped is a matrix
 product with a matrix of 8 by 7, far below what a product routine is made for; written out over instants it is one
-kernel that never leaves the registers: 2.1 instead of 14-24 ms for 120,000 of them on two shared cores.
+kernel that never leaves the registers (docs/decisions/decoder.md).
 """
 
 from collections.abc import Callable, Sequence
@@ -18,35 +18,36 @@ Rows = Sequence[Array] | Array  # the array's first axis: a quantity each
 
 
 def written_out(weight: Array, bias: Rows) -> Callable[[Rows], list[Array]]:
-    """Every sum term by term; one index into a weight, since a slice of it would be a kernel."""
+    """Build the layer with every sum written term by term."""
 
     def layer(rows: Rows) -> list[Array]:
         outputs = list(bias)
         for o in range(len(outputs)):
             for k, row in enumerate(rows):
-                outputs[o] = outputs[o] + weight[o, k] * row
+                outputs[o] = outputs[o] + weight[o, k] * row  # one index: a slice of the weight would be a kernel
         return outputs
 
     return layer
 
 
 def as_product(weight: Array, bias: Rows) -> Callable[[Rows], Array]:
-    """One matrix product."""
+    """Build the layer as one matrix product."""
 
     def layer(rows: Rows) -> Array:
-        found, start = jnp.tensordot(weight, jnp.asarray(rows), 1), jnp.asarray(bias)
-        return found + start.reshape(len(start), *[1] * (found.ndim - start.ndim), *start.shape[1:])
+        sums, start = jnp.tensordot(weight, jnp.asarray(rows), 1), jnp.asarray(bias)
+        # a bias is a number per output or, as another layer's outputs, a row: axes of length 1 go in between
+        return sums + start.reshape(len(start), *[1] * (sums.ndim - start.ndim), *start.shape[1:])
 
     return layer
 
 
 def affine(layer: eqx.nn.Linear) -> tuple[Array, Array]:
-    """Weight and bias."""
+    """Read weight and bias of a layer."""
     assert layer.bias is not None  # every layer of these networks has one
     return layer.weight, layer.bias
 
 
 def vmapped(function: Callable[[Array], Array], rows: Rows) -> list[Array]:
-    """A function of one instant's vector over rows."""
+    """Apply a function of one instant's vector to rows of any shape."""
     flat = jnp.stack([row.reshape(-1) for row in rows], -1)
     return [row.reshape(rows[0].shape) for row in jax.vmap(function)(flat).T]

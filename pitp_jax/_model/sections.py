@@ -1,4 +1,4 @@
-"""Tokens of a stable polynomial: factors whose coefficients are the nominal's times positive numbers.
+"""Keep a token polynomial stable: its factors have the nominal's coefficients times positive numbers.
 
     sum_i sigma_i s^i = sigma_n prod_k (s^2 + p_k s + q_k) [(s + r)]       q_0, p_0, q_1, p_1, ..., r, sigma_n > 0
 
@@ -14,19 +14,24 @@ from .rows import Rows
 
 
 def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
-    """(q_0, p_0, q_1, p_1, ..., [r]) of nominal coefficients a_0 ... a_n, slowest pair first; needs stable roots."""
+    """Factor nominal coefficients a_0 ... a_n into (q_0, p_0, q_1, p_1, ..., [r]), slowest pair first.
+
+    The roots must be stable.
+    """
     roots = np.roots(np.asarray(coefficients, np.float64)[::-1])
+    # rounding may give a real root an imaginary part, a little of its size
     upper = sorted(roots[roots.imag > 1e-9 * np.abs(roots)], key=abs)
     real = sorted(-roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real)
     pairs = [(abs(r) ** 2, -2 * r.real) for r in upper]
+
     pairs += [(real[k] * real[k + 1], real[k] + real[k + 1]) for k in range(0, len(real) - 1, 2)]
     flat = [float(v) for pair in sorted(pairs) for v in pair]
     return tuple(flat + ([float(real[-1])] if len(real) % 2 else []))
 
 
 def product(values: Rows | Sequence[float]) -> list:
-    """Ascending coefficients c_0 ... c_{n-1}, 1 of the polynomial with these sections, row by row."""
-    poly: list = [1.0]
+    """Multiply sections out: ascending coefficients c_0 ... c_{n-1}, 1 of their polynomial, row by row."""
+    poly: list = [1.0]  # by hand: values may be traced rows, which np.polymul does not take
     pairs = [[*values[k : k + 2], 1.0] for k in range(0, len(values) - 1, 2)]
     for section in pairs + ([[values[-1], 1.0]] if len(values) % 2 else []):
         wide: list = [0.0] * (len(poly) + len(section) - 1)

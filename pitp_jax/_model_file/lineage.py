@@ -1,4 +1,4 @@
-"""The line of descent of a model: every step that made it, the sums of the recordings it saw, versions, its parent.
+"""Record a model's line of descent: every step that made it, the sums of the recordings it saw, versions, its parent.
 
     step = {"step", "versions", "parent": digest | null, "records": [{"name", "sha256", "of": "file" | "samples"}]}
 
@@ -24,7 +24,7 @@ from .model_file import digest
 
 
 def descended(model: Model, step: str, records: Sequence[Record], parent: Model | None = None) -> Model:
-    """The model with one step more in its notes."""
+    """Add one step to the model's notes."""
     versions = {
         "pitp_jax": __version__,
         "jax": jax.__version__,
@@ -38,29 +38,30 @@ def descended(model: Model, step: str, records: Sequence[Record], parent: Model 
     entry = {"step": step, "versions": versions, "parent": known, "records": [_sum(r) for r in records]}
     try:
         notes = json.loads(model.provenance.notes)
-    except ValueError:
+    except ValueError:  # notes are the user's to set: text of their own loses nothing but its lineage
         notes = {}
     notes["lineage"] = [*notes.get("lineage", []), entry]
     return replace(model, provenance=model.provenance.with_(notes=json.dumps(notes)))
 
 
 def lineage(model: Model) -> list[dict]:
-    """All steps, oldest first; none for a model of before there were any."""
+    """List all steps, oldest first; none for a model of before there were any."""
     try:
-        found = json.loads(model.provenance.notes).get("lineage", [])
+        steps = json.loads(model.provenance.notes).get("lineage", [])
     except (AttributeError, ValueError):
         return []
-    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
+    # notes of a file are anybody's JSON: what is no step is passed over, so that `pitp info` still opens the model
+    return [entry for entry in steps if isinstance(entry, dict)] if isinstance(steps, list) else []
 
 
 def _sum(record: Record) -> dict:
-    found, of = hashlib.sha256(), "samples"
+    checksum, of = hashlib.sha256(), "samples"
     if os.path.isfile(record.source):
         of = "file"
         with open(record.source, "rb") as file:
-            for block in iter(lambda: file.read(1 << 20), b""):
-                found.update(block)
+            for block in iter(lambda: file.read(1 << 20), b""):  # a recording may be larger than the memory
+                checksum.update(block)
     else:
         for series in (record.time, record.voltage, record.displacement):
-            found.update(np.asarray(series, "<f8").tobytes())
-    return {"name": record.name, "sha256": found.hexdigest(), "of": of}
+            checksum.update(np.asarray(series, "<f8").tobytes())  # one byte order: the sum is the same on every machine
+    return {"name": record.name, "sha256": checksum.hexdigest(), "of": of}

@@ -1,4 +1,4 @@
-"""Model files: one format for identified, trained and augmented models, and nothing in it is ever run.
+"""Save and load model files: one format for identified, trained and augmented models, and nothing in it is ever run.
 
     line 1    pitp_jax model 1                  magic and version
     line 2    sha256 <digest of all that follows>
@@ -47,12 +47,12 @@ def save(path: str | os.PathLike, model: Model) -> None:
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
     """
-    rest = _body(model)
-    write_bytes_atomic(path, _MAGIC + b"%d\nsha256 " % VERSION + _sum(rest) + b"\n" + rest)
+    body = _body(model)
+    write_bytes_atomic(path, _MAGIC + b"%d\nsha256 " % VERSION + _sum(body) + b"\n" + body)
 
 
 def digest(model: Model) -> str:
-    """The SHA-256 on the second line of the file `save` would write.
+    """Compute the SHA-256 on the second line of the file `save` would write.
 
     Raises:
         BadInput: as `save`.
@@ -65,15 +65,16 @@ def _sum(body: bytes) -> bytes:
 
 
 def _body(model: Model) -> bytes:
-    """What stands behind the digest."""
+    """Write what stands behind the digest: header and leaves."""
     header = describe(model)
-    skeleton = _skeleton(header)
+    skeleton = _skeleton(header)  # as `load` will build it: a model that could not be read back is refused here
     numbers = {jax.tree_util.keystr(k) for k, leaf in jax.tree_util.tree_leaves_with_path(skeleton) if _is_number(leaf)}
     leaves = [(k, leaf) for k, leaf in _arrays(model) if jax.tree_util.keystr(k) not in numbers]
     arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in leaves]
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:
             raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
+    # a part whose arrays were changed by hand: its sizes no longer say their shapes
     if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in leaves]:
         raise BadInput("cannot save the model: its arrays are not those its parts are built with")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
@@ -81,6 +82,7 @@ def _body(model: Model) -> bytes:
     body = io.BytesIO()
     body.write(b"{\n" + lines.encode("utf-8") + b"\n}\n")
     for _, array in arrays:
+        # little-endian and in C order: the same model has the same bytes, and so the same digest, on every machine
         plain = np.asarray(array, _DTYPES[array.dtype.name], order="C")
         np.lib.format.write_array(body, plain, version=(1, 0), allow_pickle=False)
     return body.getvalue()
@@ -103,13 +105,14 @@ def load(path: str | os.PathLike) -> Model:
         >>> pitp.load(folder / "model.pitp").order
         2
     """
-    rest = _checked_bytes(path)
+    body = _checked_bytes(path)
     path = cleaned(path)
     try:
-        text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(rest.decode("latin-1"))
+        # latin-1 has a character for every byte, so `end` is a place in the bytes too; the JSON itself is ASCII
+        text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
         header = decode(text)
         check_header(header)
-        return _fill(_skeleton(header), header["leaves"], memoryview(rest)[end + 1 :])
+        return _fill(_skeleton(header), header["leaves"], memoryview(body)[end + 1 :])
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     except Exception as error:  # an intact digest over contents no version of `save` writes
@@ -118,23 +121,24 @@ def load(path: str | os.PathLike) -> Model:
 
 
 def is_model_file(path: str | os.PathLike) -> bool:
-    """Whether a file begins as `save` begins one; it may be damaged behind that."""
+    """Tell whether a file begins as `save` begins one; it may be damaged behind that."""
     with open(path, "rb") as file:
         return file.read(len(_MAGIC)) == _MAGIC
 
 
 def _checked_bytes(path) -> bytes:
-    """Everything after the digest, once it matches."""
+    """Read everything after the digest, once it matches."""
     name, path = path, cleaned(path)
     try:
+        # a pipe or a device could block for ever, or never end
         if os.path.exists(name) and not os.path.isdir(name) and not os.path.isfile(name):
             raise BadInput(f"{path}: is not a regular file; give a model file")
         with open(name, "rb") as file:
-            magic = file.readline(64)
+            magic = file.readline(64)  # bounded: a file of another kind may hold no line end at all
             _check_magic(path, magic)
             if os.fstat(file.fileno()).st_size > LARGEST_FILE:
                 raise BadInput(f"{path}: more than {LARGEST_FILE >> 20} MiB; no model is as large, write it again")
-            known, rest = file.readline(80), file.read()
+            known, body = file.readline(80), file.read()
     except FileNotFoundError:
         raise BadInput(f"{path}: no such model file; check the path") from None
     except IsADirectoryError:
@@ -143,11 +147,11 @@ def _checked_bytes(path) -> bytes:
         if isinstance(error, BadInput):
             raise
         raise BadInput(f"{path}: cannot read the model file: {getattr(error, 'strerror', None) or error}") from None
-    if known != b"sha256 " + _sum(rest) + b"\n":
+    if known != b"sha256 " + _sum(body) + b"\n":
         raise BadInput(
             f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
         )
-    return rest
+    return body
 
 
 def _check_magic(path, line: bytes) -> None:
@@ -162,16 +166,16 @@ def _check_magic(path, line: bytes) -> None:
 
 
 def _skeleton(header: dict) -> Model:
-    """The model of a header, shapes where its leaves belong; nothing is allocated.
+    """Build the model of a header with shapes where its leaves belong; nothing is allocated.
 
     What is of NumPy (scales, the sensor's zero) has its number in the header and is no leaf of the file.
     """
     numbers = []
 
     def shapes():
-        number, rest = eqx.partition(build(header), _is_number)
-        numbers.append(number)
-        return rest
+        number, others = eqx.partition(build(header), _is_number)
+        numbers.append(number)  # out by the side door: what is traced comes back as a shape, without its value
+        return others
 
     return eqx.combine(eqx.filter_eval_shape(shapes), numbers[0])
 
@@ -202,13 +206,14 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
         if np.lib.format.read_magic(stream) != (1, 0):
             raise ValueError(f"{name}: unknown npy version")
         stored, fortran, kind = np.lib.format.read_array_header_1_0(stream)
+        # an object dtype, whose bytes would be a pickle, is none of `_DTYPES`
         if fortran or kind != _DTYPES[dtype] or stored != tuple(shape) or stored != place.shape:
             raise ValueError(f"{name}: {kind} {stored} where {dtype} {place.shape} belongs")
         plain = np.frombuffer(stream.read(math.prod(stored) * kind.itemsize), kind).reshape(stored)
         with jax.enable_x64(True):  # else float64 leaves would come back as float32
             arrays.append(on_device(plain))
     check_leaves([name for name, _, _ in leaves], [np.asarray(array) for array in arrays])
-    if stream.read(1):
+    if stream.read(1):  # bytes that mean nothing could be something to another reader
         raise ValueError("more bytes than leaves")
     treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))
     return eqx.combine(jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True))

@@ -1,4 +1,4 @@
-"""The parts a model file may hold, by name, and the model's plain values.
+"""List the parts a model file may hold by name, and turn a model into plain values and back.
 
     describe(model)  ->  header of JSON values        encode: a float that is not finite -> {"float": "inf"}
     build(header)    ->  a model whose leaves are placeholders of the right shapes
@@ -29,7 +29,7 @@ from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Provenance, Scales
 from .._record.long_record import LongRecord
 
-LARGEST = 4096  # no size of a part is near this; a larger one is not worth building to find out
+LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ ENCODERS = {
 
 
 def _adapted_sizes(encoder: AdaptedEncoder) -> dict:
-    """The inner encoder's sizes beside its name, in one flat line."""
+    """Describe the inner encoder by its sizes beside its name, in one flat line."""
     inner = _named(ENCODERS, encoder.inner)
     return {"lags": len(encoder.creep), "of": inner.pop("name"), **inner}
 
@@ -127,7 +127,7 @@ EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in CATALOGUE}
 
 
 def describe(model: Model) -> dict:
-    """The model without its leaves, as plain values."""
+    """Describe the model, without its leaves, by plain values."""
     source = model.provenance
     return {
         "order": model.order,
@@ -170,6 +170,7 @@ def _effect(effect) -> dict:
 def _packed(long: LongRecord | None) -> dict | None:
     if long is None:
         return None
+    # bytes as text: as JSON numbers the long record would be most of the file
     voltage, displacement = (base64.b64encode(b).decode("ascii") for b in (long.voltage, long.displacement))
     return {"dt": long.dt, "step": long.step, "rest": long.rest, "voltage": voltage, "displacement": displacement}
 
@@ -183,7 +184,7 @@ def _unpacked(stored: dict | None) -> LongRecord | None:
 
 def _named(registry: dict[str, Part], part) -> dict:
     for name, kind in registry.items():
-        if type(part) is kind.cls:
+        if type(part) is kind.cls:  # a subclass of the user's own would be read back as its parent
             return {"name": name, **kind.describe(part)}
     known = ", ".join(registry) or "none yet"
     raise BadInput(f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})")
@@ -195,8 +196,10 @@ def _part(registry: dict[str, Part], described: dict):
     if name not in registry:
         raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
     for key, value in settings.items():
+        # the one setting that is a word: an adapted encoder stands around a plain one
         if key == "of" and value in ("constant", "compact", "paper"):
             continue
+        # True is an int to Python and would be a size of 1
         if (
             isinstance(value, bool)
             or not isinstance(value, (int, float))
@@ -207,10 +210,10 @@ def _part(registry: dict[str, Part], described: dict):
 
 
 def build(header: dict) -> Model:
-    """The model the header describes; its leaves are placeholders."""
+    """Build the model the header describes; its leaves are placeholders."""
     source, output, scales = header["provenance"], header["output"], header["scales"]
     notes = header["notes"] if isinstance(header["notes"], str) else json.dumps(header["notes"])
-    known = source if "misfit" in source else _from_notes(notes, header["order"])
+    known = source if "misfit" in source else _from_notes(notes, header["order"])  # files older than the field
     low, high = source["voltage_range"]
     provenance = Provenance(
         dt=float(source["dt"]),
@@ -240,6 +243,7 @@ def build(header: dict) -> Model:
         drive=_part(DRIVES, header["drive"]),
         effects=tuple(_part(EFFECTS, effect) for effect in header["effects"]),
     )
+    # run once, as shapes: parts that do not fit each other would fail only in the first rollout
     tokens, _ = model.tokens(jnp.zeros((model.order + model.memory.size,)))
     if tokens.shape != (model.order + 1,) or model.order != header["order"]:
         raise ValueError(f"{tokens.shape[0]} tokens for order {header['order']}")
@@ -247,32 +251,34 @@ def build(header: dict) -> Model:
 
 
 def _from_notes(notes: str, order: int) -> dict:
-    """Covariance and misfit of files that were written when they stood in the notes alone."""
+    """Read covariance and misfit of files that were written when these stood in the notes alone."""
     try:
-        told = json.loads(notes)
+        values = json.loads(notes)
     except ValueError:
-        told = {}
-    found = told.get("identification", {}) if isinstance(told, dict) and "training" not in told else {}
-    row = next((row for row in found.get("orders", []) if row.get("order") == order), {})
-    covariance, noise = np.zeros((0, 0)), found.get("noise_std")
+        values = {}
+    # of a trained model they no longer hold: an encoder stands beside the nominal
+    identified = values.get("identification", {}) if isinstance(values, dict) and "training" not in values else {}
+    row = next((row for row in identified.get("orders", []) if row.get("order") == order), {})
+    covariance, noise = np.zeros((0, 0)), identified.get("noise_std")
     if "correlation" in row:
-        share = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)
-        covariance = np.asarray(row["correlation"], float) * np.outer(share, share)
+        relative = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)  # d ln a = da / a
+        covariance = np.asarray(row["correlation"], float) * np.outer(relative, relative)
     misfit = max(row["rms"] / noise, 1.0) if "rms" in row and noise else math.inf
     return {"covariance": covariance.tolist(), "misfit": misfit}
 
 
 def _notes_out(notes: str):
-    """The notes as readable values where writing them back gives the same text, else the text itself."""
+    """Write notes as readable values where reading them back gives the same text, else as the text itself."""
     try:
         values = json.loads(notes)
     except ValueError:
         return notes
+    # text that would come back changed is kept to the letter
     return values if isinstance(values, dict) and json.dumps(decode(encode(values))) == notes else notes
 
 
 def encode(value: Any) -> Any:
-    """JSON has no infinity: a float that is not finite becomes {"float": "inf"}, a tuple a list."""
+    """Write a float that is not finite as {"float": "inf"}, which JSON has no number for, and a tuple as a list."""
     if isinstance(value, dict):
         return {k: encode(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -281,7 +287,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(value: Any) -> Any:
-    """The inverse of `encode`, but for tuples."""
+    """Invert `encode`, but for tuples."""
     if isinstance(value, dict):
         if value.keys() == {"float"} and value["float"] in ("inf", "-inf", "nan"):
             return float(value["float"])

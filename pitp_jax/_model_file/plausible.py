@@ -1,4 +1,4 @@
-"""What the numbers of a model file must be: a digest says who wrote them last, not that they make a model.
+"""Check the numbers of a model file: a digest says that they are as written, not that they make a model.
 
 dt > 0,   scales > 0,   polarity = +-1,   everything finite but upper limits and bounds;   few parts of reasonable size
 """
@@ -34,7 +34,7 @@ def check_header(header: dict) -> None:
         f"sections {scales['sections']!r}": all(math.isfinite(s) and s != 0 for s in scales["sections"]),
         f"offset {output['offset']!r}": math.isfinite(output["offset"]),
         f"polarity {output['polarity']!r}": abs(output["polarity"]) == 1,
-        f"voltage range {low!r} to {high!r}": math.isfinite(low) and low <= high,
+        f"voltage range {low!r} to {high!r}": math.isfinite(low) and low <= high,  # no upper end: none was seen
         f"slew {source['slew']!r}": source["slew"] >= 0,
         f"region {source['region']!r}": all(a <= b for a, b in source["region"]),
         f"clock {source.get('clock', 0.0)!r}": math.isfinite(source.get("clock", 0.0)),
@@ -43,7 +43,7 @@ def check_header(header: dict) -> None:
     }
     for part in (header["encoder"], header["memory"], header["drive"], header["input_map"], *header["effects"][:64]):
         for key, value in part.items():
-            number = isinstance(value, (int, float))
+            number = isinstance(value, (int, float))  # words are refused where parts are built (`parts`)
             fits = not number or (math.isfinite(value) and 0 <= value <= _LARGEST.get(key, math.inf))
             checks[f"{part['name']}: {key} {value!r}"] = fits and not (key == "horizon" and value == 0)
     long = header.get("long_record")
@@ -63,6 +63,7 @@ def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
         good = not np.isnan(array).any() if name.endswith(".bounds") else np.isfinite(array).all()
         if not good:
             problems.append(f"{name} holds values that are not finite")
+        # the highest derivative is solved for: a 0 there divides every step by zero
         elif name == ".coefficients" and array.size and array.reshape(-1)[-1] == 0:
             problems.append("its highest coefficient is 0")
     _refuse(problems)
@@ -74,5 +75,6 @@ def _positive(value) -> bool:
 
 def _refuse(problems: list[str]) -> None:
     if problems:
-        told = "; ".join(problem if len(problem) <= 80 else problem[:80] + "..." for problem in problems[:8])
-        raise BadInput(f"not a usable model file ({told}); write it again with pitp")
+        # short and few: the values are a stranger's text on the user's terminal
+        listed = "; ".join(problem if len(problem) <= 80 else problem[:80] + "..." for problem in problems[:8])
+        raise BadInput(f"not a usable model file ({listed}); write it again with pitp")

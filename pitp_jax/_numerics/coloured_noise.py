@@ -18,21 +18,25 @@ _ORDER = 6
 
 
 def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.ndarray]:
-    """The map (time, ...) -> (time, ...) that makes a signal with the error's spectrum white.
+    """Build the map (time, ...) -> (time, ...) that makes a signal with the error's spectrum white.
 
-    The first P samples by the Cholesky factor of their covariance: nothing of the beginning is lost.
+    The first P samples are whitened by the Cholesky factor of their covariance, so no sample is lost.
     """
     size = len(error)
+    # divided by T at every lag: the Toeplitz matrix then has no negative eigenvalue, and 1 / phi is a stable filter
     lags = np.array([error[: size - k] @ error[k:] for k in range(_ORDER + 1)]) / size
+    # a silent or perfectly predictable error would make the system singular
     lags[0] = lags[0] * (1 + 1e-9) + 1e-300
     phi = scipy.linalg.solve_toeplitz(lags[:_ORDER], lags[1:])
-    left = max(lags[0] - phi @ lags[1:], 1e-12 * lags[0])
-    first = scipy.linalg.cholesky(scipy.linalg.toeplitz(lags[:_ORDER]) / left, lower=True)
+    innovation = max(lags[0] - phi @ lags[1:], 1e-12 * lags[0])  # var w; rounding may take it below zero
+    # in units of var w, so that the first samples weigh as much as the filtered ones
+    first = scipy.linalg.cholesky(scipy.linalg.toeplitz(lags[:_ORDER]) / innovation, lower=True)
 
     def whiten(values):
-        found = np.asarray(scipy.signal.lfilter(np.append(1.0, -phi), [1.0], values, axis=0))
-        found[:_ORDER] = scipy.linalg.solve_triangular(first, values[:_ORDER], lower=True)
-        return found
+        white = np.asarray(scipy.signal.lfilter(np.append(1.0, -phi), [1.0], values, axis=0))
+        # the filter takes the time before the record for silent; it held the same noise
+        white[:_ORDER] = scipy.linalg.solve_triangular(first, values[:_ORDER], lower=True)
+        return white
 
     return whiten
 
@@ -40,20 +44,25 @@ def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.nda
 def project(
     values: Float[np.ndarray, " time"], columns: Float[np.ndarray, "time n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " time"]]:
-    """Least squares on the columns: their factors, and what is left."""
+    """Fit the columns to the values by least squares: their factors, and the residual."""
+    # columns of one size: rcond then drops directions, not columns of small units
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     factors = np.linalg.lstsq(columns / size, values, rcond=1e-10)[0] / size
     return factors, values - columns @ factors
 
 
-def criterion(left: Float[np.ndarray, " time"], parameters: int, floor: float = 0.0) -> float:
-    """BIC of an explanation that leaves this of a whitened record, beside white noise of deviation `floor`."""
-    size = len(left)
-    return float(size * np.log(max(left @ left + size * floor**2, 1e-300)) + parameters * np.log(size))
+def criterion(residual: Float[np.ndarray, " time"], parameters: int, floor: float = 0.0) -> float:
+    """BIC of an explanation with this whitened residual, beside white noise of deviation `floor`."""
+    size = len(residual)
+    # without the floor a noise-free record would reward any digit of rounding that a parameter removes
+    return float(size * np.log(max(residual @ residual + size * floor**2, 1e-300)) + parameters * np.log(size))
 
 
 def block_means(values: np.ndarray, weight: Float[np.ndarray, " time"], size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted means over blocks of `size` samples, shape (blocks, ...), and the share of weight in each."""
+    """Average over blocks of `size` samples: weighted means, shape (blocks, ...), and the mean weight in each.
+
+    Samples behind the last whole block are dropped.
+    """
     count = len(weight) // size
     w = weight[: count * size].reshape(count, size)
     v = values[: count * size].reshape(count, size, *values.shape[1:])

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on normal equations: a few parameters, very many residuals.
+"""Minimise a sum of squares by Levenberg-Marquardt on normal equations: a few parameters, very many residuals.
 
     (H + lambda diag H) d = -g,    H = J'J,  g = J'r,    gain ratio rho = (C(p) - C(p + d)) / (d'(lambda diag H d - g))
 
@@ -15,7 +15,8 @@ import numpy as np
 _MAX_STEPS = 60
 _TOLERANCE = 1e-11  # relative decrease of the cost still to be had; in 1e5 samples 0.001 of a standard error
 _SLOW, _PATIENCE = 1e-6, 4  # that many steps in a row, each lowering the cost by less: a flat valley, walked far enough
-_LONGEST = 2.0  # largest change of a logarithm in one step
+_LONGEST = 2.0  # largest change of a logarithm in one step: a factor e^2, beyond which the quadratic is a guess
+_LARGEST_DAMPING = 1e12
 
 
 class Normal(NamedTuple):
@@ -27,28 +28,28 @@ class Normal(NamedTuple):
 
     @classmethod
     def of(cls, cost, gradient, hessian) -> "Normal":
-        """From arrays of any kind, in float64."""
+        """Convert from arrays of any kind to float64."""
         return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
 
 
 def minimise(normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Parameters of least cost from `params` on, none above `upper`, and whether the tolerance was met.
+    """Find the parameters of least cost from `params` on, none above `upper`; and whether the tolerance was met.
 
     Those with a finite `upper` are taken for logarithms, in which a long step is never to be trusted.
     """
-    slow, before, found, converged = 0, np.inf, params, False
-    for found, here, met in islice(steps(normal, params, upper), _MAX_STEPS):
+    slow, before, fitted, converged = 0, np.inf, params, False
+    for fitted, here, met in islice(steps(normal, params, upper), _MAX_STEPS):
         slow = slow + 1 if before - here.cost < _SLOW * before else 0
         before, converged = here.cost, met
         if slow == _PATIENCE:
-            return found, True
-    return found, converged
+            return fitted, True
+    return fitted, converged
 
 
 def steps(
     normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray
 ) -> Iterator[tuple[np.ndarray, Normal, bool]]:
-    """Parameters, what `normal` says there and whether the tolerance is met, at the start and after every step down.
+    """Yield parameters, their `Normal` and whether the tolerance is met: at the start and after every step down.
 
     Ends where it is met, where the start is not finite, or where no step leads down (met, if little was left to win).
     """
@@ -57,33 +58,39 @@ def steps(
     yield params, here, False
     while np.isfinite(here.cost) and np.isfinite(here.hessian).all():
         step = _solve(here, damping, upper - params)
+        # shortened as a whole: the direction stays one of descent
         step *= min(1.0, _LONGEST / max(float(np.abs(step[np.isfinite(upper)]).max(initial=0.0)), 1e-300))
+        # the fall of C that its quadratic promises, without the damping, which is no part of C
         expected = float(-step @ (2 * here.gradient + here.hessian @ step))
+        # under heavy damping every step is short: that alone is not convergence
         if expected <= _TOLERANCE * here.cost and damping < 1.0:
             yield params, here, True
             return
         there = normal(params + step)
         ratio = (here.cost - there.cost) / expected if expected > 0 and np.isfinite(there.cost) else -1.0
-        if ratio > 0:
+        if ratio > 0:  # any fall is taken; by how much the quadratic was trusted, the damping says (Nielsen's rule)
             params, here, growth = params + step, there, 2.0
             damping *= max(1 / 10, 1 - (2 * ratio - 1) ** 3)
             yield params, here, False
         else:
             damping, growth = damping * growth, 2 * growth
-            if damping > 1e12:  # no way down: rounding is all that is left
+            if damping > _LARGEST_DAMPING:  # no way down: what is still expected is rounding
                 yield params, here, expected <= _SLOW * here.cost
                 return
 
 
 def _solve(here: Normal, damping: float, room: np.ndarray) -> np.ndarray:
-    """The damped step, no parameter moved up by more than its `room`: where one would be, the others make up for it."""
+    """Solve for the damped step that moves no parameter up by more than its `room`; the others make up for those."""
+    # at its bound already, and the cost falls beyond it
     step, fixed = np.zeros(len(room)), (room <= 0) & (here.gradient < 0)
     while not fixed.all():
         free = ~fixed
         root = np.sqrt(np.diag(here.hessian)[free] * (1 + damping) + 1e-300)
+        # unit diagonal: parameters of any units, and lambda stands in the root alone
         matrix = here.hessian[np.ix_(free, free)] / np.outer(root, root)
         np.fill_diagonal(matrix, 1.0)
-        slope = here.gradient[free] + here.hessian[np.ix_(free, fixed)] @ step[fixed]
+        slope = here.gradient[free] + here.hessian[np.ix_(free, fixed)] @ step[fixed]  # the bounded ones have moved
+        # least squares, not Cholesky: parameters that the data cannot tell apart make it singular as lambda falls
         step[free] = -np.linalg.lstsq(matrix, slope / root, rcond=1e-15)[0] / root
         over = free & (step > room)
         if not over.any():

@@ -1,4 +1,4 @@
-"""Linear recurrences over time, evaluated in two short passes instead of one long one.
+"""Evaluate linear recurrences over time in two short passes instead of one long one.
 
     s_{t+1} = A s_t + b_t
 
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 
 def pieces(rows: Float[np.ndarray, "time n"]) -> list[np.ndarray]:
-    """Views (many, 512, n) and (1, fewer, n) of the rows: products stay in the cache and on one thread.
+    """Cut the rows into views (many, 512, n) and (1, fewer, n): products stay in the cache and on one thread.
 
     A tall product is otherwise spread over threads, which wait for each other where cores are shared.
     """
@@ -23,14 +23,14 @@ def pieces(rows: Float[np.ndarray, "time n"]) -> list[np.ndarray]:
 
 
 def times(rows: Float[np.ndarray, "time n"], matrix: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "time m"]:
-    """The product, piece by piece."""
+    """Multiply piece by piece."""
     return np.concatenate([(p @ matrix).reshape(-1, matrix.shape[1]) for p in pieces(rows)])
 
 
 def linear_recurrence(
     matrix: Float[np.ndarray, "n n"], drive: Float[np.ndarray, "time n"], start: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "time n"]:
-    """All s_t with s_{t+1} = A s_t + b_t; row 0 is `start` and the last row of `drive` is not used.
+    """Compute all s_t with s_{t+1} = A s_t + b_t; row 0 is `start` and the last row of `drive` is not used.
 
     On the host: every order of an identification is another n, and compiling one costs more than running it.
     """
@@ -41,22 +41,22 @@ def linear_recurrence(
     states[0] = start
     states[1:steps], states[steps:] = drive[:-1], 0.0
     inside = states[1:].reshape(blocks, length, n)  # a view: the drive of each block, then its states
-    once, across = np.ascontiguousarray(matrix.T), np.linalg.matrix_power(matrix, length)
+    once, across = np.ascontiguousarray(matrix.T), np.linalg.matrix_power(matrix, length)  # A', A^L
     ends, starts = np.zeros((blocks, n)), np.empty((blocks, n))
-    for k in range(length):
+    for k in range(length):  # first pass: every block from zero, its end alone is kept
         ends = ends @ once + inside[:, k]
-    for k in range(blocks):
+    for k in range(blocks):  # linear: a block's true end is its end from zero and A^L of its true start
         starts[k] = start
         start = across @ start + ends[k]
-    for k in range(length):
+    for k in range(length):  # second pass from the true starts, which needs no other power of A
         starts = inside[:, k] = starts @ once + inside[:, k]
     return states[:steps]
 
 
 def scalar_recurrence(keep: Float[Array, ""], drive: Float[Array, " steps"], start: Float[Array, ""]) -> Array:
-    """All s_t of s_{t+1} = keep s_t + b_t as one associative scan, shape (steps + 1,); for |keep| <= 1."""
+    """Compute all s_t of s_{t+1} = keep s_t + b_t as one associative scan, shape (steps + 1,); for |keep| <= 1."""
 
-    def compose(first, second):
+    def compose(first, second):  # s -> p s + q and then s -> p' s + q' is s -> p'p s + (p'q + q')
         return first[0] * second[0], second[0] * first[1] + second[1]
 
     powers, sums = jax.lax.associative_scan(compose, (jnp.full_like(drive, keep), drive))
@@ -72,12 +72,12 @@ def first_order_lags(
     Blocks of about sqrt(T) samples run side by side, as in `linear_recurrence`.
     """
     fraction = (dt / tau).astype(x.dtype)
-    settle = -jnp.expm1(-fraction)
+    settle = -jnp.expm1(-fraction)  # 1 - q, which a plain difference loses to rounding where tau is many samples
     slope = 1 - settle / fraction
     drive = settle * x[:-1, None] + slope * jnp.diff(x)[:, None]
     keep = 1 - settle
 
-    def free(steps, z):
+    def free(steps, z):  # q^k by one exponential: no error builds up over a block
         return jnp.exp(-fraction * steps[..., None]) * z
 
     return _blocked(lambda z, b: keep * z + b, free, drive, start)
@@ -90,10 +90,10 @@ def oscillator(
 
     Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w); what is left of the start rings out.
     """
-    pace = jnp.diff(x) / (omega * dt)
+    pace = jnp.diff(x) / (omega * dt)  # a / w
     settled = jnp.stack([-2 * zeta * pace, pace], -1)
 
-    def free(steps, z):
+    def free(steps, z):  # the matrix exponential of the damped oscillator, written out; zeta < 1
         root = jnp.sqrt(1 - zeta**2)
         cos, sin = jnp.cos(omega * dt * root * steps), jnp.sin(omega * dt * root * steps) / root
         first, second = z[..., 0], z[..., 1]
@@ -105,16 +105,18 @@ def oscillator(
         return settled.at[:, 0].add(at)
 
     one = jnp.ones((), x.dtype)
+    # only the distance from the settled motion rings: z_{t+1} = E (z_t - s(x_t)) + s(x_{t+1}), E = free(1, .)
     return _blocked(lambda z, b: free(one, z) + b, free, ends(x[1:]) - free(one, ends(x[:-1])), start)
 
 
 def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n"]) -> Float[Array, "time n"]:
-    """All s_t with s_{t+1} = step(s_t, b_t), linear, for one s or many; free(k, s): s after k steps without drive."""
+    """Compute all s_t with s_{t+1} = step(s_t, b_t), linear, for one s or many; free(k, s): k steps without drive."""
     steps, size = drive.shape
     length = max(int((steps + 1) ** 0.5), 1)
     blocks = -(-steps // length)
     if blocks == 0:
         return start[None]
+    # steps behind the end are driven by zero and cut off again
     padded = jnp.zeros((blocks * length, size), drive.dtype).at[:steps].set(drive)
 
     def advance(z, b):
@@ -129,11 +131,12 @@ def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n
         return free(ages[-1:], z)[0] + end, z
 
     starts = jax.lax.scan(chain, start, forced[-1])[1]
+    # superposition: what the drive did from zero, and what the block's true start does without drive
     states = forced.swapaxes(0, 1) + jax.vmap(lambda z: free(ages, z))(starts)
     return jnp.concatenate([start[None], states.reshape(blocks * length, -1)[:steps]])
 
 
 def lag_after(start, before, now, tau, dt) -> Array:
-    """Lags one sample of dt (s) on, x linear from `before` to `now`: one step of `first_order_lags`."""
+    """Advance lags by one sample of dt (s), x linear from `before` to `now`: one step of `first_order_lags`."""
     settle = -jnp.expm1(-dt / tau)
     return start + settle * (before - start) + (1 - settle * tau / dt) * (now - before)

@@ -1,4 +1,4 @@
-"""The spectrum of the noise in a residual whose gap and drive have lines: lower quartiles of the periodogram.
+"""Estimate the noise's spectrum in a residual whose gap and drive have lines: lower quartiles of the periodogram.
 
     P(f) = S(f) lower quartile over a band's bins of |E|^2 / (0.2877 S)
 
@@ -10,39 +10,40 @@ from collections.abc import Callable
 
 import numpy as np
 
-_QUARTILE = -np.log(0.75)
+_QUARTILE = -np.log(0.75)  # P(E < q) = 1 - exp(-q) = 1/4: a bin of noise is exponential about its density
 _BINS = 24
 _NEAR = 0.25  # in ln f: bins that tell the colour at f, a quarter of a band's distance to the next but one
 
 
 def band_edges(samples: int, dt: float) -> np.ndarray:
-    """Bands of at least 24 bins and a fifth of their frequency."""
+    """Divide 0 to the Nyquist frequency into bands of at least 24 bins and a fifth of their frequency."""
     width, top = _BINS / (samples * dt), 0.5 / dt
     edges = [0.0]
     while edges[-1] + width < top:
         edges.append(edges[-1] + max(width, 0.2 * edges[-1]))
+    # the last band takes the remainder: on its own it might hold too few bins for a quartile
     edges[-1:] = [top] if len(edges) > 1 else [0.0, top]
     return np.array(edges)
 
 
 def periodogram(error: np.ndarray, counts: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz, but for those of the mean, and the one-sided density there (per Hz)."""
+    """Compute the one-sided density (per Hz) at the frequencies (Hz) of the tail, but for those of its mean."""
     tail = error[int(0.4 * len(error)) :]
     seen = counts[int(0.4 * len(error)) :]
     tail = tail - tail[seen].mean() if seen.any() else tail
-    window = np.hanning(len(tail)) * seen
+    window = np.hanning(len(tail)) * seen  # samples that do not count weigh nothing, here and in the divisor
     power = 2 * dt * np.abs(np.fft.rfft(tail * window)) ** 2 / max(np.sum(window**2), 1e-30)
-    return np.fft.rfftfreq(len(tail), dt)[2:], power[2:]
+    return np.fft.rfftfreq(len(tail), dt)[2:], power[2:]  # the window spreads what is left of the mean into bin 1
 
 
 def band_levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
-    """One-sided density (per Hz) of every band in one record's residual."""
+    """Estimate the one-sided density (per Hz) of every band in one record's residual."""
     power = periodogram(error, counts, dt)
     return levels_of(*power, edges, colour_of([power]))
 
 
 def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
-    """S(f) up to a factor: lower quartiles over all records' bins near a frequency, joined in logarithms."""
+    """Fit S(f) up to a factor: lower quartiles over all records' bins near a frequency, joined in logarithms."""
     f, p = (np.concatenate(v) for v in zip(*powers, strict=True))
     order = np.argsort(f)
     place, p = np.log(f[order]), p[order]
@@ -50,23 +51,24 @@ def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
     first, last = (np.searchsorted(place, at + side * _NEAR) for side in (-1, 1))
     few = np.maximum(_BINS - (last - first), 0) // 2 + 1  # as many as a band has, at least
     ends = zip(np.maximum(first - few, 0), last + few, strict=True)
-    found = np.log(np.maximum([np.quantile(p[a:b], 0.25) for a, b in ends], 1e-200))
-    return lambda hz: np.exp(np.interp(np.log(hz), at, found))
+    levels = np.log(np.maximum([np.quantile(p[a:b], 0.25) for a, b in ends], 1e-200))
+    return lambda hz: np.exp(np.interp(np.log(hz), at, levels))
 
 
 def rise_at_the_low_end(powers) -> float:
-    """By how much bins 2 to 5 of the shortest record lie above bins 6 to 14: lower quartiles, all records together."""
+    """Compare bins 2 to 5 of the shortest record with bins 6 to 14: ratio of lower quartiles, all records together."""
     f, p = (np.concatenate(v) for v in zip(*powers, strict=True))
-    step = max(hz[0] for hz, _ in powers) / 2
+    step = max(hz[0] for hz, _ in powers) / 2  # a periodogram starts at bin 2; the shortest record has the widest bins
     low, up = (np.quantile(p[(f >= a * step) & (f < b * step)], 0.25) for a, b in ((1.9, 5.5), (5.5, 14.5)))
     return float(low / max(up, 1e-300))
 
 
 def levels_of(frequency: np.ndarray, power: np.ndarray, edges: np.ndarray, colour) -> np.ndarray:
-    """The density of every band."""
-    shape, found = colour(frequency), []
+    """Estimate the density of every band from its bins and the colour."""
+    shape, levels = colour(frequency), []
     for low, high in zip(edges[:-1], edges[1:], strict=True):
         here = (frequency >= low) & (frequency < high)
+        # divided by the colour first: where noise falls within a band, a plain quartile reads its far end
         bins = np.quantile(power[here] / shape[here], 0.25) / _QUARTILE if here.any() else 0.0
-        found.append(bins * shape[here].mean() if here.any() else 0.0)
-    return np.array(found)
+        levels.append(bins * shape[here].mean() if here.any() else 0.0)
+    return np.array(levels)

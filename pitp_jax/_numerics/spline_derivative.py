@@ -1,11 +1,11 @@
-"""Derivatives of a sampled path by recursive filters: what an interpolating spline does away from its ends.
+"""Differentiate a sampled path by recursive filters: what an interpolating spline does away from its ends.
 
     x = b * c,   x^(i)_t = dt^-i sum_j c_{t-j} B^(i)(j)              B: B-spline of odd degree, b_j = B(j)
     c = g (forward then backward) of y_t = x_t + sum_k p_k y_{t-k},  poles z of b inside the unit circle (Unser, 1993)
 
 Start-up errors decay like max|z|^t, 0.43 (quintic) or 0.54 (septic), so R = 51 or 67 samples from either side nothing
 is left of them in float64. Near the two ends of a path the spline itself is used. Equal to `derivatives` to
-rounding, and local: a path may come in pieces. 2.3 ms for 120,000 samples, where one spline over all takes 70-100.
+rounding, and local: a path may come in pieces. One spline over all takes 30 times as long (docs/decisions/decoder.md).
 """
 
 from functools import lru_cache
@@ -19,7 +19,8 @@ from .._errors import BadInput
 
 
 def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
-    """[x, x', ..., x^(order)] of a sampled path, shape (T, order + 1), by an odd-degree interpolating spline."""
+    """Differentiate a sampled path: [x, x', ..., x^(order)], shape (T, order + 1), by an interpolating spline."""
+    # odd, so that knots are samples; at least order + 3, so that x^(order) itself is twice differentiable
     degree = 2 * ((order + 3) // 2) + 1
     if len(x) <= degree:
         raise BadInput(f"the target has {len(x)} samples; order {order} needs more than {degree}")
@@ -29,7 +30,7 @@ def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
 
 
 class _Spline(NamedTuple):
-    """Gain and denominator of the filter, B^(i)(-j) for j = -m ... m and i = 1 ... order, and the reach R."""
+    """Gain g and denominator of the filter, B^(i)(-j) for j = -m ... m and i = 1 ... order, and the reach R."""
 
     gain: float
     recursion: np.ndarray
@@ -44,40 +45,42 @@ def _spline(order: int) -> _Spline:
     basis = scipy.interpolate.BSpline.basis_element(np.arange(2 * half + 3) - (half + 1.0), extrapolate=False)
     sampled = np.asarray(basis(j))
     roots = np.roots(sampled)
-    poles = roots[np.abs(roots) < 1].real
+    poles = roots[np.abs(roots) < 1].real  # b is symmetric: z and 1 / z are roots, all real; one of each is stable
     slopes = np.stack([np.asarray(basis.derivative(i)(-j)) for i in range(1, order + 1)])
-    reach = int(np.ceil(np.log(1e-17) / np.log(np.abs(poles).max()))) + 2 * half
+    reach = int(np.ceil(np.log(1e-17) / np.log(np.abs(poles).max()))) + 2 * half  # below float64's rounding
     return _Spline(float(np.prod(-poles) / sampled[0]), np.poly(poles), slopes, reach)
 
 
 def reach(order: int) -> int:
-    """R: how many samples on either side a derivative takes."""
+    """Tell how many samples R on either side a derivative takes."""
     return _spline(order).reach
 
 
 def inner(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndarray, "kept tokens"]:
-    """[x, ..., x^(order)] at the samples R ... T - R - 1."""
+    """Differentiate the inner samples R ... T - R - 1: [x, ..., x^(order)]."""
     s = _spline(order)
     half, kept = s.slopes.shape[1] // 2, len(x) - 2 * s.reach
+    # the stable half of 1 / b forward in time, the other half backward; both start from zero, hence R
     back = np.asarray(scipy.signal.lfilter([1.0], s.recursion, x))[::-1]
     c = np.asarray(scipy.signal.lfilter([s.gain], s.recursion, back))[::-1]
-    found = np.empty((kept, order + 1))
-    found[:, 0] = x[s.reach : s.reach + kept]
+    tokens = np.empty((kept, order + 1))
+    tokens[:, 0] = x[s.reach : s.reach + kept]  # the spline interpolates: no rounding of its own in x
     for i, weights in enumerate(s.slopes, start=1):
+        # B is even, so B^(i)(-j) = (-1)^i B^(i)(j): half the products, and none at 0 for odd i
         sign, total = 1.0 - 2.0 * (i % 2), np.zeros(kept)
         for k in range(1, half + 1):
             behind, ahead = c[s.reach - k :][:kept], c[s.reach + k :][:kept]
             total += weights[half - k] * (behind + sign * ahead)
         if i % 2 == 0:
             total += weights[half] * c[s.reach :][:kept]
-        found[:, i] = total / dt**i
-    return found
+        tokens[:, i] = total / dt**i
+    return tokens
 
 
 def fast_derivatives(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndarray, "time tokens"]:
-    """[x, x', ..., x^(order)] of a whole path, as `derivatives`."""
+    """Differentiate a whole path: [x, x', ..., x^(order)], as `derivatives`."""
     r = reach(order)
-    if len(x) <= 6 * r:
+    if len(x) <= 6 * r:  # the two end pieces of 3 R are then the whole path
         return derivatives(x, dt, order)
     head, tail = derivatives(x[: 3 * r], dt, order)[:r], derivatives(x[-3 * r :], dt, order)[-r:]
     return np.concatenate([head, inner(np.asarray(x, np.float64), dt, order), tail])

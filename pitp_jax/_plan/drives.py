@@ -1,12 +1,11 @@
-"""Planned drives: points of a space-filling set as voltages that start and end at zero within the limits.
+"""Turn points of a space-filling set into voltages that start and end at zero within the limits.
 
     u(t) = w(t) [ (h + l)/2 - (h - l)/2 cos(phi(t)) ],   phi' = 2 pi f,   (f, l, h) through points p_1 ... p_K
     w: smooth steps from 0 and back to 0;  swing shrunk about its mean until |u_{i+1} - u_i| <= slew dt
 
-A point: frequency uniform in its logarithm; the highest force h^2 dense towards the largest (a share that grows as the
-root of a uniform number); the lowest voltage zero at three points of four, else its force uniform below h^2. On the
-simulated cone this took the median error on withheld drives from 0.120, 0.095, 0.095 to 0.070, 0.082, 0.086 %
-(docs/decisions/plan.md).
+A point: frequency uniform in its logarithm; the highest force h^2 dense towards the largest (a fraction that grows as
+the root of a uniform number); the lowest voltage zero at three points of four, else its force uniform below h^2 (what
+that is worth: docs/decisions/plan.md).
 """
 
 from dataclasses import dataclass
@@ -66,9 +65,9 @@ class Planned:
 
 
 def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
-    """Sobol points (frequency in Hz, lowest and highest voltage in V), shape (count, 3)."""
+    """Draw Sobol points (frequency in Hz, lowest and highest voltage in V), shape (count, 3)."""
     sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
-    drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]
+    drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]  # balanced for powers of two alone
     first, last = np.log(limits.band)
     force = _LEAST + (1 - _LEAST) * drawn[:, 1] ** _DENSE
     high = limits.high * np.sqrt(force)
@@ -78,33 +77,35 @@ def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
 
 
 def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
-    """A sine whose frequency and extremes go through points (K, 3), each held for a K-th of the time; shape (T,)."""
+    """Make a sine whose frequency and extremes go through points (K, 3), each for a K-th of the time; shape (T,)."""
     t = np.arange(round(seconds * limits.rate)) / limits.rate
     at = t / seconds * len(points)
     k = np.minimum(at.astype(int), len(points) - 1)
     after = np.minimum(k + 1, len(points) - 1)
-    share = smooth_step((at - k - 0.7) / 0.3)[:, None]
-    f, low, high = ((1 - share) * points[k] + share * points[after]).T
+    # most of its time at the point itself, then smoothly on: a jump of frequency or bias would excite all modes
+    mix = smooth_step((at - k - 0.7) / 0.3)[:, None]
+    f, low, high = ((1 - mix) * points[k] + mix * points[after]).T
     phase = 2 * np.pi * np.concatenate([[0.0], np.cumsum(f)[:-1]]) / limits.rate
     return within((low + high) / 2, -(high - low) / 2 * np.cos(phase), limits)
 
 
 def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.ndarray:
-    """Mean and swing (T,) with ramps from zero and back; the swing is made smaller until the slew is kept."""
+    """Add mean and swing (T,) with ramps from zero and back; the swing is made smaller until the slew is kept."""
     size, most = len(swing), _SLEW * limits.slew / limits.rate
     mean = np.broadcast_to(np.asarray(mean, np.float64), size)
     rise = max(int(np.ceil(limits.ramp(np.abs(mean + swing).max()) * limits.rate)), 1)
     t = np.arange(size)
     window = smooth_step(t / rise) * smooth_step((size - 1 - t) / rise)
-    share = 1.0
+    factor = 1.0
     for _ in range(60):
-        voltage = window * (mean + share * swing)
+        voltage = window * (mean + factor * swing)
         if np.abs(np.diff(voltage)).max() <= most:
             return np.clip(voltage, limits.low, limits.high)
-        share *= 0.9
+        factor *= 0.9
+    # even 0.2 % of the swing is too steep: the ramps alone are
     return np.clip(_gently(window * mean, most), limits.low, limits.high)
 
 
 def _gently(voltage: np.ndarray, most: float) -> np.ndarray:
-    """Stretched down until no step exceeds `most`."""
+    """Scale the voltage down until no step exceeds `most`."""
     return voltage * min(1.0, most / np.abs(np.diff(voltage)).max())

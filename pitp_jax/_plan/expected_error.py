@@ -1,4 +1,4 @@
-"""A trained model's expected held-out error, by Laplace about its trained numbers.
+"""Estimate a trained model's expected held-out error, by Laplace about its trained numbers.
 
     p | records ~ N(p^, s^2 (sum_r T_r M_r + rho sum_r T_r)^-1)       M_r: mean over time of J'J, errors in % of range
     s^2 = e^2 tau,   e: what the model leaves of its records, %,   tau = dt sum_k c_k^2: Bartlett's time between
@@ -29,7 +29,7 @@ from .._train.refine import prior_weights, thinning
 from .._train.settings import Settings, firmness_of
 
 _AT_ONCE = 8  # runs a batch: their slopes are (errors, numbers) each
-_STILL = 1e-3  # of the largest range: what moves less tells nothing
+_STILL = 1e-3  # of the largest range: a run that moves less says nothing
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Motions:
 def motions(
     model: Model, voltages: Sequence[np.ndarray], dt: float, *, floor: float = 0.0, slopes: bool = True
 ) -> Motions:
-    """What free runs under these voltages tell; a run that leaves every range, or does not move, tells nothing.
+    """Compute what free runs under these voltages tell; a run that leaves every range, or stands still, tells nothing.
 
     Errors are in % of sqrt(range^2 + floor^2), floor in m: the noise does not shrink with the motion. Without `slopes`
     only how far they go.
@@ -54,13 +54,13 @@ def motions(
     for some in places:
         parts.append(_together(model, [voltages[k] for k in some], dt, floor, slopes))
     back = np.argsort(np.concatenate(places))
-    told = [m for part in parts for m in part.information]
+    information = [m for part in parts for m in part.information]
     arrays = (np.concatenate(a)[back] for a in zip(*((p.stroke, p.span, p.finite) for p in parts), strict=True))
-    return Motions(tuple(told[k] for k in back) if slopes else (), *arrays)
+    return Motions(tuple(information[k] for k in back) if slopes else (), *arrays)
 
 
 def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
-    """The same for runs of like length, padded to one."""
+    """Compute the same for runs of like length, padded to one."""
     every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
@@ -70,19 +70,20 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     x = np.where(inside & finite[:, None], x, 0.0)
     span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
     tells = finite & (span > _STILL * span.max())
+    # infinite: weight zero, so that a run which was lost adds no information, not nan
     against = np.where(tells, np.hypot(span, floor / scale), np.inf)
     weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
-    found = []
+    information = []
     for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
         rest = np.asarray(~np.asarray(at)[:, : model.order].any(1), np.float32)
         runs = Runs(at, jnp.asarray(rest), jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
         rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
-        found += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
-    return Motions(tuple(found[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
+        information += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
+    return Motions(tuple(information[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
 
 
 def _batches(*arrays):
-    """Arrays in parts of equally many runs, filled up with copies of the last: one compiled program."""
+    """Cut arrays into parts of equally many runs, filled up with copies of the last: one compiled program."""
     count = len(arrays[0])
     for first in range(0, count, _AT_ONCE):
         part = np.minimum(np.arange(first, first + _AT_ONCE), count - 1)
@@ -95,7 +96,7 @@ def _readings(model: Model, voltage, dt: float, start) -> np.ndarray:
 
 
 def _starts(model: Model, first: np.ndarray, dt: float):
-    """At rest where a drive begins at zero volts, else settled at what it begins with."""
+    """Start at rest where a drive begins at zero volts, else settled at what it begins with."""
     rest = rest_state(model)
     held = held_states(model, jnp.asarray(first), dt, jnp.zeros(len(first), rest.dtype))
     settled = (jnp.asarray(first)[:, None] != 0) & jnp.isfinite(held).all(1, keepdims=True)
@@ -104,7 +105,7 @@ def _starts(model: Model, first: np.ndarray, dt: float):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the records so far tell.
+    """What the records so far tell of a model.
 
     Attributes:
         precision: of the trained numbers, per unit of s^2, shape (P, P).
@@ -120,7 +121,7 @@ class Knowledge:
 
 
 def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
-    """Of a trained model and the records it was trained on.
+    """Compute what the records it was trained on tell of a model.
 
     Raises:
         BadInput: a model without trained numbers, or one that diverges on every record.
@@ -129,25 +130,26 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
     if not len(start):
         raise BadInput("the model has no trained numbers; give one of `pitp fit`")
     dt = records[0].dt
-    left = [_left(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
-    if not left:
+    misses = [_miss(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
+    if not misses:
         raise BadInput("the model diverges on every record: it is not of this actuator, or needs another training")
-    errors, taus = np.array(left).T
+    errors, taus = np.array(misses).T
     error = float(np.sqrt(np.mean(errors**2)))
+    # a drive that hardly moves the actuator is lost in the noise, however well the model knows it
     floor = 100 * float(np.median([noise_std(r.displacement) for r in records])) / error
-    told = motions(model, [r.voltage for r in records], dt, floor=floor)
+    played = motions(model, [r.voltage for r in records], dt, floor=floor)
     seconds = np.array([r.samples * dt for r in records])
     rho = prior_weights(model, sizes, firmness_of(Settings(), model, len(records)))
-    precision = sum(t * m for t, m in zip(seconds, told.information, strict=True)) + seconds.sum() * np.diag(rho)
+    precision = sum(t * m for t, m in zip(seconds, played.information, strict=True)) + seconds.sum() * np.diag(rho)
     return Knowledge(precision, error**2 * float(taus.mean()), error, floor)
 
 
-def _left(record: Record, prediction) -> tuple[float, float]:
-    """E_rms in % of range, and Bartlett's time between independent errors, s."""
+def _miss(record: Record, prediction) -> tuple[float, float]:
+    """Compute e_rms in % of range, and Bartlett's time between independent errors, s."""
     seen = record.observed & prediction.scored
     e = np.where(seen, prediction.displacement - record.displacement, 0.0)
     e = e - seen * e[seen].mean()
-    power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2
+    power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2  # twice the length: no correlation of the end with the beginning
     c = np.fft.irfft(power)[: len(e)]
     tau = record.dt * (2 * float(np.sum((c / c[0]) ** 2)) - 1) if c[0] > 0 else record.dt
     return 100 * float(np.sqrt(np.mean(e[seen] ** 2)) / np.ptp(record.displacement[seen])), tau

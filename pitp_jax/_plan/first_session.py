@@ -1,4 +1,4 @@
-"""A first session, from the rig's limits alone.
+"""Plan a first session from the rig's limits alone.
 
     growth   sweeps of the whole band at 25, 50, 71, 100 % of the highest voltage: 1/16, 1/4, 1/2 and all of the force
     sweep    the whole band once, slowly: what a linear model is identified on
@@ -21,31 +21,31 @@ from .limits import Limits
 from .strokes import growth
 
 _GROWTH = (0.25, 0.5, 0.71, 1.0)
-_SHARES = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have what is left
+_PARTS = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have the remainder
 FEWEST = 8  # recordings of a set where the duration allows: fewer train a smaller encoder
 POINTS = 3  # a recording goes through
 MOST_PERIODS = 4.0  # of the lowest frequency, in a recording of the set where no duration is given
 
 
 def default_duration(limits: Limits, fresh: bool) -> float:
-    """Seconds of drive where none are given."""
+    """Choose the seconds of drive where none are given."""
     filling = FEWEST * max(limits.shortest, MOST_PERIODS / limits.band[0])
-    return max(filling * (1 + 1 / FEWEST) / (1 - sum(_SHARES.values())), _least(limits)) if fresh else filling
+    return max(filling * (1 + 1 / FEWEST) / (1 - sum(_PARTS.values())), _least(limits)) if fresh else filling
 
 
 def _least(limits: Limits) -> float:
-    """Seconds a first session takes: two periods in the sweep, and in each sweep of the growth its ramps."""
-    growth = 2 * limits.ramp(limits.high) * len(_GROWTH) / _SHARES["growth"]
-    return max(limits.shortest / _SHARES["sweep"], growth)
+    """Compute the seconds a first session takes: two periods in the sweep, ramps in each sweep of the growth."""
+    growth = 2 * limits.ramp(limits.high) * len(_GROWTH) / _PARTS["growth"]
+    return max(limits.shortest / _PARTS["sweep"], growth)
 
 
 def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
-    """All recordings of a first session, in the order of playing.
+    """Plan all recordings of a first session, in the order of playing.
 
     Raises:
         BadInput: a duration in which they do not fit.
     """
-    part = {name: share * duration for name, share in _SHARES.items()}
+    part = {name: part * duration for name, part in _PARTS.items()}
     one, swept = part["growth"] / len(_GROWTH), part["sweep"]
     if duration < _least(limits) * (1 - 1e-9):
         raise BadInput(
@@ -66,14 +66,14 @@ def _growth(level: float, seconds: float, limits: Limits) -> Planned:
 
 
 def _swept(level: float, seconds: float, limits: Limits):
-    """A sweep of the band between zero and `level` of the highest voltage."""
+    """Sweep the band between zero and `level` of the highest voltage."""
     top = level * limits.high / 2
     time, wave = sweep(*limits.band, seconds, limits.rate, top, 0.0)
     return time, within(top, wave, limits)
 
 
 def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
-    """Drives that fill frequency, lowest and highest voltage, the smallest first.
+    """Plan drives that fill frequency, lowest and highest voltage, the smallest first.
 
     Raises:
         BadInput: a duration shorter than one drive.
@@ -85,12 +85,13 @@ def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Plann
             f"{limits.shortest:.3g} s"
         )
     points = space_filling(count * POINTS, limits, seed)
+    # every count-th point: neighbours in a Sobol sequence lie far apart, and each recording gets some of everything
     drives = [drive(points[k::count], duration / count, limits) for k in range(count)]
     return tuple(sorted(drives, key=lambda d: float(np.abs(d.voltage).max())))
 
 
 def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
-    """A sine through these points (frequency, lowest, highest voltage), named by the first frequency and the peak."""
+    """Plan a sine through these points (frequency, lowest, highest voltage), named by first frequency and peak."""
     voltage = through(points, seconds, limits)
     time = np.arange(len(voltage)) / limits.rate
     hz, top = points[:, 0], np.abs(voltage).max()
@@ -100,12 +101,12 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
 
 
 def in_order(recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False) -> tuple[Planned, ...]:
-    """With numbers before their names, the strokes at which each may follow, and every second one negative."""
+    """Number the recordings, add the strokes at which each may follow, and turn every second one where asked for."""
     bound = np.isfinite(limits.farthest) and len(recordings) > 1
     farther = growth([r.voltage for r in recordings], 1 / limits.rate, limits.band) if bound else []
-    found = []
+    ordered = []
     for k, r in enumerate(recordings, 1):
         go_on = limits.farthest / max(farther[k - 1], 1.0) if bound and k > 1 else np.inf
         sign = -1.0 if alternate and k % 2 == 0 else 1.0
-        found.append(replace(r, name=f"{k:02d}_{r.name}", voltage=sign * r.voltage, go_on=go_on))
-    return tuple(found)
+        ordered.append(replace(r, name=f"{k:02d}_{r.name}", voltage=sign * r.voltage, go_on=go_on))
+    return tuple(ordered)

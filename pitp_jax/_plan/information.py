@@ -1,4 +1,4 @@
-"""What recordings tell of a model's trained numbers, and which tell most of what is to be predicted.
+"""Choose the recordings that tell most of what is to be predicted, by what each tells of a model's trained numbers.
 
     Lambda = sum_r M_r,   M_r = J_r' J_r,        J: a free run's answer to the numbers, in units of its error
     v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the drives to be predicted
@@ -24,37 +24,38 @@ class Choice:
     variance: float
 
 
-def variance(precision: np.ndarray, judged: np.ndarray) -> float:
-    """tr(Lambda^-1 G) for (P, P) matrices."""
+def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
+    """Compute tr(Lambda^-1 G) for (P, P) matrices."""
     size = len(precision)
     return float(
-        np.trace(cho_solve(cho_factor(precision + _JITTER * np.trace(precision) / size * np.eye(size)), judged))
+        np.trace(cho_solve(cho_factor(precision + _JITTER * np.trace(precision) / size * np.eye(size)), predicted))
     )
 
 
-def gains(precision: np.ndarray, candidates: Sequence[np.ndarray], judged: np.ndarray) -> np.ndarray:
-    """V(c) of every candidate's information M_c, shape (candidates,)."""
-    return np.array([variance(precision + c, judged) for c in candidates])
+def gains(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray) -> np.ndarray:
+    """Compute v(c) of every candidate's information M_c, shape (candidates,)."""
+    return np.array([variance(precision + c, predicted) for c in candidates])
 
 
 def choose(
-    precision: np.ndarray, candidates: Sequence[np.ndarray], judged: np.ndarray, count: int, *, again: bool = False
+    precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray, count: int, *, again: bool = False
 ) -> list[Choice]:
-    """Greedily the `count` candidates that lower the mean variance most, in that order.
+    """Choose greedily the `count` candidates that lower the mean variance most, in that order.
 
     Args:
         precision: Lambda before, shape (P, P).
         candidates: M_c, shape (P, P) each.
-        judged: G, shape (P, P).
+        predicted: G, shape (P, P).
         count: how many, at most all.
         again: whether a candidate may be taken twice.
     """
-    left, taken = list(range(len(candidates))), []
-    while left and len(taken) < count:
-        after = gains(precision, [candidates[k] for k in left], judged)
+    # one at a time: all subsets of 48 would be too many, and two candidates that tell the same are not both taken
+    remaining, taken = list(range(len(candidates))), []
+    while remaining and len(taken) < count:
+        after = gains(precision, [candidates[k] for k in remaining], predicted)
         best = int(np.argmin(after))
-        taken.append(Choice(left[best], float(after[best])))
-        precision = precision + candidates[left[best]]
+        taken.append(Choice(remaining[best], float(after[best])))
+        precision = precision + candidates[remaining[best]]
         if not again:
-            left.pop(best)
+            remaining.pop(best)
     return taken

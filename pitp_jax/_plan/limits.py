@@ -1,4 +1,4 @@
-"""What a rig and a membrane allow a planned recording.
+"""Keep what a rig and a membrane allow a planned recording.
 
     low <= u <= high,   |u'| <= slew,   |x| <= farthest,   f_low <= f <= f_high <= rate / 20
 
@@ -13,7 +13,7 @@ from .._errors import BadInput
 _PER_PERIOD = 20  # samples a period of the highest frequency: a tenth of Nyquist
 _DEFAULT_RATE = 100.0  # samples a period where no rate is given
 _PERIODS = 2.0  # of the lowest frequency that a recording must hold
-_RAMPS = 0.5  # share of a recording that its two ramps may take
+_RAMPS = 0.5  # fraction of a recording that its two ramps may take
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Limits:
         return max(_PERIODS / self.band[0], 2 * self.ramp(self.high) / _RAMPS)
 
     def ramp(self, volts: float) -> float:
-        """Seconds of a smooth step of so many volts: its steepest slope is 15/8 of the mean one, kept under the slew.
+        """Compute the seconds of a smooth step of so many volts, whose steepest slope is 15/8 of the mean one.
 
         And not faster than half a period of the highest frequency, so that a step excites no more than the band.
         """
@@ -75,6 +75,6 @@ class Limits:
 
 
 def default_rate(high_hz: float) -> float:
-    """A hundred samples a period of the highest frequency, two digits."""
+    """Choose a hundred samples a period of the highest frequency, rounded up to two digits."""
     digits = 10.0 ** math.floor(math.log10(_DEFAULT_RATE * high_hz) - 1)
     return math.ceil(_DEFAULT_RATE * high_hz / digits - 1e-9) * digits

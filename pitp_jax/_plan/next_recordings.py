@@ -1,10 +1,10 @@
-"""The next recordings for a trained model: among candidates, or among recordings that exist.
+"""Choose the next recordings for a trained model: among candidates, or among recordings that exist.
 
     taken one after another, each the one that lowers v most, until what it lowers is below what could be seen:
     1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
 
 v: mean variance of the predictions (`information`), e: what the model leaves of its records, noise included, both in %
-of a recording's range. Refinement of a fit stops at the same share.
+of a recording's range. Refinement of a fit stops at the same fraction.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from .information import choose, variance
 from .limits import Limits
 from .strokes import strokes
 
-_CANDIDATES, _JUDGED = 48, 16  # drives to choose among, and drives to be predicted
+_CANDIDATES, _PREDICTED = 48, 16  # drives to choose among, and drives to be predicted
 _SEEN = 0.01
 
 
@@ -37,32 +37,33 @@ class Next:
 
 
 def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[list[Planned], tuple[str, ...]]:
-    """Drives whose predicted stroke stays below the limit with half the damping too, and a note about the others.
+    """Keep drives whose predicted stroke stays below the limit with half the damping too; and note the others.
 
     Raises:
         BadInput: none does.
     """
-    told = strokes(model, [d.voltage for d in drives], 1 / limits.rate)
+    reached = strokes(model, [d.voltage for d in drives], 1 / limits.rate)
     kept = [
         replace(d, stroke=float(own), stroke_half_damped=float(half))
-        for d, (own, half) in zip(drives, told, strict=True)
+        for d, (own, half) in zip(drives, reached, strict=True)
         if np.isfinite(own) and max(own, half) <= limits.farthest
     ]
     if not kept:
         raise BadInput(
             f"--max-displacement {1e3 * limits.farthest:g} mm: every drive is predicted to exceed it (the gentlest "
-            f"{1e3 * told.max(1).min():.3g} mm with half the damping); lower --max-voltage"
+            f"{1e3 * reached.max(1).min():.3g} mm with half the damping); lower --max-voltage"
         )
     out = len(drives) - len(kept)
     return kept, (f"{out} of {len(drives)} drives left out: their predicted stroke exceeds the limit",) if out else ()
 
 
 def following(model: Model, records: Sequence[Record], limits: Limits, length: float, seed: int) -> Next:
-    """Of candidates that fill frequency, swing and bias those that lower the expected error under such drives.
+    """Choose of candidates that fill frequency, swing and bias those that lower the expected error under such drives.
 
     Raises:
         BadInput: a length shorter than one recording, or no drive within the stroke allowed.
     """
+    # of one length, so that what a candidate lowers compares with what another does
     one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / FEWEST))
     count = int(length / one * (1 + 1e-9))
     if count < 1:
@@ -70,12 +71,13 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     points = space_filling(_CANDIDATES * POINTS, limits, seed)
     tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
     tried, notes = bearable(model, tried, limits)
-    wanted = [drive(p[None], one, limits) for p in space_filling(_JUDGED, limits, seed + 1)]
+    # other points than the candidates': those would all predict themselves best
+    wanted = [drive(p[None], one, limits) for p in space_filling(_PREDICTED, limits, seed + 1)]
     known = knowledge(model, records)
-    told, judged = (
+    offered, predicted = (
         motions(model, [d.voltage for d in some], 1 / limits.rate, floor=known.floor) for some in (tried, wanted)
     )
-    places, expected, worth = greedy(known, told, judged, np.full(len(tried), one), count)
+    places, expected, worth = greedy(known, offered, predicted, np.full(len(tried), one), count)
     chosen = [
         replace(tried[k], purpose=f"{tried[k].purpose.split(':')[0]}: {_lowered(expected, j)}")
         for j, k in enumerate(places)
@@ -84,21 +86,21 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
 
 
 def ranked(model: Model, records: Sequence[Record], others: Sequence[Record], duration: float | None) -> Next:
-    """Existing recordings, or the first `duration` seconds of each, by how they lower the expected error on all."""
+    """Rank existing recordings, or the first `duration` seconds of each, by how they lower the error on all."""
     dt = others[0].dt
     size = None if duration is None else round(duration / dt)
     cut, whole = [r.voltage[:size] for r in others], [r.voltage for r in others]
     known = knowledge(model, records)
-    told = motions(model, cut, dt, floor=known.floor)
-    judged = told if size is None else motions(model, whole, dt, floor=known.floor)
+    offered = motions(model, cut, dt, floor=known.floor)
+    predicted = offered if size is None else motions(model, whole, dt, floor=known.floor)
     seconds = np.array([len(u) * dt for u in cut])
-    places, expected, worth = greedy(known, told, judged, seconds, len(cut))
-    found = []
+    places, expected, worth = greedy(known, offered, predicted, seconds, len(cut))
+    planned = []
     for j, k in enumerate(places):
-        clock, stroke = np.arange(len(cut[k])) * dt, float(told.stroke[k])
+        clock, stroke = np.arange(len(cut[k])) * dt, float(offered.stroke[k])
         purpose = f"rank {j + 1}: {_lowered(expected, j)}"
-        found.append(Planned(others[k].name, "existing", purpose, clock, cut[k], 0.0, stroke))
-    return Next(tuple(found), expected, worth)
+        planned.append(Planned(others[k].name, "existing", purpose, clock, cut[k], 0.0, stroke))
+    return Next(tuple(planned), expected, worth)
 
 
 def _lowered(expected: Sequence[float], j: int) -> str:
@@ -106,12 +108,13 @@ def _lowered(expected: Sequence[float], j: int) -> str:
 
 
 def greedy(
-    known: Knowledge, told: Motions, judged: Motions, seconds: np.ndarray, count: int
+    known: Knowledge, offered: Motions, predicted: Motions, seconds: np.ndarray, count: int
 ) -> tuple[list[int], tuple[float, ...], int]:
-    """Places of `count` candidates, expected error in % before and after each, and how many lower it visibly."""
-    g = np.mean([m for m, ok in zip(judged.information, judged.finite, strict=True) if ok], axis=0)
-    found = choose(known.precision, [t * m for t, m in zip(seconds, told.information, strict=True)], g, count)
-    v = known.unit * np.array([variance(known.precision, g), *(c.variance for c in found)])
+    """Choose `count` candidates: places, expected error in % before and after each, and how many lower it visibly."""
+    g = np.mean([m for m, ok in zip(predicted.information, predicted.finite, strict=True) if ok], axis=0)
+    taken = choose(known.precision, [t * m for t, m in zip(seconds, offered.information, strict=True)], g, count)
+    v = known.unit * np.array([variance(known.precision, g), *(c.variance for c in taken)])
+    # beside what the model leaves anyway: a variance that falls below that is not seen in any measured error
     seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= _SEEN
-    worth = len(found) if seen.all() else int(np.argmin(seen))
-    return [c.place for c in found], tuple(map(float, np.sqrt(v))), worth
+    worth = len(taken) if seen.all() else int(np.argmin(seen))
+    return [c.place for c in taken], tuple(map(float, np.sqrt(v))), worth

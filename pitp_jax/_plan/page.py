@@ -1,4 +1,4 @@
-"""The page of a plan: what to play, in which order, what each recording is for, and when to stop."""
+"""Write the page of a plan: what to play, in which order, what each recording is for, and when to stop."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,10 +14,10 @@ from .strokes import LEAST_DAMPING
 
 
 def page(plan: Plan, model: str = "") -> str:
-    """A self-contained HTML page.
+    """Write a self-contained HTML page.
 
     Args:
-        plan: what `plan` found.
+        plan: of `plan`.
         model: file of the model it is for; empty for a first session.
     """
     title = headline(plan, bool(model))
@@ -34,7 +34,7 @@ def page(plan: Plan, model: str = "") -> str:
 
 
 def headline(plan: Plan, modelled: bool) -> str:
-    """The plan in one line."""
+    """Say the plan in one line."""
     if plan.stop:
         return "Stop: another recording would not lower the error visibly"
     what = "more recordings" if modelled else "recordings"

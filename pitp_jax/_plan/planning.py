@@ -1,4 +1,4 @@
-"""`plan`: which recordings to take, before there is a model, and with one.
+"""Plan which recordings to take, before there is a model, and with one.
 
 nothing yet            first_session: growth, sweep, space-filling set, repeats
 an identified model    space_filling_set within its limits and the stroke allowed
@@ -31,7 +31,7 @@ _BAND = (0.05, 1.3)  # of a model's resonance, where no band is given
 
 @dataclass(frozen=True, repr=False)
 class Plan(Shown):
-    """What `plan` found.
+    """Recordings to take, and what they are expected to bring.
 
     Attributes:
         recordings: to take, in this order; existing ones all, the best first.
@@ -50,14 +50,14 @@ class Plan(Shown):
 
     @property
     def seconds(self) -> float:
-        """Of drive, rests not counted."""
+        """Seconds of drive, rests not counted."""
         return sum(r.seconds for r in self.recordings)
 
     def _rows(self) -> list[dict]:
         return self.as_json()["recordings"]
 
     def as_json(self) -> dict:
-        """The plan for machines; what is not known is null."""
+        """Write the plan for machines; what is not known is null."""
         low, high = self.limits.low, self.limits.high
         return {
             "limits": {"voltage": [low, high], "slew": self.limits.slew, "displacement_m": self.limits.farthest,
@@ -125,27 +125,28 @@ def plan(
     length = duration or default_duration(limits, fresh=model is None)
     if model is None:
         return _played(first_session(limits, length, seed), limits, alternate)
-    if not trained(model):
+    if not trained(model):  # a linear model knows how far a drive goes, but not what it lacks
         filling, notes = bearable(model, space_filling_set(limits, length, seed), limits)
         return _played(filling, limits, alternate, notes=notes)
     if not records:
         raise BadInput("a trained model says what it lacks only beside the records it was trained on: give them too")
-    found, notes = following(model, records, limits, length, seed), ()
-    if 0 < found.worth < len(found.recordings):
+    chosen, notes = following(model, records, limits, length, seed), ()
+    if 0 < chosen.worth < len(chosen.recordings):
         notes = ("after these another recording would not lower the error visibly",)
-    taken, expected = found.recordings[: found.worth], found.expected[: found.worth + 1]
-    return _played(taken, limits, alternate, expected=expected, stop=not taken, notes=found.notes + notes)
+    taken, expected = chosen.recordings[: chosen.worth], chosen.expected[: chosen.worth + 1]
+    return _played(taken, limits, alternate, expected=expected, stop=not taken, notes=chosen.notes + notes)
 
 
-def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, **told) -> Plan:
-    """Drives numbered, every second one turned over where asked for and the force is the same."""
+def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, **remarks) -> Plan:
+    """Number the drives, every second one turned over where asked for and the force is the same."""
+    # from 0 V up the input is squared; of either sign it is not, and a turned drive is another one
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits
-    return Plan(in_order(drives, limits, alternate=alternate), kept, **told)
+    return Plan(in_order(drives, limits, alternate=alternate), kept, **remarks)
 
 
 def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None) -> Plan:
-    """Existing recordings, the best first.
+    """Rank existing recordings, the best first.
 
     Raises:
         BadInput: no trained model, or none of its records.
@@ -153,22 +154,22 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
     if model is None or not trained(model) or not records:
         raise BadInput("--choose-from needs a trained model and the records it was trained on")
     check_set([*records, *others])
-    found, dt = ranked(model, records, others, duration), others[0].dt
-    played = [r.voltage for r in found.recordings]
+    best, dt = ranked(model, records, others, duration), others[0].dt
+    played = [r.voltage for r in best.recordings]
     low, high = min(0.0, *(float(u.min()) for u in played)), max(float(np.abs(u).max()) for u in played)
-    slew = max(r.slew for r in found.recordings)
-    limits = Limits(low, high, slew, np.inf, (1 / max(r.seconds for r in found.recordings), 0.05 / dt), 1 / dt, 0.0)
-    worth = f"the first {found.worth} of {len(played)} would lower the error visibly"
-    return Plan(found.recordings, limits, found.expected, found.worth == 0, (worth,))
+    slew = max(r.slew for r in best.recordings)
+    limits = Limits(low, high, slew, np.inf, (1 / max(r.seconds for r in best.recordings), 0.05 / dt), 1 / dt, 0.0)
+    worth = f"the first {best.worth} of {len(played)} would lower the error visibly"
+    return Plan(best.recordings, limits, best.expected, best.worth == 0, (worth,))
 
 
 def trained(model: Model) -> bool:
-    """Whether a model has an encoder whose numbers records can tell of."""
+    """Tell whether a model has an encoder, whose numbers more records make surer."""
     return not isinstance(model.encoder, ConstantEncoder)
 
 
 def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) -> Limits:
-    """Those given, else the model's.
+    """Choose the limits given, else the model's.
 
     Raises:
         BadInput: one is missing.
@@ -178,6 +179,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) ->
         raise BadInput(f"a first session needs {' and '.join(missing)}: what the amplifier and the membrane bear")
     low, high = (0.0, 0.0) if model is None else model.provenance.voltage_range
     one_sided = model is None or model.input_map.one_sided
+    # behind a square a negative voltage was as good as a positive one
     high, low = max(high, -low) if one_sided else high, 0.0 if one_sided else min(low, 0.0)
     if max_voltage is not None:
         high, low = max_voltage, max(low, -max_voltage)
@@ -188,6 +190,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) ->
     rate = rate or (default_rate(band[1]) if model is None else 1 / model.provenance.dt)
     if max_slew is None:
         seen = np.inf if model is None else model.provenance.slew
+        # of a sine over the whole range at the highest frequency, the steepest of what is planned
         max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement
     return Limits(low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest))

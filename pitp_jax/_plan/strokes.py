@@ -1,4 +1,4 @@
-"""How far a drive moves an actuator: on a model, on the same with half its damping, and where there is no model yet.
+"""Predict how far a drive moves an actuator: on a model, on one with half its damping, and where there is no model yet.
 
     x'' + 2 zeta w x' + w^2 x = w^2 u^2        zeta = 0.01, any w of the band: without a model, up to one factor
 
@@ -21,7 +21,7 @@ _TRIES, _MARGIN = 12, 0.98
 
 
 def half_damped(model: Model) -> Model:
-    """The model whose nominal resonances ring twice as long; its stiffness stays."""
+    """Make the nominal's resonances ring twice as long; its stiffness stays."""
     a = model.physical_coefficients
     poles = np.roots(a[::-1])
     rings = np.abs(poles.imag) > 0
@@ -33,7 +33,7 @@ def half_damped(model: Model) -> Model:
 
 
 def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarray:
-    """Largest |x| (m) under each voltage, on the model and on the half damped one; infinite where it runs away.
+    """Predict the largest |x| (m) under each voltage, on the model and half damped; infinite where it runs away.
 
     Args:
         model: any.
@@ -43,12 +43,12 @@ def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarr
     Returns:
         shape (voltages, 2).
     """
-    told = [motions(m, list(voltages), dt, slopes=False) for m in (model, half_damped(model))]
-    return np.stack([np.where(t.finite, t.stroke, np.inf) for t in told], 1)
+    played = [motions(m, list(voltages), dt, slopes=False) for m in (model, half_damped(model))]
+    return np.stack([np.where(p.finite, p.stroke, np.inf) for p in played], 1)
 
 
 def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: float, slew: float) -> np.ndarray | None:
-    """The voltage made smaller, as a whole, until both strokes and the slew are kept; None if it cannot be.
+    """Make the voltage smaller, as a whole, until both strokes and the slew are kept; None if it cannot be.
 
     Args:
         model: any.
@@ -63,13 +63,13 @@ def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: flo
         reached = float(strokes(model, [scale * voltage], dt).max())
         if reached <= farthest:
             return scale * voltage
-        power = 0.5 if model.input_map.one_sided else 1.0
+        power = 0.5 if model.input_map.one_sided else 1.0  # a stroke goes with the force, about; the force with u^2
         scale *= max((_MARGIN * farthest / reached) ** power, 0.1) if np.isfinite(reached) else 0.5
     return None
 
 
 def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:
-    """How much farther than all before it a drive may go, at worst, on an actuator of damping 0.01; shape (voltages,).
+    """Compute how much farther than all before it a drive may go at worst, damping 0.01; shape (voltages,).
 
     Args:
         voltages: V, in the order of playing.
@@ -78,6 +78,7 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
     """
     forces = [u * u for u in voltages]
     places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)
+    # a resonance of damping 0.01 is narrower than the grid: on a line of some drive it would be missed
     places = np.unique(np.concatenate([places, *(_lines(f, dt, band) for f in forces)]))
     reached = np.array([[_stroke(f, hz, dt) for hz in places] for f in forces])
     before = np.maximum.accumulate(reached, 0)[:-1]
@@ -87,7 +88,7 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
 
 
 def _lines(force: np.ndarray, dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Frequencies of the largest lines of a force, Hz."""
+    """Find the frequencies of the largest lines of a force, Hz."""
     size = np.abs(np.fft.rfft(force - force.mean()))
     hz = np.fft.rfftfreq(len(force), dt)
     peaks = find_peaks(size)[0]

@@ -1,4 +1,4 @@
-"""Integration of a virtual actuator between the samples of its voltage.
+"""Integrate a virtual actuator between the samples of its voltage.
 
     y' = f(y, u(t)),    u(t_i + s) = u_i + s (u_{i+1} - u_i) / dt  (foh)    or    u_i  (zoh),    0 <= s < dt
 
@@ -20,12 +20,12 @@ _PHASE_STEP = 0.03  # largest angle of the natural frequency per Runge-Kutta ste
 
 
 def substeps(plant: Plant, dt: float) -> int:
-    """Runge-Kutta steps per sample of `dt` s, at most 0.03 rad of the natural frequency each."""
+    """Count the Runge-Kutta steps per sample of `dt` s, at most 0.03 rad of the natural frequency each."""
     return max(1, math.ceil(2.0 * math.pi * plant.resonance_hz * dt / _PHASE_STEP))
 
 
 def rest(plant):
-    """The state at rest, shape (2 + branches,)."""
+    """Return the state at rest, shape (2 + branches,)."""
     return jnp.zeros(2 + len(plant.branches))
 
 
@@ -61,7 +61,7 @@ def advance(plant: Plant, state, u0, u1, *, dt, count: int, hold: str):
 
 @partial(jax.jit, static_argnums=(0, 3, 4))
 def fixed(plant, voltage, dt, count, hold):
-    """Fixed steps: voltage (R, T) in V to displacement (R, T) in m."""
+    """Integrate with fixed steps: voltage (R, T) in V to displacement (R, T) in m."""
 
     def one(row):
         def body(state, pair):
@@ -70,18 +70,20 @@ def fixed(plant, voltage, dt, count, hold):
         return jax.lax.scan(body, rest(plant), (row[:-1], row[1:]))[1]
 
     moved = jax.vmap(one)(voltage)
+    # the scan gives the ends of samples; every record begins at rest, x = 0
     return jnp.pad(moved, ((0, 0), (1, 0)))
 
 
 @partial(jax.jit, static_argnums=(0, 3))
 def adaptive(plant, voltage, dt, hold):
-    """Adaptive steps: voltage (T,) in V to displacement (T,) in m."""
+    """Integrate with adaptive steps: voltage (T,) in V to displacement (T,) in m."""
     last = len(voltage) - 2
     grid = dt * jnp.arange(len(voltage))
 
     def rate(t, y, _):
         i = jnp.floor(t / dt).astype(int)
         i = jnp.clip(i - (t < grid[i]) + (t >= grid[i + 1]), 0, last)  # t / dt may round across a sample
+        # a held voltage jumps at samples only, where the controller is told to stop (`jump_ts`)
         part = t / dt - i if hold == "foh" else 0.0
         return plant.derivative(y, voltage[i] + part * (voltage[i + 1] - voltage[i]))
 
@@ -92,10 +94,10 @@ def adaptive(plant, voltage, dt, hold):
         diffrax.Dopri8(),
         t0=0.0,
         t1=grid[-1],
-        dt0=None,
+        dt0=None,  # the controller's own first step: a roll and a cone differ by a factor 20 in time
         y0=rest(plant),
         saveat=diffrax.SaveAt(ts=grid, fn=lambda t, y, args: y[0]),
         stepsize_controller=control,
-        max_steps=None,
+        max_steps=None,  # at least one step a sample, of records of any length
     )
     return solution.ys * plant.scale

@@ -29,7 +29,7 @@ GRAVITY = 9.81  # m/s^2
 
 
 def _root(function, low: float, high: float) -> float:
-    """The one root of a function of z (m) between two ends of opposite sign."""
+    """Find the one root of a function of z (m) between two ends of opposite sign."""
     return float(cast(float, brentq(function, low, high, xtol=1e-15)))
 
 
@@ -44,7 +44,7 @@ class ConeGeometry:
     width: float
 
     def stretch(self, z):
-        """Squared active stretch q and its slope dq/dz (1/m) at the distance z (m) from the flat shape."""
+        """Compute the squared active stretch q and its slope dq/dz (1/m) at the distance z (m) from the flat shape."""
         return 1.0 + (z / self.width) ** 2, 2.0 * z / self.width**2
 
 
@@ -59,7 +59,7 @@ class RollGeometry:
     width: float
 
     def stretch(self, z):
-        """Squared active stretch q and its slope dq/dz (1/m) at the elongation z (m)."""
+        """Compute the squared active stretch q and its slope dq/dz (1/m) at the elongation z (m)."""
         return (1.0 + z / self.width) ** 2, 2.0 * (1.0 + z / self.width) / self.width
 
 
@@ -109,28 +109,31 @@ class Plant:
     @cached_property
     def last_position(self) -> float:
         """The position in m at which the Gent spring locks (less 1 %), or four widths."""
+        # I grows with z beyond the prestretch, so the first point over the limit is the one below which z may move
         z = np.linspace(0.0, 4.0 * self.geometry.width, 4001)
         return float(z[np.searchsorted(self._invariant(self.geometry.stretch(z)[0]), 0.99 * self.limit) - 1])
 
     def _invariant(self, q):
-        """I = I_1 - 3 of the membrane at the squared stretch q."""
+        """Compute I = I_1 - 3 of the membrane at the squared stretch q."""
+        # stretches p sqrt(q), p and, since the elastomer keeps its volume, 1 / (p^2 sqrt(q)), squared
         p2 = self.prestretch**2
         return p2 * q + p2 + 1.0 / (p2**2 * q) - 3.0
 
     def relaxed_force(self, z, u):
-        """Force in N towards larger z (m), at rest and relaxed, under u (V); any kind of array."""
+        """Compute the force in N towards larger z (m), at rest and relaxed, under u (V); any kind of array."""
         p2 = self.prestretch**2
         q, slope = self.geometry.stretch(z)
-        gent = self.limit / (self.limit - self._invariant(q))
+        gent = self.limit / (self.limit - self._invariant(q))  # stiffens without bound as the chains lock
+        # energy U(q): the force is U' dq/dz; of the capacitor, C q u^2 / 2 at constant voltage, likewise
         spring = 0.5 * self.spring * gent * (p2 - 1.0 / (p2 * q) ** 2) * slope
         return self.mass * GRAVITY - spring + 0.5 * self.capacitance * u**2 * slope
 
     def stretch_ratio(self, x):
-        """L: the squared stretch at the displacement x (m) over that at rest."""
+        """Compute L: the squared stretch at the displacement x (m) over that at rest."""
         return self.geometry.stretch(self.rest_position + x)[0] / self.geometry.stretch(self.rest_position)[0]
 
     def static(self, u):
-        """Relaxed displacement at a constant voltage, after all creep.
+        """Solve for the relaxed displacement at a constant voltage, after all creep.
 
         Args:
             u: voltage in V, any shape.
@@ -140,11 +143,13 @@ class Plant:
         """
         u = np.asarray(u, dtype=np.float64)
         rest, last = self.rest_position, self.last_position
+        # voltage only adds to z; half the rest position is below every root, since gravity wins there
         roots = [_root(lambda z, v=v: self.relaxed_force(z, v), 0.5 * rest, last) - rest for v in u.ravel()]
         return np.asarray(roots).reshape(u.shape)[()]
 
     def derivative(self, state, u):
-        """Rate of the state (x / scale, x' / (scale/s), b_i - 1), shape (2 + branches,), under u (V)."""
+        """Compute the rate of the state (x / scale, x' / (scale/s), b_i - 1), shape (2 + branches,), under u (V)."""
+        # b_i - 1, so that the state at rest is zero and small creep keeps its digits
         x, v = state[0] * self.scale, state[1] * self.scale
         strength, tau = jnp.asarray(self.branches, dtype=state.dtype).T
         q, slope = self.geometry.stretch(self.rest_position + x)
@@ -157,9 +162,9 @@ class Plant:
         return jnp.concatenate([mechanics, (ratio - b**2 / ratio) / (2.0 * tau)])
 
     def linearised(self, u: float = 0.0) -> np.ndarray:
-        """Jacobian of `derivative` in the relaxed equilibrium under u (V), shape (2 + branches,) twice."""
+        """Compute the Jacobian of `derivative` in the relaxed equilibrium under u (V), shape (2 + branches,) twice."""
         x = float(self.static(u))
-        grown = self.stretch_ratio(x)
+        grown = self.stretch_ratio(x)  # relaxed: every branch has followed, b_i = L
         with jax.enable_x64(True):
             state = jnp.asarray([x / self.scale, 0.0] + [grown - 1.0] * len(self.branches))
             return np.asarray(jax.jacfwd(self.derivative)(state, u))

@@ -1,4 +1,4 @@
-"""Virtual actuators after the paper's four (section III): known truth for demo, tests and experiments.
+"""Simulate virtual actuators after the paper's four (section III): known truth for demo, tests and experiments.
 
     u(t) between samples ──▶ equations of `physics` ──▶ x(t_i) ──▶ + noise, read in 16 bit
 
@@ -66,7 +66,7 @@ _HOLDS = ("foh", "zoh")
 
 
 def plant(name: str) -> Plant:
-    """The virtual actuator of that name.
+    """Look up the virtual actuator of that name.
 
     Args:
         name: `cone100`, `cone122`, `cone150` (acrylic, under 100, 122, 150 g) or `roll` (silicone).
@@ -87,7 +87,7 @@ def plant(name: str) -> Plant:
 
 
 def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "fixed") -> np.ndarray:
-    """Noise-free displacement under a sampled voltage, from rest with all branches relaxed.
+    """Simulate the noise-free displacement under a sampled voltage, from rest with all branches relaxed.
 
     Args:
         plant: the virtual actuator.
@@ -113,13 +113,15 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     _one_of("hold", hold, _HOLDS)
     _one_of("method", method, ("fixed", "adaptive"))
     rows = voltage.reshape(-1, len(time))
+    # in float32 rounding would add up to more than the 1e-7 of the range that the steps leave
     with jax.enable_x64(True):
         if method == "fixed":
             x = fixed(plant, rows, dt, substeps(plant, dt), hold)
         else:
             x = jnp.stack([adaptive(plant, row, dt, hold) for row in rows])
         x = np.asarray(x)
-    if not (plant.rest_position + x < plant.last_position).all():  # nan fails too
+    # beyond it the Gent spring would change its sign, and the motion mean nothing; nan fails too
+    if not (plant.rest_position + x < plant.last_position).all():
         raise ComputationFailed(
             f"{plant.name} left the range of its spring: keep the voltage below {plant.max_voltage:g} V"
         )
@@ -129,7 +131,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
 def record(
     plant: Plant, excitation_name: str, time, voltage, *, seed: int, noise: bool = True, hold: str = "foh"
 ) -> Record:
-    """One measured record of a virtual actuator.
+    """Measure one record of a virtual actuator.
 
     Args:
         plant: the virtual actuator.
@@ -153,15 +155,16 @@ def record(
     """
     displacement = simulate(plant, time, voltage, hold=hold)
     if noise:
+        # a checksum, since Python's `hash` of a text differs from session to session
         rng = np.random.default_rng([seed, zlib.crc32(f"{plant.name}/{excitation_name}".encode())])
-        digit = 2.0 * plant.sensor_range / 2**16
+        digit = 2.0 * plant.sensor_range / 2**16  # noise first, then rounding and clipping, as a converter reads
         noisy = displacement + plant.noise_std * rng.standard_normal(displacement.shape)
         displacement = np.clip(np.round(noisy / digit), -(2**15), 2**15 - 1) * digit
     return Record(excitation_name, time, voltage, displacement, source=f"virtual actuator {plant.name}")
 
 
 def stepper(plant: Plant, *, hold: str = "foh"):
-    """The plant one sample at a time, for experiments that close a loop around it.
+    """Build a step of the plant by one sample, for experiments that close a loop around it.
 
     Args:
         plant: the virtual actuator; a sample lasts 1 / `plant.rate_hz`.
@@ -186,10 +189,11 @@ def stepper(plant: Plant, *, hold: str = "foh"):
 
 
 def _interval(time, voltage) -> float:
-    """Sampling interval in s; refuses what cannot be one record."""
+    """Compute the sampling interval in s; refuse what cannot be one record."""
     if time.ndim != 1 or len(time) < 2 or voltage.shape[-1:] != time.shape:
         raise ValueError(f"time must be (T,) and voltage (..., T), T > 1; got {time.shape} and {voltage.shape}")
     dt = float((time[-1] - time[0]) / (len(time) - 1))
+    # the scan knows one dt: a jitter of a hundredth is that of a logged clock, more is another experiment
     if dt <= 0.0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
         raise ValueError("time must increase uniformly, to 1 % of a sample")
     return dt

@@ -19,7 +19,7 @@ from .checks import MIN_SAMPLES
 from .record import Record
 
 Begins = Literal["rest", "held", "moving"]
-INITIAL_SAMPLES = 50
+INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
 _STILL, _SMALL = 10.0, 0.2
 _WINDOWS, _FEWEST = (7, 12, 24, 48), 6  # samples a first state is fitted over; and how many of them must be observed
 

@@ -22,6 +22,7 @@ from .._table.formats import split_suffix
 from .._table.guard import cleaned
 from .._table.options import FOLDER_FILE as FOLDER_FILE
 from .._table.options import OPTIONS
+from .._table.robot import is_bag
 from .._table.units import base_unit, from_base
 from .checks import TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
@@ -78,7 +79,8 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     a file, and that over what is recognised.
 
     Args:
-        *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`) and folders.
+        *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`, `.parquet`, `.mcap`), rosbag2 folders, and
+            folders of them.
         **said: by name, all optional. `time_column`, `input_column`, `output_column`: exact headers. `time_unit`,
             `input_unit`, `output_unit`: over what the file says. `input_scale`: of an amplifier's monitor (1 V per
             kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
@@ -221,7 +223,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
         raise BadInput("no records given; name at least one file or folder")
     files: list[Path] = []
     for path in map(_existing, paths):
-        if not path.is_dir():
+        if not path.is_dir() or is_bag(path):
             files.append(path)
             continue
         try:
@@ -243,7 +245,9 @@ def _is_record(file: Path) -> bool:
     """Whether a file in a folder is taken: a known suffix, not hidden, no read-me beside the recordings."""
     stem, suffix = split_suffix(file.name)
     note = suffix.lower() == ".txt" and stem.lower().replace("-", "").replace("_", "") in _NOTES
-    return os.path.isfile(file) and not file.name.startswith((".", "~$")) and bool(suffix) and not note
+    return is_bag(file) or (
+        os.path.isfile(file) and not file.name.startswith((".", "~$")) and bool(suffix) and not note
+    )
 
 
 def names_of(files: Sequence[Path]) -> list[str]:

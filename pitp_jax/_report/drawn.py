@@ -1,25 +1,37 @@
 """The numbers of a figure as a table: every line, point and bar of every axes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from .._record.writing import write_text_atomic
+from .._record.writing import write_csv, write_text_atomic
+
+FIGURES = "figures"  # below the folder of a page: figures and their numbers, never beside recordings
 
 
-def write_figure(folder: Path, name: str, drawn: Figure) -> None:
-    """Write `NAME.png` and `NAME.csv` (axes, series, x, y) into a folder, which is made if it is missing.
+def write_figure(folder: Path, name: str, drawn: Figure, columns: Mapping[str, np.ndarray] | None = None) -> None:
+    """Write `figures/NAME.png` and its numbers as `figures/NAME.csv` into a folder.
+
+    Args:
+        folder: where `figures/` is made if it is missing.
+        name: of the figure.
+        drawn: it.
+        columns: its numbers; None takes what its axes hold (axes, series, x, y).
 
     Raises:
         BadInput: a file cannot be written.
     """
-    folder.mkdir(exist_ok=True)
-    drawn.savefig(folder / f"{name}.png", dpi=150)
+    home = folder / FIGURES
+    home.mkdir(exist_ok=True)
+    drawn.savefig(home / f"{name}.png", dpi=150)
+    if columns is not None:
+        write_csv(home / f"{name}.csv", columns)
+        return
     rows = [",".join((*map(_quoted, row[:2]), *(f"{v:.9g}" for v in row[2:]))) for row in _rows(drawn)]
-    write_text_atomic(folder / f"{name}.csv", "\n".join(["axes,series,x,y", *rows]) + "\n")
+    write_text_atomic(home / f"{name}.csv", "\n".join(["axes,series,x,y", *rows]) + "\n")
 
 
 def _rows(drawn: Figure) -> Iterator[tuple[str, str, float, float]]:

@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
+from urllib.parse import quote
 
 import numpy as np
 from matplotlib import rc_context
@@ -28,6 +29,7 @@ h1{font-size:1.75rem;line-height:1.2;margin:.1rem 0 .3rem}
 h2{font-size:1.2rem;margin:2.2rem 0 .5rem}
 h3{font-size:.8rem;text-transform:uppercase;letter-spacing:.07em;color:var(--soft);margin:0 0 .3rem}
 p{margin:.35rem 0;max-width:46rem}
+a{color:var(--model)}
 .lead{font-size:1.08rem}
 .soft,figcaption,small{color:var(--soft)}
 .explained{color:var(--good)}.unknown{color:var(--open)}
@@ -73,6 +75,11 @@ def page(title: str, parts: Iterable[str]) -> str:
 def tag(name: str, text: str, css: str = "") -> str:
     """An element around escaped text; no line breaks between a number and its %."""
     return f"<{name}{_class(css)}>{_text(text)}</{name}>"
+
+
+def link(place: str, text: str) -> str:
+    """A line that leads to another page, by its path from this one."""
+    return f'<p><a href="{escape(quote(place))}">{_text(place)}</a> {tag("span", text, "soft")}</p>'
 
 
 def _text(text: str) -> str:
@@ -147,6 +154,8 @@ def _made_small(drawn: Figure) -> None:
     """Text of at least 8.5 points on 3.55 inches (11 px on a screen of 390), lines of at most `_SAMPLES` samples."""
     wide, high = drawn.get_size_inches()
     drawn.set_size_inches(_INCHES, max(high * (_INCHES / wide) ** 0.7, 1.4))  # lower, labels leave no room to draw in
+    for ax in drawn.axes if len(drawn.axes) > 1 else ():
+        ax.set_ylabel(ax.get_ylabel().replace(" (", "\n("))  # two panels' labels would run into one another
     for axis in (a for ax in drawn.axes for a in (ax.xaxis, ax.yaxis) if a.get_scale() == "log"):
         axis.set_major_formatter(lambda value, _: f"{value:g}")  # a small exponent could not be read
         axis.set_minor_formatter(lambda value, _: "")

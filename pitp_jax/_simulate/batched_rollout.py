@@ -1,10 +1,9 @@
-"""The decoder's rollout at the speed of its arithmetic: the RK4 step of `decoder` over rows of records.
+"""Roll the decoder out at the speed of its arithmetic: the RK4 step of `decoder` over rows of records.
 
     s_{t+1} = s_t + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4),   tokens frozen at the drifted midpoint
 
-The states of `decoder.rollout` to rounding. One record is a chain of scalars, one kernel a step: 0.3 us instead of 1.1.
-Many records are rows, with walls behind clipping, hidden layers and tokens so that nothing is computed twice: 32
-records 4 us a step instead of 7-15.
+The states of `decoder.rollout` to rounding. One record is a chain of scalars, one kernel a step. Many records are rows,
+with walls behind the tokens so that nothing is computed twice (docs/decisions/decoder.md).
 """
 
 import jax
@@ -22,13 +21,14 @@ from .decoder import along, held, midpoint, motion_of, moved, rollout_batch, run
 def fast_rollout(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> Float[Array, "records time state"]:
-    """Scaled states at every sample of every record, as `decoder.rollout_batch`.
+    """Compute the scaled states at every sample of every record, as `decoder.rollout_batch`.
 
     Models with effects, or with an encoder too large to write out, take the plain way.
     """
     if not in_rows(model):
         return rollout_batch(model, voltage, dt, start)
     rest = ~jnp.any(start[:, : model.order], axis=1)
+    # the film's voltage depends on u alone: it is known for the whole record before the scan
     film = jax.vmap(lambda u, r: model.drive.film(u, dt, r))(voltage, rest)
     return rows_rollout(model, film, dt, start)
 
@@ -37,23 +37,24 @@ def fast_rollout(
 def free_runs(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> tuple[Float[Array, "records time state"], Float[Array, "records time"]]:
-    """Scaled states of every record, and what the sensor reads of them, in one program."""
+    """Compute the scaled states of every record, and what the sensor reads of them, in one program."""
     states = fast_rollout(model, voltage, dt, start)
     return states, jax.vmap(lambda s: ports.readings(model, s))(states)
 
 
 def in_rows(model: Model) -> bool:
-    """Whether a model's records can run as rows."""
+    """Tell whether a model's records can run as rows: no effects, and an encoder small enough to be written out."""
     return not model.effects and isinstance(plain(model.encoder), CompactEncoder | ConstantEncoder)
 
 
 def rows_rollout(
     model: Model, film: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> Float[Array, "records time state"]:
-    """The same from film voltages on; coefficients and an adapted encoder's factors may differ from row to row.
+    """Roll out from film voltages on; coefficients and an adapted encoder's factors may differ from row to row.
 
     They then have a last axis for the records.
     """
+    # records last: a scan steps over the first axis, and a row of records is contiguous
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)
     many, h = film.shape[0] > 1, dt / model.substeps
     logits, constant = model.encoder.over("records" if many else "instants"), motion_of(model)

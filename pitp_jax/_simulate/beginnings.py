@@ -1,4 +1,4 @@
-"""How a record begins beside a model, from its first samples: state, zero and direction.
+"""Find how a record begins beside a model, from its first samples: state, zero and direction.
 
     rest     x(0) = 0, uncharged                         zero: the level of the first samples
     held     tokens(x) x + offset = F(u(0)), memories settled there       zero: mean of y - d x
@@ -28,14 +28,14 @@ _AHEAD = 2048  # samples, of which beginning and direction are read
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # scaled displacements among which an equilibrium is sought
 _PLAIN = 20.0  # noise floors that a motion must exceed before it tells a direction
 _HALF = 0.5  # of what rest leaves: from where a record that begins at the zero of 0 V began under a held drive instead
-_EXPLAINED = 0.2  # share of the first samples' motion that a model may miss and still explain how they begin
+_EXPLAINED = 0.2  # fraction of the first samples' motion that a model may miss and still explain how they begin
 
 
 @jit
 def held_states(
     model: Model, voltage: Float[Array, " records"], dt: float, age: Float[Array, " records"]
 ) -> Float[Array, "records state"]:
-    """States settled for ever at these voltages; nan where the model has no equilibrium within ten scales.
+    """Solve for states settled for ever at these voltages; nan where no equilibrium lies within ten scales.
 
     One decoder step from (x, 0, ...) changes x^(n-1) by nothing at an equilibrium; the sign changes there.
     """
@@ -50,22 +50,23 @@ def held_states(
             return (step(model, state(x), stages, dt) - state(x))[model.order - 1]
 
         low, high = jnp.asarray(-_FAR, voltage.dtype), jnp.asarray(_FAR, voltage.dtype)
-        found = jnp.asarray(True)
+        exists = jnp.asarray(True)
+        # nested grids, not Newton: with a snapping film there are several equilibria, of which the nearest to 0 is met
         for _ in range(_ROUNDS):
             grid = jnp.linspace(low, high, _GRID)
             up = jax.vmap(change)(grid) > 0
-            turns = up[:-1] & ~up[1:]
+            turns = up[:-1] & ~up[1:]  # driven up below it and down above it: stable
             place = jnp.argmin(jnp.where(turns, jnp.abs(grid[:-1]), jnp.inf))
-            found = found & turns.any()
+            exists = exists & turns.any()
             low, high = grid[place], grid[place + 1]
-        return jnp.where(found, state((low + high) / 2), jnp.nan)
+        return jnp.where(exists, state((low + high) / 2), jnp.nan)
 
     return jax.vmap(one)(voltage, age)
 
 
 @jit
 def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, age: Float[Array, " records"]):
-    """States at rest and held, and the readings of the free runs from each: [(state, reading), (state, reading)]."""
+    """Run every record from rest and from held: [(states, readings), (states, readings)]."""
     starts = jax.vmap(lambda a: rest_state(model, a))(age), held_states(model, voltage[:, 0], dt, age)
     return [(s, jax.vmap(lambda r: ports.readings(model, r))(rollout_batch(model, voltage, dt, s))) for s in starts]
 
@@ -73,35 +74,37 @@ def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, 
 def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
 ) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
-    """How every record begins, and its state where that is rest or held (None: moving)."""
+    """Find how every record begins, and its state where that is rest or held (None: moving)."""
     dtype, size = model.coefficients.dtype, min(_AHEAD, max(r.samples for r in records))
     ends = [r.voltage[:size] for r in records]
     voltage = np.stack([np.pad(v, (0, size - len(v)), mode="edge") for v in ends])
     kinds: tuple[Begins, ...] = ("rest", "held")
-    found = _first_runs(model, on_device(voltage, dtype), records[0].dt, on_device(ages, dtype))
-    states = {kind: np.asarray(state) for kind, (state, _) in zip(kinds, found, strict=True)}
-    x = [np.asarray(run, np.float64) * model.scales.state[0] for _, run in found]
-    found = [_beginning(model, r, dict(zip(kinds, rows, strict=True))) for r, *rows in zip(records, *x, strict=True)]
-    return found, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(found)]
+    runs = _first_runs(model, on_device(voltage, dtype), records[0].dt, on_device(ages, dtype))
+    states = {kind: np.asarray(state) for kind, (state, _) in zip(kinds, runs, strict=True)}
+    x = [np.asarray(run, np.float64) * model.scales.state[0] for _, run in runs]
+    begun = [_beginning(model, r, dict(zip(kinds, rows, strict=True))) for r, *rows in zip(records, *x, strict=True)]
+    return begun, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(begun)]
 
 
 def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray]) -> Beginning:
-    """The kind whose run leaves least of the first samples; zero and direction with it."""
+    """Choose the kind whose run leaves least of the first samples; zero and direction with it."""
     zero, polarity, y = float(model.output.offset), float(model.output.polarity), record.displacement[:_AHEAD]
     noise, span = noise_std(record.displacement), np.nanmax(record.displacement) - np.nanmin(record.displacement)
     if not is_still(record):
         return Beginning("moving", polarity, zero, float("inf"))
     moved = np.abs(record.voltage[:_AHEAD] - record.voltage[0]) > 1e-3 * np.ptp(record.voltage)
     first = max(int(np.argmax(moved)) if moved.any() else len(y), min(INITIAL_SAMPLES, len(y)))
+    # the median of a few samples, so that one outlier is no level; 2 % of the range, so that hum is no motion
     plain = np.abs(y - np.nanmedian(y[:8])) > max(_PLAIN * noise, 0.02 * span)
     seen = min(max(int(np.argmax(plain)) + INITIAL_SAMPLES if plain.any() else len(y), first), len(y))
 
-    def left(begins: Begins, direction: float) -> float:
+    def unexplained(begins: Begins, direction: float) -> float:
         error = y[:seen] - direction * runs[begins][:seen]
+        # the deviation, since the record's own zero is not known yet
         return float(np.nanstd(error)) if np.isfinite(runs[begins][:seen]).all() else np.inf
 
-    kinds: tuple[Begins, ...] = ("rest", "held") if record.voltage[0] != 0 else ("rest",)
-    scores = {(b, d): left(b, d) for b in kinds for d in (polarity, -polarity)}
+    kinds: tuple[Begins, ...] = ("rest", "held") if record.voltage[0] != 0 else ("rest",)  # held at 0 V is rest
+    scores = {(b, d): unexplained(b, d) for b in kinds for d in (polarity, -polarity)}
     begins, direction = min((k for k in scores if k[1] == polarity), key=lambda k: scores[k])
     turned = min((k for k in scores if k[1] != polarity), key=lambda k: scores[k])
     explained = scores[turned] < _EXPLAINED * min(float(np.nanstd(y[:seen])), scores[begins, direction])

@@ -1,13 +1,12 @@
-"""Decoder: the model rolled out from a voltage (paper, eq. 7).
+"""Decode: roll the model out from a voltage (paper, eq. 7).
 
     tokens frozen over a step of size h:   x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4
     read where the state drifts to by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
 
-The voltage between samples is squared inside every stage (`_numerics.intersample`): on a healthy roll record zoh left
-three times the noise floor of foh. With frozen tokens a step is affine in the forces of its stages. Order 4
-for constant tokens. Tokens read at a step's beginning (the paper) make a hard spring pump energy, explicit Euler's
-w^2 h^2 / 2 a step: an encoder fitted to the equation error of the roll diverged. Half a step on costs nothing and is
-order 2 against the continuous-token ODE, but for what depends on x^(n-1) (order 1).
+The voltage between samples is squared inside every stage (`_numerics.intersample`). With frozen tokens a step is affine
+in the forces of its stages. Order 4 for constant tokens. Tokens read at a step's beginning (the paper) make a hard
+spring pump energy, explicit Euler's w^2 h^2 / 2 a step. Half a step on costs nothing and is order 2 against the
+continuous-token ODE, but for what depends on x^(n-1) (order 1). Figures: docs/decisions/decoder.md.
 """
 
 from collections.abc import Callable
@@ -31,17 +30,17 @@ UNROLLED = 4  # substeps written out one by one; 50 of them took minutes to comp
 
 
 def scaled_force(model: Model, voltage: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Force over force_scale."""
+    """Compute the force of a voltage, over force_scale."""
     return model.input_map.force(voltage) / jnp.asarray(model.scales.force, voltage.dtype)
 
 
 def film_voltage(model: Model, force: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The film voltage (V) behind a scaled force."""
+    """Compute the film voltage (V) behind a scaled force."""
     return model.input_map.voltage(force * jnp.asarray(model.scales.force, force.dtype))
 
 
 def stage_voltages(model: Model, film: Float[Array, " time"]) -> Float[Array, "time stages"]:
-    """Film voltage at the beginning, middle and end of every substep of every sample: 2 substeps + 1 stages."""
+    """Interpolate the film voltage at beginning, middle and end of every substep of a sample: 2 substeps + 1 stages."""
     return between(film, model.hold, np.arange(2 * model.substeps + 1) / (2 * model.substeps), jnp)
 
 
@@ -53,12 +52,14 @@ class Motion(NamedTuple):
 
 
 def motion_of(model: Model) -> Motion:
-    """Rates in the model's precision."""
+    """Collect what is constant, in the model's precision: NumPy's float64 scales would promote every step."""
     return Motion(list(jnp.asarray(model.scales.rates, model.coefficients.dtype)), model.memory.rate())
 
 
 def held(tokens: Rows, offset: Array, together: bool = True) -> list[Array]:
-    """What a step holds: sigma_0 ... sigma_{n-1}, 1 / sigma_n (a division in every stage would cost a kernel), offset.
+    """Freeze what a step holds: sigma_0 ... sigma_{n-1}, 1 / sigma_n, offset.
+
+    The reciprocal, since a division in every stage would cost a kernel.
 
     `together`: computed once and kept; XLA would fuse them into every row of the new state and compute them for each.
     """
@@ -67,21 +68,22 @@ def held(tokens: Rows, offset: Array, together: bool = True) -> list[Array]:
 
 
 def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: float) -> State:
-    """What one RK4 step of length h (s) adds under what is `held`.
+    """Compute what one RK4 step of length h (s) adds under what is `held`.
 
     `state`: S then memory, scaled, as rows (kernels of their own, for a scan) or as one array (to differentiate).
     """
     (rates, memory), n = motion, len(motion.rates)
-    *tokens, share, offset = frozen
+    *tokens, reciprocal, offset = frozen
 
     def slope(state, force) -> Any:  # of the state's kind
-        s, highest = list(state), force - offset
+        s, highest = list(state), force - offset  # x^(n) sigma_n, once the lower terms are taken off
         for token, row in zip(tokens, s, strict=False):
             highest = highest - token * row
-        upper = [*s[1:n], highest * share]
+        upper = [*s[1:n], highest * reciprocal]
         rows = [r * row for r, row in zip(rates, upper, strict=True)] + memory(s[n:], s[0])
         return rows if isinstance(state, list) else jnp.stack(rows)
 
+    # the classical tableau: 1/6, 2/6, 2/6, 1/6; both middle stages read the force at h/2
     k1 = slope(state, forces[0])
     k2 = slope(moved(state, h / 2, k1), forces[1])
     k3 = slope(moved(state, h / 2, k2), forces[1])
@@ -90,12 +92,12 @@ def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: flo
 
 
 def moved(state: State, by: float, slope: State) -> State:
-    """The state that much further along a slope."""
+    """Move the state so far along a slope."""
     return jax.tree.map(lambda a, b: a + by * b, state, slope)
 
 
 def midpoint(motion: Motion, state: Rows, h: float) -> list[Array]:
-    """What is known of the state half a step on, whatever the force: all but x^(n-1) has drifted."""
+    """Compute what is known of the state half a step on, whatever the force: all but x^(n-1) has drifted."""
     n, still, half = len(motion.rates), state[len(motion.rates) - 1], [h / 2 * rate for rate in motion.rates]
     # not h/2 (rate x'), which k2 has too: what both read would become a kernel of its own, 3 to 10 ms per 10,000
     drifted = [x + by * v for x, by, v in zip(state[: n - 1], half, state[1:n], strict=False)]
@@ -103,7 +105,7 @@ def midpoint(motion: Motion, state: Rows, h: float) -> list[Array]:
 
 
 def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
-    """What one step adds, tokens read at the drifted midpoint."""
+    """Compute what one step adds, tokens read at the drifted midpoint."""
     constant = motion_of(model)
     seen = jnp.stack(midpoint(constant, list(state), h))
     return runge_kutta(constant, state, held(*model.tokens_from(model.encoder(seen)), False), forces, h)
@@ -112,7 +114,7 @@ def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple,
 def along(one: Callable, state, stages: Float[Array, "stages *shape"]):
     """Advance one sample along its stages: one(state, three of them) for every substep."""
     count = len(stages) // 2
-    if count > UNROLLED:
+    if count > UNROLLED:  # a loop: written out, hundreds of substeps take minutes to compile
         threes = stages[2 * np.arange(count)[:, None] + np.arange(3)]
         return jax.lax.scan(lambda s, three: (one(s, three), None), state, threes)[0]
     for k in range(count):
@@ -126,7 +128,7 @@ def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " sta
 
 
 def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"], h: float, logits=None):
-    """One RK4 step of length h (s) along three stage voltages, under the encoder's logits or others.
+    """Take one RK4 step of length h (s) along three stage voltages, under the encoder's logits or others.
 
     Every effect's force is frozen beside the tokens, and its states are moved on after the step.
     """
@@ -139,6 +141,7 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
     films, parts = ports.films(model, ports.split(model, state[size:]), tuple(volts), h)
     forces = ports.coupled(model, tuple(scaled_force(model, v) for v in films), seen[0])
     rates = jnp.asarray(model.scales.rates, state.dtype)
+    # effects read the force at the middle of the step, as they read the drifted state
     now = Instant(seen[:n], model.coefficients, rates, forces[1], h, jnp.stack(tokens), offset)
     now = ports.acted(model, parts, now)
     after = moved(core, 1.0, runge_kutta(constant, core, held(list(now.tokens), now.offset), forces, h))
@@ -146,7 +149,7 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
 
 
 def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:
-    """The scaled state of an actuator that has been at rest for ever, at an age of the session in s.
+    """Build the scaled state of an actuator that has been at rest for ever, at an age of the session in s.
 
     Args:
         model: any.
@@ -164,14 +167,14 @@ def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array
 
 
 def settled_state(model: Model, state: Float[Array, " order"], level, voltage, age) -> Float[Array, " state"]:
-    """S, with memory and effects as after a long time at scaled displacement `level` under a voltage."""
+    """Complete S by memory and effects as after a long time at scaled displacement `level` under a voltage."""
     return jnp.concatenate([state, model.memory.initial(level), ports.initial(model, level, voltage, age)])
 
 
 def rollout(
     model: Model, voltage: Float[Array, " time"], dt: float, start: Float[Array, " state"]
 ) -> Float[Array, "time state"]:
-    """Scaled states at every sample under a drive voltage u, row 0 = `start`; for one record, vmap for more.
+    """Roll one record out: scaled states at every sample under a drive voltage u, row 0 = `start`; vmap for more.
 
     A start at x = 0 without motion is rest: the film is uncharged. Any other start has it settled at u(0).
 
@@ -203,5 +206,5 @@ def rollout(
 def rollout_batch(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> Float[Array, "records time state"]:
-    """The same for records side by side, compiled."""
+    """Roll records out side by side, compiled."""
     return eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0))(model, voltage, dt, start)

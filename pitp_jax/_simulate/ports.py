@@ -1,4 +1,4 @@
-"""A model's effects within one decoder step: where each port enters, and what its states become.
+"""Apply a model's effects within one decoder step: where each port enters, and what its states become.
 
     u --IN--> V --map--> F --SQ--> coupled force;   tokens, offset --K, C, M, T--> frozen equation;   x --OUT--> y
 
@@ -21,17 +21,17 @@ _NEWTON = 4  # steps to the force of a term that depends on it
 
 
 def drives(model: "Model") -> list[Effect]:
-    """What acts on the voltage sample by sample, in its order."""
+    """List what acts on the voltage sample by sample, in its order."""
     return [e for e in model.effects if e.port == "IN" and not e.delays]
 
 
 def sensors(model: "Model") -> list[Effect]:
-    """What acts on the reading, in its order."""
+    """List what acts on the reading, in its order."""
     return [e for e in model.effects if e.port == "OUT"]
 
 
 def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, " own"]]:
-    """Every effect's own states."""
+    """Split the states into every effect's own."""
     parts, first = [], 0
     for effect in model.effects:
         parts.append(states[first : first + effect.states])
@@ -40,8 +40,8 @@ def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, 
 
 
 def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " states"]:
-    """All effects' states of an actuator held at X under `voltage` (0 where it rests); age and reach of the session."""
-    parts = [jnp.zeros((0,), jnp.result_type(x))]
+    """Set all effects' states of an actuator held at X under `voltage` (0 at rest); age and reach of the session."""
+    parts = [jnp.zeros((0,), jnp.result_type(x))]  # gives the precision, and an array where no effect has states
     for effect in model.effects:
         held = effect.start(voltage if effect.port == "IN" else x, age)
         parts.append(effect.resumed(held, reached))
@@ -49,25 +49,27 @@ def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " stat
 
 
 def resumed(model: "Model", state: Float[Array, " state"], reached) -> Float[Array, " state"]:
-    """A decoder state of an actuator that the session has stretched to |X| = `reached` before."""
+    """Set a decoder state to that of an actuator that the session has stretched to |X| = `reached` before."""
     first = model.order + model.memory.size
     parts = zip(model.effects, split(model, state[first:]), strict=True)
     return jnp.concatenate([state[:first], *(e.resumed(p, reached) for e, p in parts)])
 
 
 def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:
-    """The voltage behind all delays."""
+    """Shift the voltage by all delays."""
     for effect in model.effects:
         if effect.delays:
+            # before the record a rest was at 0 V; anything else is taken to have been at the first voltage
             voltage = shifted(voltage, effect.time / dt, jnp.where(rest, 0.0, voltage[0]))
     return voltage
 
 
 def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, list]:
-    """Film voltages at the three stages of a step of length h, and the parts with the drive's states moved on."""
+    """Compute film voltages at the three stages of a step of length h; and the parts with the drive's states moved."""
     parts = list(parts)
     for k, effect in enumerate(model.effects):
         if effect.port == "IN" and not effect.delays:
+            # stage by stage: a lag must be known at the middle of the step, where Runge-Kutta reads the force twice
             states, volts = parts[k], [effect.apply(stages[0], parts[k])]
             for before, after in zip(stages[:-1], stages[1:], strict=True):
                 states = effect.advance(states, before, after, h / 2)
@@ -77,7 +79,7 @@ def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, 
 
 
 def coupled(model: "Model", forces: tuple, x) -> tuple:
-    """What the structure feels of the stages' forces at X."""
+    """Compute what the structure feels of the stages' forces at X."""
     for effect in model.effects:
         if effect.port == "SQ":
             forces = tuple(effect.apply(f, x) for f in forces)
@@ -85,7 +87,7 @@ def coupled(model: "Model", forces: tuple, x) -> tuple:
 
 
 def acted(model: "Model", parts: list, now: Instant) -> Instant:
-    """The frozen equation with every force effect in it."""
+    """Put every force effect into the frozen equation."""
     for effect, states in zip(model.effects, parts, strict=True):
         if effect.forces:
             now = effect.act(states, now)
@@ -93,7 +95,7 @@ def acted(model: "Model", parts: list, now: Instant) -> Instant:
 
 
 def moved(model: "Model", parts: list, x, after, h) -> list:
-    """The states of force and sensor effects after X ran from `x` to `after`."""
+    """Advance the states of force and sensor effects after X ran from `x` to `after`."""
     return [
         e.advance(p, x, after, h) if e.port not in ("IN", "SQ") else p
         for e, p in zip(model.effects, parts, strict=True)
@@ -101,7 +103,7 @@ def moved(model: "Model", parts: list, x, after, h) -> list:
 
 
 def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
-    """The scaled output the sensor reads at a decoder state."""
+    """Compute the scaled output that the sensor reads at a decoder state."""
     y = state[0]
     parts = split(model, state[model.order + model.memory.size :])
     for effect, states in zip(model.effects, parts, strict=True):
@@ -111,7 +113,7 @@ def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
 
 
 def readings(model: "Model", states: Float[Array, "time state"]) -> Float[Array, " time"]:
-    """The same along a rollout."""
+    """Compute the scaled outputs that the sensor reads along a rollout."""
     return jax.vmap(lambda s: reading(model, s))(states) if model.effects else states[:, 0]
 
 
@@ -122,7 +124,7 @@ def required(
     dt: float,
     age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " time"]:
-    """Eq. 13 with effects: the scaled force of the film along a wanted motion that starts at rest, at that age in s.
+    """Solve eq. 13 with effects: the film's scaled force along a wanted motion that starts at rest, at that age in s.
 
     Every state of a force effect follows x alone, so it is known along the way; then couplings are divided out.
     """
@@ -132,6 +134,7 @@ def required(
     def advance(parts, ends):
         return moved(model, parts, ends[0], ends[1], dt), parts
 
+    # the states at every sample; the last advance has nowhere to go
     along = jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
     return jax.vmap(lambda *instant: needed(model, *instant))(along, equation, features)
 
@@ -139,9 +142,10 @@ def required(
 def needed(
     model: "Model", parts: list, row: Float[Array, " tokens"], features: Float[Array, " features"]
 ) -> Float[Array, ""]:
-    """The film's scaled force at one instant of a wanted motion `row`, its effects in the states `parts`."""
+    """Compute the film's scaled force at one instant of a wanted motion `row`, its effects in the states `parts`."""
     n = model.order
     rates = jnp.asarray(model.scales.rates, row.dtype)
+    # along a motion there is no step; a tenth of the model's time scale says how sharply friction sets in at a turn
     blunt = 0.1 / (rates[0] if n == 1 else jnp.sqrt(rates[0] * rates[-1]))
     still, zero = model.tokens(features), jnp.zeros_like(row[0])
 
@@ -150,19 +154,20 @@ def needed(
         now = acted(model, parts, now)
         return now.tokens @ row + now.offset
 
-    force = needs(zero)
+    force = needs(zero)  # enough where no effect reads the force itself
     if any(e.spec.driven for e in model.effects):
         force = solve(lambda f: f - needs(f), zero, force, _NEWTON)
-    for effect in reversed(model.effects):
+    for effect in reversed(model.effects):  # undone in the opposite order of `coupled`
         if effect.port == "SQ":
             force = effect.uncoupled(force, row[0])
     return force
 
 
 def played(model: "Model", film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """The drive u for a smooth film voltage, through all drive effects, the model's own lag and delays."""
+    """Compute the drive u for a smooth film voltage, through all drive effects, the model's own lag and delays."""
     for effect in reversed(drives(model)):
         film = effect.undo(film, dt)
+    # the model's own lag stands between its delays and the effects
     film = model.drive.lead(film, dt)
     for effect in model.effects:
         if effect.delays:
@@ -171,14 +176,14 @@ def played(model: "Model", film: Float[Array, " time"], dt: float) -> Float[Arra
 
 
 def moves(model: "Model", reading: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """The scaled motion behind a wanted reading."""
+    """Compute the scaled motion behind a wanted reading."""
     for effect in reversed(sensors(model)):
         reading = effect.undo(reading, dt)
     return reading
 
 
 def beyond(model: "Model", film: Float[Array, " time"], dt: float) -> Array:
-    """True where a drive effect lets no such film voltage pass; each is asked about what leaves it."""
+    """Mark where a drive effect lets no such film voltage pass; each is asked about what leaves it."""
     out = ~jnp.isfinite(film)
     for effect in reversed(drives(model)):
         out = out | ~effect.passes(film, dt)

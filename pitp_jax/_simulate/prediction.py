@@ -1,4 +1,4 @@
-"""Predictions: free runs of a model beside whole sets of records.
+"""Predict: run a model freely beside whole sets of records.
 
     starts (at rest, or estimated from the first samples) -> rollout -> displacement in rig coordinates
 
@@ -13,8 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model, check_model
 from .._model.programs import jit, on_device
+from .._model.substeps import substeps
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from .._record.record import Record
 from .._record.sets import alike, check_set, session_clock
@@ -24,6 +26,7 @@ from .batched_rollout import free_runs
 from .beginnings import beginnings
 from .decoder import rollout, settled_state
 
+_SLACK = 0.05  # of a trained range that does not count as outside it
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
 
@@ -36,7 +39,7 @@ def estimate_start(
     dt: float,
     age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " state"]:
-    """Initial state of a record that starts moving, from its first samples (scaled displacement; at most 50).
+    """Estimate the initial state of a record that starts moving, from its first samples (scaled).
 
     Gauss-Newton on the rollout over S(0) and one level m at which every memory is taken to have settled, with a weak
     prior (1e-3) towards the mean displacement and no motion.
@@ -53,19 +56,20 @@ def estimate_start(
         return jnp.concatenate([jnp.where(observed, x - displacement, 0.0), 1e-3 * (p - prior)])
 
     def improve(p, _):
-        jacobian, left = jax.jacfwd(residual)(p), residual(p)
-        move = jnp.linalg.lstsq(jacobian, -left)[0]
+        jacobian, error = jax.jacfwd(residual)(p), residual(p)
+        move = jnp.linalg.lstsq(jacobian, -error)[0]
         best = p + move
-        better = jnp.sum(residual(best) ** 2) < jnp.sum(left**2)
+        better = jnp.sum(residual(best) ** 2) < jnp.sum(error**2)
+        # a shorter step where the full one overshoots; none where it is no number
         return jnp.where(better, best, p + 0.2 * move * jnp.isfinite(move).all()), None
 
     return assemble(jax.lax.scan(improve, prior, None, length=12)[0])
 
 
 def at_rate(model: Model, dt: float) -> Model:
-    """The same model with enough substeps for records sampled more coarsely than those it was trained on."""
-    factor = max(1, round(dt / model.provenance.dt))
-    return replace(model, substeps=model.substeps * factor) if factor > 1 else model
+    """Give the model the substeps that this sampling interval asks for, never fewer than it has."""
+    count = max(model.substeps * max(1, round(dt / model.provenance.dt)), substeps(model.physical_coefficients, dt))
+    return replace(model, substeps=count) if count > model.substeps else model
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,8 @@ class Prediction(Shown):
         diverged: whether it did.
         estimated_start: the record starts moving, so state and memory were estimated from its first samples.
         scored: samples that count, shape (T,): all but those the initial state was estimated from.
-        outside_training_share: share of samples whose state lies outside the trained region.
+        outside_training_share: fraction of samples whose state lies outside the trained region.
+        outside_training: in which coordinates, by how much and when, in words; empty where none does.
         begins: "rest", "held" or "moving".
         zero, zero_stderr, direction: the record's own, from its beginning: measured = direction * x + zero (m or V).
     """
@@ -94,9 +99,10 @@ class Prediction(Shown):
     zero: float = 0.0
     zero_stderr: float = 0.0
     direction: float = 1.0
+    outside_training: str = ""
 
     def __repr__(self) -> str:
-        """One line: what it predicts, and how the record was taken to begin."""
+        """Describe in one line what it predicts, and how the record was taken to begin."""
         seen = self.displacement[np.isfinite(self.displacement)]
         range_ = f"{seen.min():.4g} to {seen.max():.4g}" if len(seen) else "nothing"
         state = "diverged" if self.diverged else f"{100 * self.outside_training_share:.3g} % outside the trained region"
@@ -107,7 +113,7 @@ class Prediction(Shown):
 
 
 def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
-    """Free run of the model under every record's voltage, batched; records may have any lengths, one sampling rate.
+    """Run the model freely under every record's voltage, batched; records may have any lengths, one sampling rate.
 
     Args:
         model: identified, trained, or with effects.
@@ -127,16 +133,17 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
     check_model(model)
     check_set(records)
     model = at_rate(model, records[0].dt)
-    found, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
+    runs, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
+    # by length: one long record would have all others padded to it
     for places in alike(records):
         some = _predicted(model, [records[k] for k in places], [starts[k] for k in places])
-        found.update(zip(places, some, strict=True))
-    return tuple(found[k] for k in range(len(records)))
+        runs.update(zip(places, some, strict=True))
+    return tuple(runs[k] for k in range(len(records)))
 
 
 def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
-    """Padded to one length; `starts`: of every record what `begin` says."""
-    size = -(-max(r.samples for r in records) // 1024) * 1024
+    """Predict records padded to one length; `starts`: of every record what `begin` says."""
+    size = -(-max(r.samples for r in records) // 1024) * 1024  # whole thousands: few lengths, few programs to compile
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     start, spent, begun = zip(*starts, strict=True)
     runs = free_runs(model, on_device(voltage, model.coefficients.dtype), records[0].dt, on_device(start))
@@ -149,7 +156,7 @@ def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple])
 def starts(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
-    """Initial states of all records, and from how many samples each was estimated (0: at rest or held).
+    """Find initial states of all records, and from how many samples each was estimated (0: at rest or held).
 
     `aged`: whether their times are one session's (default: where no two overlap); else nothing is known of their age.
     """
@@ -159,31 +166,43 @@ def starts(
 def begin(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
-    """The same, and how each record begins, with its zero and direction."""
+    """Find initial states as `starts` does, and how each record begins, with its zero and direction."""
     aged = session_clock(records) if aged is None else aged
     ages = [model.provenance.age(r.time[0]) if aged else 0.0 for r in records]
     begun, states = beginnings(model, records, ages)
-    found, spent = [], []
+    starts, spent = [], []
     for record, age, state in zip(records, ages, states, strict=True):
-        samples = 0 if state is not None else first_known(record) + INITIAL_SAMPLES
-        found.append(_estimated(model, record, age, samples) if state is None else state)
+        samples = 0 if state is not None else first_known(record) + initial_samples(model, record)
+        starts.append(_estimated(model, record, age, samples) if state is None else state)
         spent.append(min(samples, record.samples))
     if aged and model.effects:
+        # what earlier records of the session stretched stays stretched (Mullins)
         turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
-        found = [ports.resumed(model, on_device(s), far) for s, far in zip(found, reaches(model, turned), strict=True)]
-    return on_device(found), tuple(spent), begun
+        far = reaches(model, turned)
+        starts = [ports.resumed(model, on_device(s), reach) for s, reach in zip(starts, far, strict=True)]
+    return on_device(starts), tuple(spent), begun
 
 
 def reaches(model: Model, records: Sequence[Record]) -> list[float]:
-    """Largest scaled |x| of the session before every record; each has its own zero and direction taken out."""
+    """Find the largest scaled |x| of the session before every record; each has its own zero and direction taken out."""
     scale = model.scales.state[0]
     far = [float(np.nanmax(np.abs(model.output.to_model(r.displacement)))) / scale for r in records]
     begins = [r.time[0] for r in records]
     return [max((f for f, b in zip(far, begins, strict=True) if b < own), default=0.0) for own in begins]
 
 
+def initial_samples(model: Model, record: Record) -> int:
+    """Count the samples that the state of a moving start is estimated from.
+
+    1.5 periods of the dominant mode, at least 50 samples, at most a quarter of the record
+    """
+    omega = model.natural_frequency
+    periods = 1.5 * 2 * np.pi / (omega * record.dt) if omega > 0 else np.inf
+    return int(min(max(INITIAL_SAMPLES, round(min(periods, record.samples))), record.samples // 4))
+
+
 def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
-    """The state of a moving start from its first samples.
+    """Estimate the state of a moving start from its first samples.
 
     After a gap at the beginning these are behind it: the rollout reaches them from the start.
     """
@@ -196,30 +215,62 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
     return estimate_start(model, voltage, known, on_device(observed), record.dt, now)
 
 
-def outside_share(model: Model, features: np.ndarray) -> float:
-    """Share of rows (S then memory, scaled; shape (T, features)) outside the box the model was trained in.
+def outside_fraction(model: Model, features: np.ndarray) -> float:
+    """Compute the fraction of rows (S then memory, scaled; shape (T, features)) outside the box of training.
 
     The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
     in short records). A model without a region (identified only) returns 0.
     """
     if not model.provenance.region or len(features) == 0:
         return 0.0
+    return float((_beyond(model, features) > _SLACK).any(-1).mean())
+
+
+def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
+    """How far every feature lies outside its trained range, over that range; negative inside."""
     low, high = np.asarray(model.provenance.region).T
-    slack = 0.05 * np.maximum(high - low, high[0] - low[0])
-    return float(((features < low - slack) | (features > high + slack)).any(-1).mean())
+    return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
+
+
+def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
+    """Say in which coordinates rows leave the box of training, by how much and when; empty where they do not.
+
+    Args:
+        model: its region is the box.
+        features: S then memory, scaled, shape (T, features).
+        time: of the rows, s, shape (T,).
+    """
+    if outside_fraction(model, features) == 0:
+        return ""
+    beyond = _beyond(model, features)
+    memory = model.memory
+    mass = ["second mass", "speed of the second mass"] if isinstance(memory, RingingMemory) else []
+    lags = np.exp(np.asarray(memory.log_tau)) if isinstance(memory, FadingMemory | RingingMemory) else []
+    fading = [f"memory of {tau:.2g} s" for tau in lags]
+    names = ["stroke", "speed", *(f"derivative {k}" for k in range(2, model.order))][: model.order]
+    names += [*mass, *fading, *["memory"] * (memory.size - len(mass) - len(fading))]
+    worst = [k for k in np.argsort(-beyond.max(0)) if beyond[:, k].max() > _SLACK][:2]
+    return " and ".join(
+        f"{names[k]} by up to {100 * beyond[:, k].max():.0f} % of its trained range, first at "
+        f"{time[np.argmax(beyond[:, k] > _SLACK)]:.4g} s"
+        for k in worst
+    )
 
 
 def _prediction(
     model: Model, record: Record, states: np.ndarray, seen: np.ndarray, spent: int, begun: Beginning
 ) -> Prediction:
-    """`states`, `seen`: scaled states and readings, which go on behind the record's end."""
+    """Read one record's prediction off a run; `states`, `seen`: scaled states and readings, longer than the record."""
     states = states[: record.samples]
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
-    first = int(np.argmax(lost)) if lost.any() else record.samples
+    first = int(np.argmax(lost)) if lost.any() else record.samples  # nothing counts behind it, even if it came back
     x = np.full(record.samples, np.nan)
+    # the record's own zero and direction, not the model's: a session may have mounted the sensor anew
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False
-    share = 1.0 if first == 0 else outside_share(model, states[:first, : model.order + model.memory.size])
+    features = states[:first, : model.order + model.memory.size]
+    outside = 1.0 if first == 0 else outside_fraction(model, features)
+    words = outside_words(model, features, record.time[:first] - record.time[0])
     own = begun.begins, begun.zero, begun.stderr, begun.direction
-    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, share, *own)
+    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own, words)

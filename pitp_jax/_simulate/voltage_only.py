@@ -1,4 +1,4 @@
-"""A voltage without a measurement: what the actuator would do, in the rig's units.
+"""Roll a voltage out without a measurement: what the actuator would do, in the rig's units.
 
 start (at rest, or settled at u(0)) -> rollout -> displacement = polarity x + offset
 """
@@ -21,7 +21,7 @@ def rollout(
     model: Model, voltage: np.ndarray, dt: float | None = None, *,
     begins: Literal["rest", "held"] | None = None, start_time: float = 0.0,
 ) -> np.ndarray:  # fmt: skip
-    """Displacement under a voltage, in the rig's units; a free run without a record.
+    """Roll out the displacement under a voltage, in the rig's units: a free run without a record.
 
     Args:
         model: identified, trained, or with effects.
@@ -49,7 +49,7 @@ def rollout(
 
 
 def _checked(voltage, dt, begins) -> np.ndarray:
-    """The voltage as an array; all that is wrong in one line."""
+    """Return the voltage as an array, or say all that is wrong in one line."""
     problems = []
     try:
         drive = np.asarray(voltage, np.float64)
@@ -69,9 +69,10 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 
 
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
-    """Rolled out side by side, padded to whole thousands of samples as predictions are."""
+    """Roll out side by side, padded to whole thousands of samples as predictions are."""
     dtype, samples = model.coefficients.dtype, rows.shape[1]
     age = model.provenance.age(start_time)
+    # a record that begins under a voltage has most likely stood under it
     held = np.full(len(rows), begins == "held") if begins else rows[:, 0] != 0
     rest = jnp.broadcast_to(rest_state(model, age), (len(rows), rest_state(model, age).shape[0]))
     start = rest
@@ -83,4 +84,4 @@ def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None,
     states, x = (np.asarray(a, np.float64)[:, :samples] for a in runs)
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
     x = model.output.to_rig(x * model.scales.state[0])
-    return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)
+    return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)  # a run that came back would be chance

@@ -117,7 +117,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     places = [choice.place for choice in chosen.values() if choice.place is not None]
     if len(set(places)) < len(places):
         problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
-    elif len(ports) == 2 and all(s.kind == "voltage" and s.header.port_only for s in ports) and not _told(options):
+    elif len(ports) == 2 and all(_port(s) for s in ports) and not _told(options):
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
         problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
@@ -128,6 +128,11 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
         hint = f"; the file says {table.hint}" if table.hint else "" if words else f"; give {', '.join(stems)}"
         raise Refused(table.source, why + hint, words, f"columns here: {listed(table.columns)}")
     return chosen
+
+
+def _port(seen: _Seen) -> bool:
+    """Whether a voltage is known by the words input or output alone, in a spelling that pitp does not write."""
+    return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
 
 
 def _told(options: ReadOptions) -> bool:
@@ -172,6 +177,8 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
     sensed = [s for s in volts if s.role == "output"]
     driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
+    if not driving and lengths:  # the only voltage beside a length, whatever it is called
+        sensed, driving = [], sensed
     moving = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
     if "voltage" in quantities and "voltage" not in pools:
         alone = "displacement" not in quantities and driving
@@ -196,7 +203,8 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
     counting = [s for s in named if s.column.form != "stamp"]  # beside dates, which are often coarser
     if counting or named:
         return counting or named
-    return [s for s in seen if s in clocks or (s.role == "time" and s.unit is None)]
+    bare = [s for s in seen if s not in clocks and s.role == "time" and s.unit is None]
+    return clocks + [s for s in bare if not (clocks and s.unknown)]
 
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:

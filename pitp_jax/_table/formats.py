@@ -5,6 +5,7 @@
 .mat                       MATLAB v5 to v7 (SciPy) or v7.3 (an HDF5 file)
 .npz                       NumPy archive, never unpickled
 .h5 .hdf5                  HDF5, datasets at the root or in its groups
+.parquet .mcap             data frames and logs of robots (extra); a folder of rosbag2 is one recording too
 """
 
 import io
@@ -26,6 +27,7 @@ from .header import Rows, layouts
 from .matlab import flat
 from .names import read_header
 from .options import ReadOptions
+from .robot import bag, is_bag, parquet
 from .stamps import over_midnight
 from .table import Table, array_table
 from .text import text_tables
@@ -299,6 +301,8 @@ _STORED: dict[str, tuple[Callable[[Path, ReadOptions], Parts], str]] = {
     ".npz": (npz, "NumPy archive"),
     ".h5": (hdf5, "HDF5 file"),
     ".hdf5": (hdf5, "HDF5 file"),
+    ".parquet": (parquet, "Parquet file"),
+    ".mcap": (bag, "robot log"),
 }
 SUFFIXES = (*(f"{suffix}.gz" for suffix in _TEXT), *_TEXT, *_STORED)
 
@@ -320,13 +324,14 @@ def open_parts(path: Path, options: ReadOptions) -> Parts:
     Raises:
         BadInput: unknown suffix, or the file is not what its suffix says.
     """
-    source, suffix = cleaned(path), split_suffix(path.name)[1].lower()
+    source, suffix = cleaned(path), ".mcap" if is_bag(path) else split_suffix(path.name)[1].lower()
     if not suffix:
         raise BadInput(
             f"{source}: not a record file (known suffixes: {', '.join(sorted(SUFFIXES))}); convert or rename it"
         )
     if suffix not in _STORED:
         return [text_tables(path, options)]
-    file_bytes(path, 1)
+    for file in path.iterdir() if path.is_dir() else [path]:
+        file_bytes(file, 1)
     opens, kind = _STORED[suffix]
     return guarded(source, kind, opens, path, options)

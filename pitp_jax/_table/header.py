@@ -18,8 +18,8 @@ from .table import Column
 from .units import plain, spelt
 
 _NUMBER = {
-    ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"),
-    ",": re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?$"),
+    ".": re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eE][+-]?\d++)?$"),
+    ",": re.compile(r"[+-]?(\d++,?\d*+|,\d++)([eE][+-]?\d++)?$"),
 }
 MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "null", "none"))
 _WORDS = MISSING | {"inf", "-inf", "+inf", "infinity", "-infinity"}
@@ -108,8 +108,9 @@ def layouts(
                 f"{source}: line {header_line} is empty or not above the numbers; give another --header-line"
             )
         above = [k for k in above if k == names[0]] or names
+    plain_rows = [k for k in above if not rows.commented[k]]
     readings, refusals = [], []
-    for k in above[:_MOST_NAMES]:
+    for k in (plain_rows or above)[:_MOST_NAMES]:  # a comment above a row of names is no row of names
         try:
             readings.append(_named(bare, rows, k, units, widths, first, source))
         except BadInput as error:
@@ -259,8 +260,9 @@ def _spoken(rows: Rows, first: int) -> dict[str, str]:
     """Units said in comments that are lists of pairs and nothing else: `t in s, u in V`."""
     said = {}
     for cells, commented in zip(rows.cells[:first], rows.commented, strict=False):
-        parts = [p.strip() for p in re.split(r"[,;]|\s{2,}", ",".join(cells)) if p.strip()]
-        pairs = [_PAIR.fullmatch(part) for part in parts]
-        if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
-            said |= {pair[1].lower(): pair[2] for pair in pairs if pair}
+        for between in (",", " "):  # cells were cut at commas or the like, or at blanks
+            parts = [p.strip() for p in re.split(r"[,;]|\s{2,}", between.join(cells)) if p.strip()]
+            pairs = [_PAIR.fullmatch(part) for part in parts]
+            if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
+                said |= {pair[1].lower(): pair[2] for pair in pairs if pair}
     return said

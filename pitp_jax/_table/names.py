@@ -77,7 +77,8 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
         unit = spelt(found[1]) or spelt(re.split(r"[,;]", found[1])[0])
         if unit:
             return (text[: found.start()] + text[found.end() :]).strip(), unit, None
-        unknown = found[1] or unknown
+        if not found[1].isdecimal():  # position[2] is the third joint
+            unknown = found[1] or unknown
     if unknown:
         return text, None, unknown
     if (whole := spelt(text)) and len(text) > 1 and whole not in ("min", "h", "d"):

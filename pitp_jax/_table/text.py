@@ -31,7 +31,7 @@ _SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
 _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are no comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
-_DURATION = re.compile(r"[+-]?[\d.,]+(?:[eE][+-]?\d+)?\s+(\S+)$")
+_DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
 def text_tables(path: Path, options: ReadOptions) -> list[Table]:

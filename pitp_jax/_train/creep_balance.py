@@ -1,4 +1,4 @@
-"""Creep that outlasts the training records, held to the long record that the nominal keeps.
+"""Fit creep that outlasts the training records to the long record that the nominal keeps.
 
     r(t) = ( sigma_off + sum_i sigma_i x^(i) - F ) / a_0                 what the equation leaves, as a displacement
     minimise   lambda  mean over windows w of  ( 100 mean_{t in w} p(t) r(t) / range )^2
@@ -7,8 +7,7 @@
 Along measured motion the memories are known, and a window's mean sees the slow part alone, for which the equation is as
 good as a free run: no run is needed, and a resonance that training never saw costs nothing, since a window counts only
 where the motion stays within the trained region. A mean does not see how the slow memories act at either end of the
-stroke; the part of r that goes with x does, below the resonance. A 50 s record after training on 10 s is 0.35 % of
-range off at its end, and 1.5 % without (docs/decisions/creep.md).
+stroke; the part of r that goes with x does, below the resonance (docs/decisions/creep.md).
 """
 
 from dataclasses import dataclass
@@ -30,8 +29,8 @@ from .parameters import trainable, with_parameters
 
 _WEIGHT = 0.1  # lambda, beside a mean over records of squares of e_rms in %
 _ENDS, _BELOW = 3.0, 0.7  # of the part that goes with x, beside the mean; in windows slower than that resonance
-_WINDOWS, _FEWEST = 100, 10
-_COVERED = 0.9  # share of a window that must lie in the trained region
+_WINDOWS, _FEWEST_WINDOWS = 100, 10
+_COVERED = 0.9  # part of a window that must lie in the trained region
 OUTLASTS = 1.5  # times the longest training run
 
 
@@ -47,7 +46,7 @@ class _Series(eqx.Module):
     step: int = eqx.field(static=True)
 
     def kept(self, along: Float[Array, "time ..."]) -> Float[Array, "windows size ..."]:
-        """Every `step`-th row, cut into windows."""
+        """Take every `step`-th row, and cut these into windows."""
         rows = along[:: self.step]
         windows, _, size = self.weight.shape
         return rows[: windows * size].reshape(windows, size, *rows.shape[1:])
@@ -68,61 +67,63 @@ class SlowBalance:
     seconds: float
 
     def errors(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, " rows"]:
-        """Residuals at these trained numbers, two a window."""
-        left = np.asarray(_left(with_parameters(model, vector), self.series), np.float64)
-        return (self._row_scale[:, None] * left).ravel()
+        """Compute the residuals at these trained numbers, two a window."""
+        moments = np.asarray(_moments(with_parameters(model, vector), self.series), np.float64)
+        return (self._row_scale[:, None] * moments).ravel()
 
     def slopes(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, "rows parameters"]:
-        """Their derivatives; none by the effects' numbers, which are left out."""
-        found = np.asarray(_slopes(with_parameters(model, vector), self.series), np.float64)
-        found = np.pad(found, ((0, 0), (0, 0), (0, len(vector) - found.shape[-1])))
-        return (self._row_scale[:, None, None] * found).reshape(-1, len(vector))
+        """Compute their derivatives; the balance does not know the effects, so theirs are zero."""
+        slopes = np.asarray(_slopes(with_parameters(model, vector), self.series), np.float64)
+        slopes = np.pad(slopes, ((0, 0), (0, 0), (0, len(vector) - slopes.shape[-1])))
+        return (self._row_scale[:, None, None] * slopes).reshape(-1, len(vector))
 
     @property
     def _row_scale(self) -> np.ndarray:
-        return self.scale * np.sqrt(_WEIGHT / np.count_nonzero(self.scale))
+        return self.scale * np.sqrt(_WEIGHT / np.count_nonzero(self.scale))  # squared and summed: lambda times a mean
 
     def features(self, model: Model) -> np.ndarray:
-        """States and memories of all samples that count, shape (samples, n + K)."""
+        """Collect states and memories of all samples that count, shape (samples, n + K)."""
         past = _past(model.memory, self.series)
         return np.concatenate([self.series.states[..., :-1], past], -1)[np.asarray(self.series.weight[:, 0]) > 0]
 
 
 def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
-    """The long record's windows within `region` (per feature lowest and highest); None where hardly any are."""
+    """Cut the long record into windows within `region` (per feature lowest and highest); None where hardly any are."""
     record = long.record()
     force = np.asarray(model.input_map.force(jnp.asarray(record.voltage)), np.float64)
-    found = preprocess(record, model.order, cutoff(force_band([force], long.dt), long.dt), force,
-                       displacement=model.output.to_model(record.displacement))  # fmt: skip
-    states, valid = found.states / model.scales.state, found.valid[:: long.step]
+    motion = preprocess(record, model.order, cutoff(force_band([force], long.dt), long.dt), force,
+                        displacement=model.output.to_model(record.displacement))  # fmt: skip
+    states, valid = motion.states / model.scales.state, motion.valid[:: long.step]
     low, high = np.asarray(region)[: model.order].T
     shape = _WINDOWS, len(valid) // _WINDOWS
     count = shape[0] * shape[1]
     rows = states[:: long.step][:count].reshape(*shape, -1)
     inside = valid[:count].reshape(shape) & ((rows[..., :-1] >= low) & (rows[..., :-1] <= high)).all(-1)
+    # a window that leaves the region crosses a resonance training never saw: its mean would be of another motion
     inside &= inside.mean(1, keepdims=True) >= _COVERED
     used = inside.any(1)
-    if used.sum() < _FEWEST:
+    if used.sum() < _FEWEST_WINDOWS:
         return None
-    scale = used * 100 / np.ptp(rows[..., 0]) / float(model.coefficients[0])
+    scale = used * 100 / np.ptp(rows[..., 0]) / float(model.coefficients[0])  # over a_0: a force as a displacement
     mean = inside / np.maximum(inside.sum(1, keepdims=True), 1)
     apart = rows[..., 0] - (mean * rows[..., 0]).sum(1, keepdims=True)
-    apart /= np.sqrt(np.maximum((mean * apart**2).sum(1, keepdims=True), 1e-12))
+    apart /= np.sqrt(np.maximum((mean * apart**2).sum(1, keepdims=True), 1e-12))  # 0 where a window stands still
     weight = np.stack([mean, _ENDS * mean * apart * _below(model, rows, mean)[:, None]], 1)
     voltage, x, rows, weight = (jnp.asarray(a, jnp.float32) for a in (record.voltage, states[:, 0], rows, weight))
     return SlowBalance(_Series(voltage, x, rows, weight, long.rest, long.dt, long.step), scale, long.seconds)
 
 
 def _below(model: Model, rows: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Whether a window moves slower than the resonance: where inertia takes part, r is not what a free run leaves."""
+    """Mark windows that move slower than the resonance: where inertia takes part, r is not what a free run leaves."""
     swing, speed = (
         np.sqrt(np.maximum((mean * v**2).sum(1) - (mean * v).sum(1) ** 2, 0)) for v in np.moveaxis(rows[..., :2], -1, 0)
     )
+    # of a sine: speed = w swing; a mix of frequencies counts by its fast part, which is the part to beware of
     return float(model.scales.rates[0]) * speed < _BELOW * model.natural_frequency * swing
 
 
 def widened(region, rows: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """The region with what these rows of features have seen."""
+    """Widen the region by what these rows of features have seen."""
     low, high = rows.min(0), rows.max(0)
     return tuple((min(a, float(b)), max(c, float(d))) for (a, c), b, d in zip(region, low, high, strict=True))
 
@@ -138,21 +139,21 @@ def _force(model: Model, drive, series: _Series):
 
 
 def _balance(model: Model, encoder, past, state):
-    """What the equation gives for the scaled force at one instant."""
+    """Compute what the equation gives for the scaled force at one instant."""
     return equation_force(model, list(encoder(jnp.concatenate([state[:-1], past]))), list(state))[0]
 
 
 @jit
-def _left(model: Model, series: _Series) -> Float[Array, "windows moments"]:
-    """Every window's means of what the equation leaves (a scaled force)."""
+def _moments(model: Model, series: _Series) -> Float[Array, "windows moments"]:
+    """Compute every window's two means of what the equation leaves (a scaled force)."""
     along = jax.vmap(jax.vmap(lambda past, state: _balance(model, model.encoder, past, state)))
-    left = along(_past(model.memory, series), series.states) - _force(model, model.drive, series)
-    return jnp.einsum("wmt,wt->wm", series.weight, left)
+    residual = along(_past(model.memory, series), series.states) - _force(model, model.drive, series)
+    return jnp.einsum("wmt,wt->wm", series.weight, residual)
 
 
 @jit
 def _slopes(model: Model, series: _Series) -> Float[Array, "windows moments parameters"]:
-    """How it answers the numbers of encoder, memory and drive."""
+    """Differentiate `_moments` by the numbers of encoder, memory and drive."""
     params, static = eqx.partition(model, trainable(model))
     encoder, build_encoder = ravel_pytree(params.encoder)
     memory, build_memory = ravel_pytree(params.memory)
@@ -169,9 +170,12 @@ def _slopes(model: Model, series: _Series) -> Float[Array, "windows moments para
 
     def window(item):
         state, past, past_by, force_by, weight = item
+        # one number out of many weights: reverse mode, instant by instant
         by_encoder, by_past = jax.vmap(jax.grad(balance, (0, 1)), (None, 0, 0))(encoder, past, state)
         by_memory = jnp.einsum("tk,tkq->tq", by_past, past_by)
         return weight @ jnp.concatenate([by_encoder, by_memory, -force_by], 1)
 
+    # whole series out of a few time constants: forward mode
     slopes = jax.jacfwd(past)(memory), jax.jacfwd(force)(drive)
+    # window by window: the encoder's slopes of all samples at once would not fit the cache
     return jax.lax.map(window, (series.states, past(memory), *slopes, series.weight))

@@ -34,6 +34,7 @@ class HeldOut:
     @property
     def suspect(self) -> bool:
         """Whether it is predicted ten times worse than fitted."""
+        # not <=, rather than >: a prediction that is no number is suspect too
         return not self.predicted <= _WORSE * self.fitted
 
 
@@ -43,7 +44,7 @@ def cross_validate(
     """Train once without every record that moves, and predict it.
 
     Args:
-        nominal: to start from, or what identifies one on the records that it is given.
+        nominal: to start from, or a function that identifies one on the records that it is given.
         records: the training records.
         model: trained on all of them, for the fitted errors.
         key, options: as for `train`.
@@ -57,7 +58,7 @@ def cross_validate(
     Examples:
         >>> left_out = pitp.cross_validate(nominal, records, model, key=jax.random.key(0))  # doctest: +SKIP
     """
-    moving, _ = in_motion(records)
+    moving, _ = in_motion(records)  # a still record is predicted by any model
     if len(moving) < 2:
         raise BadInput("cross-validation leaves one record out: give at least two records in which something moves")
     fitted = errors(model, moving)
@@ -71,7 +72,7 @@ def _held_out(nominal, records: Sequence[Record], k: int, fitted: float, trained
     one, others = records[k], [r for j, r in enumerate(records) if j != k]
     try:
         start = nominal if isinstance(nominal, Model) else nominal(others)
-        found = trained((start, others)).model
-    except (BadInput, ComputationFailed) as error:
+        blind = trained((start, others)).model
+    except (BadInput, ComputationFailed) as error:  # of one fold alone: the others still say what they say
         return HeldOut(one.name, fitted, float("inf"), str(error))
-    return HeldOut(one.name, fitted, float(errors(found, [one])[0]))
+    return HeldOut(one.name, fitted, float(errors(blind, [one])[0]))

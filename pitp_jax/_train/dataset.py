@@ -1,4 +1,4 @@
-"""From records and a nominal model to what training reads: scaled states, memories and forces on the device, once.
+"""Turn records and a nominal model into what training reads: scaled states, memories and forces on the device, once.
 
 X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (docs/readings.md: eqs. 3, 6, 8, 9)
 """
@@ -58,6 +58,7 @@ def build_dataset(
             raise BadInput(f"unknown {name} {asked!r}: use one of {', '.join(known)}")
     dt = records[0].dt
     forces = [np.asarray(nominal.input_map.force(r.voltage), np.float64) for r in records]
+    # one cutoff for all records: filtered apart, one equation would be fitted to differently smoothed motions
     f_max = force_band(forces, dt)
     cut = cutoff(f_max, dt)
     states = [
@@ -80,11 +81,13 @@ def build_dataset(
     for r, s in zip(records, states, strict=True):
         x = s.states / scale
         rest = starts_at_rest(r, nominal.output.offset)
+        # of a record that begins moving nothing is known of the past: as if it had been held where it is
         start = model.memory.initial(jnp.asarray(0.0 if rest else x[0, 0], jnp.float32))
         past = model.memory.trajectory(jnp.asarray(x[:, 0], jnp.float32), dt, start)
         features.append(np.concatenate([x[:, :-1], np.asarray(past)], -1).astype(np.float32))
         equation.append((features[-1][s.valid], x[s.valid], s.force[s.valid] / model.scales.force))
     flat = [jnp.asarray(np.concatenate(part), jnp.float32) for part in zip(*equation, strict=True)]
+    # with the memories as they are before any free run: `training._region` counts them again afterwards
     everything = np.concatenate([f[s.valid] for f, s in zip(features, states, strict=True)])
     region = tuple((float(a), float(b)) for a, b in zip(everything.min(0), everything.max(0), strict=True))
     weight = jnp.asarray(spread_weights(everything[:, : nominal.order]), jnp.float32)
@@ -93,22 +96,22 @@ def build_dataset(
 
 
 def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np.ndarray:
-    """Weights that even out how densely the state space was visited, mean 1, at most `most` times the smallest.
+    """Weigh samples so as to even out how densely the state space was visited; mean 1, at most `most` times the least.
 
-    A record of steps stands still for 99 % of its samples; what it says about motion is in the rest. Each sample gets
-    1 / sqrt(samples in its cell), on a grid of the first two states (and at most three).
+    A record of steps stands still for 99 % of its samples; what it says about motion is in the others. Each sample gets
+    1 / sqrt(samples in its cell), on a grid of the states, of the first three at most.
     """
-    s = state[:, :3]
+    s = state[:, :3]  # cells of more dimensions would hold one sample each
     low, high = s.min(0), s.max(0)
     index = np.minimum(((s - low) / np.maximum(high - low, 1e-12) * cells).astype(int), cells - 1)
     flat = np.ravel_multi_index(tuple(index.T), (cells,) * s.shape[1])
     weight = 1.0 / np.sqrt(np.bincount(flat, minlength=1)[flat])
-    weight = np.minimum(weight, most * weight.min())
+    weight = np.minimum(weight, most * weight.min())  # one sample alone in a cell may be an outlier
     return weight / weight.mean()
 
 
 def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: float, scaling: str) -> Model:
-    """The same nominal in scales taken from the training data.
+    """Express the same nominal in scales taken from the training data.
 
     "rms": each derivative over its training rms. "paper": eq. 3, x^(i) over x_rms d^(i - k/2...) with d = 2 pi f_max,
     centred on k = floor(n/2) with a factor sqrt(d) per derivative.
@@ -117,6 +120,6 @@ def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: floa
     rms = np.sqrt(np.mean(np.concatenate([s.states[s.valid] for s in states]) ** 2, axis=0))
     if scaling == "paper":
         rms = rms[n // 2] * (2 * np.pi * f_max) ** ((np.arange(n + 1) - n // 2) / 2)
-    force = max(float(np.abs(f).max()) for f in forces)
+    force = max(float(np.abs(f).max()) for f in forces)  # scaled forces lie within one
     coefficients = jnp.asarray(nominal.physical_coefficients * rms / force, jnp.float32)
     return replace(nominal, coefficients=coefficients, scales=Scales(rms, force, nominal.scales.sections))

@@ -1,23 +1,28 @@
-"""Uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
+"""Estimate uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
 
     x(t) = mean_k x_k(t),    s(t)^2 = (1 + 1/K) var_k x_k(t) + s_0^2,    band = x(t) +- q s(t),  q: Student's, K - 1
 
 What the members agree on by mistake no spread can show, so s_0, their rms error on the training records over its
-range, stands beside it. Student's quantile on both is on the safe side: 98.2 % of held-out samples of a cone inside,
-80 % of the worst record; with the normal one on s_0 93.4 and 57 % (`experiments/band_coverage.py`).
+range, stands beside it. Student's quantile on both is on the safe side (docs/decisions/training.md).
+
+Of P JAX processes, number p trains the members p, p + P, ...; in the end every process has them all.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
+from jax.experimental.multihost_utils import process_allgather
 
 from .._model.model import Model
 from .._model.programs import bare, jit
+from .._model_file import load, save
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._record.sets import check_set
@@ -44,7 +49,7 @@ class Ensemble(Shown):
     error: float
 
     def __post_init__(self):
-        """One member has no spread, and members of two makes cannot be run at once."""
+        """Refuse one member, which has no spread, and members of two makes, which cannot be run at once."""
         _enough(len(self.models))
         first, *others = (_make(m) for m in self.models)
         if any(other != first for other in others):
@@ -71,10 +76,10 @@ class Band(Shown):
 
 
 def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
-    """Train `members` models from keys split off `key`; `options` as for `train`.
+    """Train `members` models from keys split off `key`, shared among all JAX processes; `options` as for `train`.
 
     Args:
-        nominal, records: as for `train`.
+        nominal, records: as for `train`, the same in every process.
         members: models, at least 2.
         key: JAX key.
         **options: as for `train`.
@@ -91,14 +96,18 @@ def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 
     _enough(members)
     check_set(records)
     records, _ = in_motion(records)
-    models = tuple(train(nominal, records, key=k, **options).model for k in jax.random.split(key, members))
-    found = predict_band(Ensemble(models, 0.0), records)
-    errors = [_relative(b, r) for b, r in zip(found, records, strict=True)]
+    keys, processes = jax.random.split(key, members), jax.process_count()
+    mine = range(jax.process_index(), members, processes)
+    # the same records for all: what differs is the start of the nets and the order of minibatches
+    models = tuple(train(nominal, records, key=keys[k], **options).model for k in mine)
+    models = _gathered(models, members) if processes > 1 else models
+    bands = predict_band(Ensemble(models, 0.0), records)
+    errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
     return Ensemble(models, float(np.sqrt(np.mean(np.square(errors)))))
 
 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
-    """Mean and band of every record, all members at once; `level` is the share of samples the band should cover.
+    """Predict mean and band of every record, all members at once.
 
     Args:
         ensemble: of `train_ensemble`.
@@ -119,7 +128,8 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
     check_set(records)
     models = [at_rate(m, records[0].dt) for m in ensemble.models]
-    stack = _stacked(models)
+    finest = max(m.substeps for m in models)  # one program runs all members: at the steps of the one that needs most
+    stack = _stacked([replace(m, substeps=finest) for m in models])
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
@@ -127,10 +137,11 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
         model = models[0]
         x = np.asarray(states, np.float64)
+        # a mean over fewer members from there on would jump: where one is lost, the band ends
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
         x = np.where(lost, np.nan, x) * model.scales.state[0]
         base = ensemble.error * np.ptp(r.displacement[r.observed])
-        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)
+        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)  # 1 / K: the mean itself is uncertain
         scored = np.arange(r.samples) >= spent[0][0]
         bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, bool(lost.any()), scored))
     return tuple(bands)
@@ -141,13 +152,33 @@ def _enough(members: int) -> None:
         raise ValueError(f"an ensemble needs at least 2 members, got {members}")
 
 
+def _gathered(own: Sequence[Model], members: int) -> tuple[Model, ...]:
+    """Gather the members of all processes in order; model files also hold what each was made from."""
+    processes = jax.process_count()
+    with TemporaryDirectory() as folder:
+        path, packed = Path(folder) / "member.pitp", []
+        for model in own:
+            save(path, model)
+            packed.append(np.frombuffer(path.read_bytes(), np.uint8))
+        # every process brings arrays of one shape: blanks where it trained fewer
+        packed += [np.zeros(0, np.uint8)] * (-(-members // processes) - len(packed))
+        sizes = np.asarray(process_allgather(np.array([len(p) for p in packed])))
+        padded = np.stack([np.pad(p, (0, sizes.max() - len(p))) for p in packed])
+        files, models = np.asarray(process_allgather(padded)), []
+        for k in range(members):
+            slot = k % processes, k // processes
+            path.write_bytes(files[slot][: sizes[slot]].tobytes())
+            models.append(load(path))
+    return tuple(models)
+
+
 def _stacked(models: Sequence[Model]) -> Model:
-    """One model whose leaves have a leading axis of members."""
+    """Stack the members into one model whose leaves have a leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(bare, models))
 
 
 def _make(model: Model) -> tuple:
-    """What members have in common: structure, shapes, scales and output."""
+    """Describe what members must have in common: structure, shapes, scales and output."""
     shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, bare(model)))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
@@ -159,5 +190,5 @@ def _run(stack: Model, voltage, dt: float, start):
 
 def _relative(band: Band, record: Record) -> float:
     keep = band.scored & record.observed
-    left = (band.displacement - record.displacement)[keep]
-    return float(np.sqrt(np.mean(left**2)) / np.ptp(record.displacement[record.observed]))
+    error = (band.displacement - record.displacement)[keep]
+    return float(np.sqrt(np.mean(error**2)) / np.ptp(record.displacement[record.observed]))

@@ -1,4 +1,4 @@
-"""The training loss (paper, eq. 12): physics residual of the ODE plus soft constraints on the tokens.
+"""Compute the training loss (paper, eq. 12): physics residual of the ODE plus soft constraints on the tokens.
 
     L1 = Huber_delta( sigma_off + sum_i sigma_i X_i - F )                     forces over their training maximum
     L2 = 1/m sum_i [ alpha relu(sigma_i - P_i) + beta relu(Q_i - sigma_i) ]   in units of the nominal token
@@ -26,18 +26,18 @@ class EquationData(eqx.Module):
     weight: Float[Array, " samples"]
 
     def take(self, index) -> "EquationData":
-        """A minibatch."""
+        """Take the minibatch of these samples."""
         return jax.tree.map(lambda a: a[index], self)
 
 
 def huber(residual, width: float):
-    """SmoothL1: r^2 / (2 width) inside, |r| - width / 2 outside."""
+    """Compute SmoothL1: r^2 / (2 width) inside, |r| - width / 2 outside."""
     size = jnp.abs(residual)
     return jnp.where(size < width, 0.5 * size**2 / width, size - 0.5 * width)
 
 
 def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=None):
-    """Mean loss of eq. 12 over a batch.
+    """Average the loss of eq. 12 over a batch.
 
     Args:
         box: (lower, upper) factors on the nominal tokens, e.g. (0.8, 1.2).
@@ -51,8 +51,9 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
     keys = None if key is None else jax.random.split(key, data.force.shape[0])
     logits = jax.vmap(lambda f, k: model.encoder(f, key=k), (0, None if key is None else 0))(data.features, keys)
     force, tokens = equation_force(model, list(logits.T), list(data.equation.T))
+    # Huber: where x^(n) is noisy, a few samples would else decide
     physics = jnp.mean(data.weight * huber(force - data.force, width))
-    factor = jnp.stack(tokens, -1) / model.coefficients
+    factor = jnp.stack(tokens, -1) / model.coefficients  # the box is in units of the nominal, whatever its sign
     over, under = jax.nn.relu(factor - box[1]), jax.nn.relu(box[0] - factor)
     constraint = jnp.mean(penalty[0] * over + penalty[1] * under)
     return physics + constraint, (physics, constraint)

@@ -1,4 +1,4 @@
-"""Errors of free runs on the training records: the trained model beside its nominal, as `predict` runs both.
+"""Compare free runs on the training records: the trained model beside its nominal, as `predict` runs both.
 
     e_k = 100 rms(x - x_measured) / range_k,      a record is worse where e_k(trained) > 1.01 e_k(nominal)
 
@@ -18,9 +18,9 @@ from .._record.record import Record
 from .._simulate.prediction import predict
 
 _ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: what noise alone makes of a fit
-_MOST = 1e6  # %; what a diverged run counts
+_DIVERGED = 1e6  # %; what a diverged run counts: means and ratios stay numbers
 _LITTLE = 1.0  # %; a mean error below that is no failure,
-_CLOSED = 0.5  # nor one of at most that share of the nominal's
+_CLOSED = 0.5  # nor one of at most that fraction of the nominal's
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,15 @@ class RecordError:
     @property
     def worse(self) -> bool:
         """Whether training lost on this record."""
+        # not <=, rather than >: infinite beside infinite is no loss, an error that is no number is one
         return not self.trained <= _ALIKE * self.nominal
 
 
 def errors(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
-    """e_rms of the free run of every record, %; infinite where it diverged, 0 where nothing can be counted."""
+    """Compute e_rms of the free run of every record, %; infinite where it diverged, 0 where nothing can be counted."""
     runs = predict(model, records)
-    found = [e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]
-    return np.nan_to_num(np.array(found), nan=0.0, posinf=np.inf)
+    values = [e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]
+    return np.nan_to_num(np.array(values), nan=0.0, posinf=np.inf)
 
 
 @dataclass(frozen=True)
@@ -61,32 +62,33 @@ class Candidate:
 
     @property
     def worse(self) -> Float[np.ndarray, " records"]:
-        """By how much every record is worse than under the nominal; at most 1: it is not."""
-        return np.minimum(self.trained, _MOST) / np.clip(self.nominal, 1e-12, _MOST)
+        """Error over the nominal's for every record; up to 1 it is not worse."""
+        return np.minimum(self.trained, _DIVERGED) / np.clip(self.nominal, 1e-12, _DIVERGED)
 
     @property
     def rank(self) -> tuple[int, float]:
-        """The smaller the better."""
+        """Number of records that are worse, then the mean error: the smaller the better."""
         return int((self.worse > _ALIKE).sum()), self.mean
 
     @property
     def converged(self) -> bool:
-        """No record is worse than under the nominal; the error beyond noise is small, or beside the nominal's."""
+        """Whether no record is worse than under the nominal, and the error beyond noise is small or half closed."""
         return self.rank[0] == 0 and self._small
 
     @property
     def nearly(self) -> bool:
-        """The mean error is small, but some record is worse than under the nominal."""
+        """Whether the mean error is small, but some record is worse than under the nominal."""
         return self.rank[0] > 0 and self._small
 
     @property
     def _small(self) -> bool:
-        left, before = (_mean(np.sqrt(np.maximum(e**2 - self.noise**2, 0))) for e in (self.trained, self.nominal))
-        return left <= max(_LITTLE, _CLOSED * before)
+        # without the noise, which no model can close: a noisy set would else never count as converged
+        after, before = (_mean(np.sqrt(np.maximum(e**2 - self.noise**2, 0))) for e in (self.trained, self.nominal))
+        return after <= max(_LITTLE, _CLOSED * before)
 
     @property
     def errors(self) -> tuple[RecordError, ...]:
-        """One for every record."""
+        """Both errors of every record."""
         return tuple(
             RecordError(n, *e) for n, *e in zip(self.names, self.nominal.tolist(), self.trained.tolist(), strict=True)
         )
@@ -94,34 +96,35 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Judge:
-    """fn(model): how it does on these records beside the nominal."""
+    """fn(model): a candidate, from its free runs on these records beside the nominal's."""
 
     records: Sequence[Record]
     nominal: Float[np.ndarray, " records"]
     noise: Float[np.ndarray, " records"]
 
     def __call__(self, model: Model) -> Candidate:
-        """Free runs of all records."""
-        names, found = tuple(r.name for r in self.records), errors(model, self.records)
-        return Candidate(model, names, self.nominal, found, self.noise)
+        """Run the model freely on all records."""
+        names = tuple(r.name for r in self.records)
+        return Candidate(model, names, self.nominal, errors(model, self.records), self.noise)
 
 
 def judge(nominal: Model, records: Sequence[Record]) -> Judge:
-    """The judge of models trained from this nominal on these records."""
+    """Build the judge of models trained from this nominal on these records."""
     noise = [100 * noise_std(r.displacement) / max(float(np.ptp(r.displacement[r.observed])), 1e-30) for r in records]
     return Judge(records, errors(nominal, records), np.array(noise))
 
 
 def kept(
-    best: Candidate, judged: Judge, between: Callable[[Model], Iterable[Model]]
+    best: Candidate, compare: Judge, between: Callable[[Model], Iterable[Model]]
 ) -> tuple[Candidate, list[str], str | None]:
-    """The candidate to hand back, worse on no record; lines that say what failed; what stands in for `best`, or None.
+    """Choose what to hand back, worse on no record; lines that say what failed; what stands in for `best`, or None.
 
     `between`: models from this one towards the nominal, which comes last.
     """
     chosen = best
     if best.rank[0]:
-        tried = [judged(m) for m in between(best.model)]
+        tried = [compare(m) for m in between(best.model)]
+        # the nominal, last, is worse than itself nowhere: there is always something to hand back
         good = [c for c in tried[:-1] if c.rank[0] == 0]
         chosen = min(good, key=lambda c: c.mean) if good else tried[-1]
         lost = ", ".join(
@@ -131,10 +134,10 @@ def kept(
         return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} is handed back; "
                         "look at these records with `pitp check`, or leave them out"], what  # fmt: skip
     if not chosen.converged:
-        left = f"{chosen.mean:.3g} % of range is left on average, {_mean(chosen.nominal):.3g} % by the nominal"
-        return chosen, [f"not converged: {left}; `pitp diagnose` looks for what this model lacks"], None
+        both = f"{chosen.mean:.3g} % of range is left on average, {_mean(chosen.nominal):.3g} % by the nominal"
+        return chosen, [f"not converged: {both}; `pitp diagnose` looks for what this model lacks"], None
     return chosen, [], None
 
 
 def _mean(errors) -> float:
-    return float(np.sqrt(np.mean(np.minimum(errors, _MOST) ** 2)))
+    return float(np.sqrt(np.mean(np.minimum(errors, _DIVERGED) ** 2)))

@@ -1,4 +1,4 @@
-"""How free runs answer every trained number: forward sensitivities through the decoder, block by block.
+"""Differentiate free runs by every trained number: forward sensitivities through the decoder, block by block.
 
     s_{t+1} = g(s_t, l_t, q, a),  l_t = encoder(s_t + drift; p),  V = drive(u; r, a),  y = sensor(s; a)
     Z_{t+1} = A_t Z_t + N_t       Z = ds/d(p, q, r, a),  Z_0 = 0,       J = dy/ds Z + dy/da
@@ -6,8 +6,7 @@
     Z_{t+k} = phi Z_t + sum_j A_{t+k-1} ... A_{j+1} N_j,    phi = A_{t+k-1} ... A_t
 
 p, q, r, a: `parameters`. The states are a plain free run's, so everything but Z is known side by side, and Z takes one
-small product a block. 13 runs of 15,000 samples and 228 numbers: 1.4 s on one core, 2.4 s sample by sample, a plain
-free run 0.1 s.
+small product a block (docs/decisions/free_runs.md).
 """
 
 from functools import partial
@@ -28,7 +27,7 @@ _AT_ONCE = 16  # blocks side by side; what is known of them stays in a core's me
 
 
 class Runs(eqx.Module):
-    """Free runs to be met: starts, drive voltages, scaled displacements and weights of the samples.
+    """Free runs to be fitted: starts, drive voltages, scaled displacements and weights of the samples.
 
     `own_zero`: 1 where a run has a sensor zero of its own, projected out of its errors (variable projection).
     """
@@ -40,15 +39,16 @@ class Runs(eqx.Module):
     weight: Float[Array, "records time"]
     own_zero: Float[Array, " records"] | None = None
 
-    def filled(self, lanes: int) -> "Runs":
-        """Copies of the last one added, which count for nothing, until `lanes` can have equally many."""
-        extra = -len(self.start) % lanes
+    def filled(self, parts: int) -> "Runs":
+        """Add copies of the last run, which count for nothing, until `parts` can have equally many."""
+        extra = -len(self.start) % parts
+        # copies of a run that is as good as any: of one that leaves every range the weight 0 would make nan
         more = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[-1:], extra, axis=0)]), self)
         counts = np.arange(len(more.start))[:, None] < len(self.start)
         return eqx.tree_at(lambda r: r.weight, more, more.weight * counts)
 
     def parts(self, count: int) -> list["Runs"]:
-        """The same in so many parts of equal shape."""
+        """Cut the runs into so many parts of equal shape, which share one compiled program."""
         whole = self.filled(count)
         size = len(whole.start) // count
         return [jax.tree.map(lambda a, k=k: a[k * size : (k + 1) * size], whole) for k in range(count)]
@@ -56,21 +56,25 @@ class Runs(eqx.Module):
 
 @jit
 def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors"]:
-    """Sqrt(every w) e at every `every`-th sample, less an incomplete last block."""
+    """Compute sqrt(every w) e at every `every`-th sample, less an incomplete last block."""
     states = fast_rollout(model, runs.voltage, dt, runs.start)
     errors = jax.vmap(lambda run: ports.readings(model, run))(states) - runs.target
-    last = runs.target.shape[1] // every * every
+    last = runs.target.shape[1] // every * every  # the blocks of `run_slopes`, so that rows match
     return _projected(errors[:, :last:every, None], runs, every)[..., 0]
 
 
 def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -> Float[Array, "records errors n"]:
-    """Weighted by c = sqrt(every w), less c (c . row) / (c . c) where a run has a zero of its own."""
+    """Weigh rows by c = sqrt(every w), less c (c . row) / (c . c) where a run has a zero of its own.
+
+    That is the residual after the best zero, and the same projection of its slopes is exact (variable projection for
+    a number that enters linearly).
+    """
     c = jnp.sqrt(every * runs.weight)[:, : rows.shape[1] * every : every, None]
     rows = c * rows
     if runs.own_zero is None:
         return rows
-    share = (c * rows).sum(1, keepdims=True) / jnp.maximum((c * c).sum(1, keepdims=True), 1e-30)
-    return rows - runs.own_zero[:, None, None] * c * share
+    zero = (c * rows).sum(1, keepdims=True) / jnp.maximum((c * c).sum(1, keepdims=True), 1e-30)
+    return rows - runs.own_zero[:, None, None] * c * zero
 
 
 class _Local:
@@ -82,12 +86,15 @@ class _Local:
         self.both = jnp.concatenate([self.numbers.drive, self.numbers.effects])
 
     def stages(self, runs: Runs, dt: float, both):
-        """Film voltages of every run at every stage, under other numbers of drive and effects."""
+        """Compute the film voltages of every run at every stage, under other numbers of drive and effects."""
         cut = self.numbers.drive.size
         return self.numbers.stages(runs.voltage, runs.rest, dt, both[:cut], both[cut:])
 
     def substep(self, state, volts, volts_by):
-        """Ds/ds, dg/dl, ds by all numbers but the encoder's, and what the encoder sees; the state after it."""
+        """Differentiate one substep: A_t, dg/dl, N_t less the encoder's part, and what the encoder sees; then step.
+
+        The encoder is differentiated apart: through its few logits its many weights cost one reverse pass a block.
+        """
         n, h, core = self.numbers, self.h, state[: self.core]
 
         def moved(state, logits, q, changes):
@@ -99,35 +106,37 @@ class _Local:
         here = state, n.logits(n.encoder, seen), n.memory, 0 * self.both
         by_state, by_logits, by_memory, by_both = jax.jacfwd(moved, (0, 1, 2, 3))(*here)
         by_seen = by_logits @ jax.jacrev(n.logits, 1)(n.encoder, seen)
+        # time constants act twice: on the memory itself, and on what the encoder sees half a step on
         others = jnp.concatenate([by_memory + by_seen @ seen_by_memory, by_both], 1)
         return (by_state.at[:, : self.core].add(by_seen @ by_core), by_logits, others, seen), moved(*here)
 
     def sample(self, state, volts, volts_by):
-        """The substeps of one sample."""
-        found = []
+        """Differentiate the substeps of one sample."""
+        along = []
         for k in range(self.substeps):
             places = slice(2 * k, 2 * k + 3)
             parts, state = self.substep(state, volts[places], volts_by[places])
-            found.append(parts)
-        return jax.tree.map(lambda *a: jnp.stack(a), *found)
+            along.append(parts)
+        return jax.tree.map(lambda *a: jnp.stack(a), *along)
 
     def block(self, states, volts, volts_by):
-        """Phi and N of a few samples: Z after them is phi Z + N."""
+        """Compute phi and N of a few samples: Z after them is phi Z + N."""
         parts = jax.vmap(self.sample)(states, volts, volts_by)
         by_state, by_logits, others, seen = (a.reshape(len(states) * self.substeps, *a.shape[2:]) for a in parts)
         phi, later = jnp.eye(states.shape[1], dtype=states.dtype), []
-        for t in reversed(range(len(by_state))):
+        for t in reversed(range(len(by_state))):  # from the end: A_last ... A_{t+1} is one product longer each time
             later.append(phi)
             phi = phi @ by_state[t]
         later = jnp.stack(later[::-1])
+        # rows of (later dg/dl) pulled back through the encoder: no dl/dp of (logits x weights) is ever formed
         back = jax.vjp(lambda p: jax.vmap(lambda f: self.numbers.logits(p, f))(seen), self.numbers.encoder)[1]
         by_encoder = jax.vmap(lambda rows: back(rows)[0], 1)(later @ by_logits)
         return phi, jnp.concatenate([by_encoder, jnp.einsum("tij,tjk->ik", later, others)], 1)
 
     def sensed(self, state, answer):
-        """Slope of the reading."""
+        """Compute the slope of the reading from that of the state."""
         if not self.with_effects:
-            return answer[0]
+            return answer[0]  # the sensor shows x itself
         n = self.numbers
         by_state, by_effects = jax.jacfwd(n.reading, (0, 1))(state, n.effects)
         return by_state @ answer + jnp.zeros((n.count,), answer.dtype).at[n.count - n.effects.size :].set(by_effects)
@@ -135,7 +144,7 @@ class _Local:
 
 @jit
 def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors parameters"]:
-    """How `run_errors` answer every trained number."""
+    """Differentiate `run_errors` by every trained number."""
     local, (records, size), count = _Local(model, dt), runs.start.shape, runs.voltage.shape[1] // every
 
     def through(answer, block):
@@ -143,12 +152,12 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
         return phi @ answer + new, jax.vmap(local.sensed)(state, answer)
 
     def chunk(answer, item):
-        """Blocks side by side, then Z through them; the slope is taken at each one's first sample."""
+        """Compute blocks side by side, then Z through them; the slope is taken at each one's first sample."""
         blocks = item[0][:, :, 0], *jax.vmap(jax.vmap(local.block))(*item)
         return jax.lax.scan(through, answer, jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), blocks))
 
     def chunks(values):
-        """(records, time, ...) to (chunks, records, blocks, every, ...), zeros after the last block."""
+        """Reshape (records, time, ...) to (chunks, records, blocks, every, ...), zeros after the last block."""
         values = values[:, : count * every].reshape(records, count, every, *values.shape[2:])
         filled = jnp.pad(values, [(0, 0), (0, -count % _AT_ONCE)] + [(0, 0)] * (values.ndim - 2))
         return jnp.moveaxis(filled.reshape(records, -(-count // _AT_ONCE), _AT_ONCE, *values.shape[2:]), 1, 0)
@@ -156,5 +165,6 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
     states, stages = fast_rollout(model, runs.voltage, dt, runs.start), partial(local.stages, runs, dt)
     items = chunks(states), chunks(stages(local.both)), chunks(jax.jacfwd(stages)(local.both))
     start = jnp.zeros((records, size, local.numbers.count), states.dtype)
+    # blocks of zeros stand behind the last one: what Z becomes there is cut off here
     slopes = jax.lax.scan(chunk, start, items)[1].reshape(-1, records, local.numbers.count)[:count]
     return _projected(jnp.moveaxis(slopes, 0, 1), runs, every)

@@ -1,4 +1,4 @@
-"""Free runs against their records as one least-squares problem, on all cores or all devices.
+"""Pose free runs against their records as one least-squares problem, on all cores or all devices.
 
     r = [ sqrt(w) (x - x_measured) at every `every`-th sample of every run,  sqrt(rho) (p - p_0),  slow balance ]
 
@@ -22,7 +22,8 @@ from .creep_balance import SlowBalance
 from .forward_sensitivity import Runs, run_errors, run_slopes
 from .parameters import with_parameters
 
-_FEWEST, _MOST = 4, 128  # runs at once on a core: with fewer it waits for its kernels to start, with more for memory
+# runs at once on a core: with fewer it waits for its kernels to start, with more for memory
+_FEWEST_RUNS, _MOST_RUNS = 4, 128
 
 
 class _OverRuns(eqx.Module):
@@ -33,7 +34,7 @@ class _OverRuns(eqx.Module):
     every: int = eqx.field(static=True)
 
     def __call__(self, model, runs):
-        """The function of a device's own runs."""
+        """Call the function with a device's own runs."""
         return self.function(model, runs, self.dt, self.every)
 
 
@@ -62,26 +63,26 @@ class FreeRuns:
         mesh: Mesh | None = None,
     ):
         self._model, self._how, self._slow, self._mesh = model, (dt, every), slow, mesh
-        self._root, self._centre = np.sqrt(prior[0]), prior[1]
+        self._root, self._centre = np.sqrt(prior[0]), prior[1]  # sqrt(rho): the prior is one more block of residuals
         if mesh is None:
             self._parts = [part for runs in batches for part in runs.parts(_parts_of(len(runs.start)))]
         else:
             self._parts = [spread(runs.filled(len(mesh.local_devices)), mesh) for runs in batches]
 
     def errors(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Residuals at these trained numbers."""
+        """Compute the residuals at these trained numbers."""
         runs = [np.asarray(e) for e in self._each(run_errors, vector)]
         slow = [] if self._slow is None else [self._slow.errors(self._model, vector)]
         return [*runs, self._root * (vector - self._centre), *slow]
 
     def miss(self, vector: np.ndarray) -> float:
-        """Root mean square error of the runs alone, % of range; infinite where one is lost."""
+        """Compute the root mean square error of the runs alone, % of range; infinite where one is lost."""
         runs = self._each(run_errors, vector)
-        left = float(np.sqrt(sum(np.sum(np.square(np.asarray(e, np.float64))) for e in runs)))
-        return left if np.isfinite(left) else np.inf
+        rms = float(np.sqrt(sum(np.sum(np.square(np.asarray(e, np.float64))) for e in runs)))
+        return rms if np.isfinite(rms) else np.inf  # nan would win or lose an argmin at random
 
     def slopes(self, vector: np.ndarray) -> list[Array | np.ndarray]:
-        """Their derivatives by the trained numbers, the last axis."""
+        """Compute their derivatives by the trained numbers, the last axis."""
         runs = self._each(run_slopes, vector)
         slow = [] if self._slow is None else [self._slow.slopes(self._model, vector)]
         return [*runs, np.diag(self._root), *slow]
@@ -93,17 +94,19 @@ class FreeRuns:
             return [over_records(shared, self._mesh, here, (part,)) for part in self._parts]
         if len(self._parts) == 1:
             return [function(here, self._parts[0], *self._how)]
+        # threads, not processes: XLA lets go of the interpreter while it runs, and the arrays stay where they are
         with ThreadPoolExecutor(_cores()) as pool:
             return list(pool.map(lambda part: function(here, part, *self._how), self._parts))
 
 
 def _parts_of(runs: int) -> int:
-    """How many parts so many runs are cut into; a GPU takes them all at once."""
+    """Count the parts that so many runs are cut into; a GPU takes them all at once."""
     if jax.default_backend() != "cpu":
         return 1
-    return max(min(_cores(), runs // _FEWEST), -(-runs // _MOST), 1)
+    return max(min(_cores(), runs // _FEWEST_RUNS), -(-runs // _MOST_RUNS), 1)
 
 
 def _cores() -> int:
-    """That this process may use."""
+    """Count the cores that this process may use."""
+    # a container or `taskset` may leave fewer than the machine has; macOS and Windows cannot say
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -2,8 +2,8 @@
 
     size = floor(1 / (50 f dt)),    f: the faster of the drive's band and the nominal's oscillating modes
 
-A Peano-HASEL recorded at 200 samples a period would be trained on 66 of its 115 s: every fourth sample brings the rest
-(kept 1 and 11 Hz: 53 and 92 -> 22 and 45 % nrmse).
+A record of 200 samples a period would else be cut where the budget ends, and its later part never seen
+(docs/decisions/training.md).
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,15 @@ _PER_PERIOD = 50
 
 
 def thinned(records: Sequence[Record], nominal: Model, budget: int) -> Sequence[Record]:
-    """The records averaged over blocks where they hold more samples than `budget`; else as they are."""
+    """Average the records over blocks where they hold more samples than `budget`; else return them as they are."""
     dt = records[0].dt
     if sum(r.samples for r in records) <= budget:
         return records
     forces = [np.asarray(nominal.input_map.force(r.voltage), np.float64) for r in records]
     roots = np.roots(nominal.physical_coefficients[::-1])
-    ringing = np.abs(roots[np.abs(roots.imag) > np.abs(roots.real)])
+    ringing = np.abs(roots[np.abs(roots.imag) > np.abs(roots.real)])  # a well damped pole makes no fast motion
     fastest = max(force_band(forces, dt), nominal.natural_frequency / (2 * np.pi), *ringing / (2 * np.pi))
+    # the shortest record must keep enough samples to be filtered
     size = min(int(1 / (_PER_PERIOD * fastest * dt)), min(r.samples for r in records) // 64)
     if size < 2:
         return records
@@ -35,8 +36,8 @@ def thinned(records: Sequence[Record], nominal: Model, budget: int) -> Sequence[
 
 
 def _thinned(record: Record, force: np.ndarray, size: int, nominal: Model) -> Record:
-    """The force's means as a voltage again, of the sign that the voltage has most."""
+    """Turn the force's block means into a voltage again, of the sign of the mean voltage."""
     mean, voltage = averaged(record, force, size), averaged(record, record.voltage, size).voltage
     back = np.asarray(nominal.input_map.voltage(jnp.asarray(mean.voltage)), np.float64)
-    sign = np.where(voltage < 0, -1.0, 1.0) if nominal.input_map.one_sided else 1.0
+    sign = np.where(voltage < 0, -1.0, 1.0) if nominal.input_map.one_sided else 1.0  # the square has lost it
     return Record(record.name, mean.time, sign * back, mean.displacement, source=record.source)

@@ -1,8 +1,8 @@
-"""The trained numbers of a model: as one vector, and apart by what each of them is needed for.
+"""Collect the trained numbers of a model: as one vector, and apart by what each of them is needed for.
 
     p: the encoder's weights,   q: the memories' time constants,   r: the drive's,   a: the effects' numbers
 
-In logarithms where they are positive.
+Positive numbers are fitted by their logarithms: no step can make them negative, and a step is a factor.
 """
 
 import equinox as eqx
@@ -20,13 +20,13 @@ from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
 
 
 def trainable(model: Model):
-    """True at every number training may move: encoder weights, memory and drive time constants, effects' numbers."""
-    spec = jax.tree.map(lambda _: False, model)
+    """Mark every number training may move: encoder weights, memory and drive time constants, effects' numbers."""
+    spec = jax.tree.map(lambda _: False, model)  # coefficients stay: the encoder's factors move the tokens
     spec = eqx.tree_at(_parts, spec, jax.tree.map(eqx.is_inexact_array, _parts(model)))
     if isinstance(model.encoder, CompactEncoder):
-        spec = eqx.tree_at(lambda m: m.encoder.bounds, spec, False)
+        spec = eqx.tree_at(lambda m: m.encoder.bounds, spec, False)  # where the data ended
     if isinstance(model.memory, ElapsedTime):
-        spec = eqx.tree_at(lambda m: m.memory.horizon, spec, False)
+        spec = eqx.tree_at(lambda m: m.memory.horizon, spec, False)  # a unit of time, not a time constant
     return spec
 
 
@@ -35,27 +35,29 @@ def _parts(model: Model) -> tuple:
 
 
 def _logarithmic(model: Model) -> np.ndarray:
-    """Which of the effects' numbers are fitted by their logarithm."""
+    """Mark the effects' numbers that are fitted by their logarithm."""
     return np.array([p.positive for e in model.effects for p, _ in e.numbers()], bool)
 
 
 def _stored(model: Model, numbers, xp):
-    """Effects' numbers from what is fitted of them."""
+    """Compute the effects' numbers from what is fitted of them."""
     logs = _logarithmic(model)
+    # the inner `where` keeps exp from overflowing on numbers that are no logarithms, for the gradient's sake
     return xp.where(logs, xp.exp(xp.where(logs, numbers, 0.0)), numbers)
 
 
 def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """All trained numbers in one vector (encoder, memory, drive, effects), and how many of each."""
+    """Collect all trained numbers in one vector (encoder, memory, drive, effects), and how many of each."""
     params = eqx.filter(model, trainable(model))
     parts = [np.asarray(ravel_pytree(part)[0], np.float64) for part in _parts(params)]
     logs = _logarithmic(model)
+    # a number that is zero (an effect that is off) has no logarithm: it starts as good as off
     parts[3] = np.where(logs, np.log(np.maximum(np.where(logs, parts[3], 1.0), 1e-30)), parts[3])
     return np.concatenate(parts), np.array([len(p) for p in parts])
 
 
 def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameters"]) -> Model:
-    """The model with other trained numbers."""
+    """Put other trained numbers into the model."""
     params, static = eqx.partition(model, trainable(model))
     new, first = [], 0
     for part in _parts(params):
@@ -82,14 +84,14 @@ class Numbers:
         self.count = self.encoder.size + self.memory.size + self.drive.size + self.effects.size
 
     def with_effects(self, model: Model, a) -> Model:
-        """A model with other numbers of the effects."""
+        """Put other numbers of the effects into a model."""
         if not self.model.effects:
             return model
         built = eqx.combine(self._effects(_stored(self.model, a, jnp)), self.static.effects)
         return eqx.tree_at(lambda m: m.effects, model, built)
 
     def stages(self, voltage, rest, dt: float, r, a):
-        """Film voltages at the stages of every sample of every record."""
+        """Compute the film voltages at the stages of every sample of every record."""
         drive, model = eqx.combine(self._drive(r), self.static.drive), self.with_effects(self.model, a)
 
         def one(u, rest):
@@ -98,21 +100,21 @@ class Numbers:
         return jax.vmap(one)(voltage, rest)
 
     def logits(self, p, features):
-        """The encoder's, with other weights."""
+        """Compute the encoder's logits with other weights."""
         return eqx.combine(self._encoder(p), self.static.encoder)(features)
 
     def with_memory(self, q) -> Model:
-        """The model with other time constants of the memories."""
+        """Put other time constants of the memories into the model."""
         return eqx.tree_at(lambda m: m.memory, self.model, eqx.combine(self._memory(q), self.static.memory))
 
     def seen(self, core, q, h: float):
-        """What the encoder sees of a state half a substep on."""
+        """Compute what the encoder sees of a state half a substep on."""
         return jnp.stack(midpoint(motion_of(self.with_memory(q)), list(core), h))
 
     def moved(self, state, logits, q, volts, a, h: float):
-        """The state after one substep under these logits along three stage voltages."""
+        """Advance the state by one substep under these logits along three stage voltages."""
         return substep(self.with_effects(self.with_memory(q), a), state, volts, h, logits)
 
     def reading(self, state, a):
-        """What the sensor shows of a state."""
+        """Compute what the sensor shows of a state."""
         return ports.reading(self.with_effects(self.model, a), state)

@@ -1,4 +1,4 @@
-"""Refinement: the trained model's free runs against the records, by least squares (the output error).
+"""Refine the trained model: fit its free runs to the records by least squares (the output error).
 
     minimise  mean over records of  f_k mean_t ( 100 (x(t) - x_measured(t)) / range_k )^2  +  sum_k rho_k (p_k - p_k0)^2
     f_k = (1 + (100 s_min)^2) / (1 + (100 s_k)^2)        s_k: sensor noise over range, s_min the least in the set
@@ -10,8 +10,8 @@ fitted to the equation error may be unstable, and from runs that left every rang
 outlasts the runs is met beside (`creep_balance`). Every trained number is free: encoder weights, memory and drive time
 constants, and those of effects the model was given.
 Where all records exceed the budget, half of it goes to some that stand for all, to their ends, since nothing else sees
-creep within a record, and half to the beginnings of the others, since a resonance is narrow. On a cone it takes the
-held-out median from 0.91 to 0.27 %; what else was tried: docs/decisions/free_runs.md.
+creep within a record, and half to the beginnings of the others, since a resonance is narrow. What it is worth, and what
+else was tried: docs/decisions/free_runs.md.
 """
 
 import time
@@ -41,12 +41,12 @@ from .free_run_problem import FreeRuns
 from .parameters import parameters, trainable, with_parameters
 
 BUDGET = 400_000  # samples in all
-_FEWEST, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
+_FEWEST_WHOLE, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
 _SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length at first, and how it grows
-_NEAR, _WORSE = 10.0, 3.0  # % of range that whole records may be off, or times what windows are, to be met next
+_NEAR, _WORSE = 10.0, 3.0  # % of range that whole records may be off, or times what windows are, to be fitted next
 _SCALED = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the logits, where a stage may begin
 _PRIOR = 1e-4  # rho of every trained number but the weights of the nets of spring and damping
-_PATIENCE, _SLOW = 5, 0.01  # stop when that many steps together lower the error by less than this share
+_PATIENCE, _SLOW = 5, 0.01  # stop when that many steps together lower the error by less than this fraction
 
 
 @dataclass(frozen=True)
@@ -75,18 +75,19 @@ def refine(
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
 
-    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: what else is to be met.
+    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: what else is to be fitted.
     `windows`: whether they come first. `emphasis`: how often each whole record counts; default once.
     """
     how = _How(records[0].dt, report, firmness, slow, mesh)
-    longest = max(r.samples for r in records) * how.dt / _period(model)
+    longest = max(r.samples for r in records) * how.dt / _period(model)  # in periods
     periods, stage = _PERIODS, "short runs"
     while windows:
         runs = (_windows(model, data, records, periods),)
-        for found, entry in _descend(_nearest(model, runs, how), runs, _SHORT_STEPS, stage, how):
-            model = found
-            yield found, entry
+        for stepped, entry in _descend(_nearest(model, runs, how), runs, _SHORT_STEPS, stage, how):
+            model = stepped
+            yield stepped, entry
         periods, stage = _LONGER * periods, "longer runs"
+        # a fit of windows is no use where whole records drift away from it: their bends would lead nowhere
         windows = 2 * periods < longest and _miss(model, _free(model, records), how) > max(
             _NEAR, _WORSE * _miss(model, runs, how)
         )
@@ -108,9 +109,9 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
         if not np.isfinite(cost):
             raise ComputationFailed("the free runs diverged before refinement; check the records for spikes")
         costs.append(cost)
-        left = (time.monotonic() - began) / (k + 1) * (count - k)
-        how.report(stage, k, count, cost, min(costs), left)
-        if k:
+        remaining = (time.monotonic() - began) / (k + 1) * (count - k)
+        how.report(stage, k, count, cost, min(costs), remaining)
+        if k:  # the first is the start itself
             yield with_parameters(model, vector), {"stage": stage, "step": k, "error": cost}
         settled = k >= _PATIENCE and costs[-1] > (1 - _SLOW) * costs[-1 - _PATIENCE]
         if done or settled or k == count:
@@ -118,36 +119,39 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
 
 
 def _nearest(model: Model, batches: Sequence[Runs], how: _How) -> Model:
-    """The model with its logits scaled to where the runs leave least; at zero it is the linear nominal."""
+    """Scale the model's logits to where the runs leave least; at zero it is the linear nominal."""
     runs = _problem(model, batches, how)
     scaled = [eqx.tree_at(lambda m: m.encoder, model, model.encoder.scaled(f)) for f in _SCALED]
     return scaled[int(np.argmin([runs.miss(parameters(m)[0]) for m in scaled]))]
 
 
 def _miss(model: Model, batches: Sequence[Runs], how: _How) -> float:
-    """Root mean square error of the runs, % of range; infinite where one is lost."""
+    """Compute the root mean square error of the runs, % of range; infinite where one is lost."""
     return _problem(model, batches, how).miss(parameters(model)[0])
 
 
 def prior_weights(model: Model, sizes, firmness: float) -> np.ndarray:
-    """Rho of every trained number."""
+    """List rho of every trained number."""
     nets = eqx.filter(model.encoder.token_nets(), trainable(model).encoder)
-    share = np.asarray(ravel_pytree(nets)[0], np.float64)
-    return np.append(_PRIOR + (firmness - _PRIOR) * share, np.full(sum(sizes) - sizes[0], _PRIOR))
+    in_nets = np.asarray(ravel_pytree(nets)[0], np.float64)  # 1 or 0
+    return np.append(_PRIOR + (firmness - _PRIOR) * in_nets, np.full(sum(sizes) - sizes[0], _PRIOR))
 
 
 def thinning(model: Model, dt: float) -> int:
-    """Every how many samples the error is taken: ten to a period of the resonance, at most every eighth."""
+    """Choose every how many samples the error is taken: ten to a period of the resonance, at most every eighth.
+
+    Neighbours on one smooth run say the same; the slopes of fewer samples cost less.
+    """
     return int(np.clip(_period(model) / dt / 10, 1, 8))
 
 
 def _period(model: Model) -> float:
-    """Of the nominal's resonance, s."""
+    """Compute the period of the nominal's resonance, s."""
     return 2 * np.pi / model.natural_frequency
 
 
 def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: float = _PERIODS) -> Runs:
-    """Windows of a few periods, side by side, each from its filtered state: no run can leave the data far behind.
+    """Cut windows of a few periods, each run from its filtered state: no run can leave the data far behind.
 
     An error counts by the range of its record: most windows may stand still.
     """
@@ -158,8 +162,8 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
         for first in range(int(np.argmax(valid)), len(valid) - size + 1, size)
         if valid[first]
     ]
-    share = max(-(-len(places) * size // BUDGET), 1)
-    places = places[::share] or [(0, 0)]
+    every = max(-(-len(places) * size // BUDGET), 1)
+    places = places[::every] or [(0, 0)]
 
     def cut(arrays):
         return jnp.asarray(np.stack([arrays[k][first : first + size] for k, first in places]), jnp.float32)
@@ -167,6 +171,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
     x = [model.output.to_model(r.displacement) / model.scales.state[0] for r in records]
     seen = [np.isfinite(v) for v in x]
     count = np.bincount([k for k, _ in places], minlength=len(records))
+    # a mean over samples, then over windows, then over the records that have any: a long record counts once
     each = _record_weights(model, records) / size / np.maximum(count, 1) / np.count_nonzero(count)
     weight = [w * s for w, s in zip(each, seen, strict=True)]
     start = jnp.stack([_begun(model, data.features[k][first], records[k].voltage[first]) for k, first in places])
@@ -175,20 +180,20 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
-    """A filtered state with the effects' states as if it had been held there."""
+    """Complete a filtered state by the effects' states as if it had been held there."""
     held = ports.initial(model, jnp.asarray(features[0]), jnp.asarray(voltage, features.dtype), 0.0)
     return jnp.concatenate([jnp.asarray(features), held])
 
 
 def run_samples(records: Sequence[Record]) -> int:
-    """How many samples the longest free run has: all of the longest record, if all or some such fit the budget."""
+    """Count the samples of the longest free run: all of the longest record, if all or some such fit the budget."""
     longest = max(r.samples for r in records)
-    share = BUDGET // len(records) if len(records) <= _FEWEST else BUDGET // 2 // _FEWEST
-    return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(share, _SHORTEST))
+    each = BUDGET // len(records) if len(records) <= _FEWEST_WHOLE else BUDGET // 2 // _FEWEST_WHOLE
+    return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(each, _SHORTEST))
 
 
 def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
-    """1e4 f_k / range_k^2 of every record, in the model's scales.
+    """Weigh every record by 1e4 f_k / range_k^2, in the model's scales.
 
     Were every f_k 1, a record whose noise is 5 % of its range would leave 25 whatever the model does, and what another
     with 0.1 % has to tell would be lost beside it.
@@ -202,30 +207,30 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
 def _free(
     model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
 ) -> tuple[Runs, ...]:
-    """All records, or some that stand for all and the beginnings of the others; each of the two counts half."""
+    """Take all records, or some that stand for all and the beginnings of the others; each of the two counts half."""
     size = run_samples(records)
     each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
-        sets = alike(records)
-        sizes, shares = (
+        sets = alike(records)  # by length: padded to one, a set of one long and many short would be mostly padding
+        sizes, parts = (
             [min(size, max(records[k].samples for k in some)) for some in sets],
             [1 / len(records)] * len(sets),
         )
     else:
         long = spread_over_kinds(records, max(BUDGET // 2 // size, 1))
         sets = [list(long), [k for k in range(len(records)) if k not in set(long)]]
-        sizes, shares = (
+        sizes, parts = (
             [size, min(size, max(BUDGET // 2 // len(sets[1]), _SHORTEST))],
             [0.5 / len(some) for some in sets],
         )
     return tuple(
-        _from_the_start(model, [records[k] for k in some], samples, share * each[some])
-        for some, samples, share in zip(sets, sizes, shares, strict=True)
+        _from_the_start(model, [records[k] for k in some], samples, part * each[some])
+        for some, samples, part in zip(sets, sizes, parts, strict=True)
     )
 
 
 def _from_the_start(model: Model, records: Sequence[Record], size: int, each: Float[np.ndarray, " records"]) -> Runs:
-    """Padded arrays of the first `size` samples; what an initial state was estimated from has no weight.
+    """Pad the first `size` samples to arrays; what an initial state was estimated from has no weight.
 
     Records that do not begin at rest have a zero of their own, projected out of their errors.
     """
@@ -238,7 +243,10 @@ def _from_the_start(model: Model, records: Sequence[Record], size: int, each: Fl
         x = model.output.to_model(r.displacement) / model.scales.state[0]
         seen = np.isfinite(x[:n])
         seen[: spent[k]] = False
-        voltage[k, :n], voltage[k, n:] = r.voltage[:n], r.voltage[n - 1]
+        voltage[k, :n], voltage[k, n:] = (
+            r.voltage[:n],
+            r.voltage[n - 1],
+        )  # a jump to 0 V could throw an unstable fit off
         target[k, :n] = np.where(seen, x[:n], 0.0)
         weight[k, :n] = each[k] * seen / max(seen.sum(), 1)
     rest = np.asarray(~start[:, : model.order].any(1), np.float32)

@@ -2,10 +2,10 @@
 
     F = sum_j c_j phi_j - kappa (r - x),   r'' = w^2 (x - r) - 2 zeta w r',   kappa > 0        (least squares)
     phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (what a lag before the square does)
-    left(w, zeta) = share that the pull kappa (x - r) leaves of the residual without it
+    u(w, zeta) = 1 - (pull . residual)^2 / (|pull|^2 |residual|^2)       fraction that the pull leaves unexplained
 
-A strong mode within the driven band is like none of the phi: 0.42 is left on a roll with one at 1.7 times its first
-resonance, at least 0.71 where there is none (docs/decisions/second_resonance.md).
+residual: of F on the phi alone; pull: x - r less its projection on the phi. A strong mode within the driven band is
+like none of the phi (docs/decisions/second_resonance.md).
 """
 
 from collections.abc import Callable, Sequence
@@ -17,17 +17,17 @@ from jaxtyping import Float
 
 from .._record.preprocess import StateRecord
 
-LEFT = 0.65  # at most that share for a second mass
-WORTH = 0.006  # at least that share of the force, rms, for the pull: 0.012 on the roll; 0.003 beside a hard spring
+UNEXPLAINED = 0.65  # at most that u for a second mass
+WORTH = 0.006  # at least that fraction of the force, rms, for the pull; smaller ones come from what phi does not hold
 _ROWS, _SAMPLES = 30_000, 400_000
 _GRID, _DAMPING = 32, (0.003, 0.15)  # with more damping it is a lag
-_FASTEST = 1.0  # w dt; beyond, what the filter and the drive between samples leave looks like a mode (Silverbox: 0.23)
+_FASTEST = 1.0  # w dt; beyond, what the filter and the drive between samples leave looks like a mode
 
 
 def second_mass(
     states: Sequence[StateRecord], omega: float, lags: Float[np.ndarray, " lags"]
 ) -> tuple[float, float, float] | None:
-    """Eigenfrequency (rad/s) and damping ratio of a mass hanging on the moved one, and what its pull leaves; or None.
+    """Find eigenfrequency (rad/s) and damping ratio of a mass hanging on the moved one, and its u; or None.
 
     Args:
         states: filtered motion and force of every record.
@@ -41,28 +41,31 @@ def second_mass(
     columns, force = _columns(seen, lags), seen.weight * seen.read(lambda s: s.force)
     if len(force) < 10 * columns.shape[1] or low >= high:
         return None
+    # phi may hold one column twice (a slow lag and a constant): only directions with data are projected out
     vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     basis = vectors[:, sizes > 1e-9 * sizes[0]]
     residual = force - basis @ (basis.T @ force)
     energy = float(residual @ residual)
 
-    def left(place) -> float:
+    def unexplained(place) -> float:
         w, zeta = np.exp(place)
         if not (low <= w <= high and _DAMPING[0] <= zeta <= _DAMPING[1]):
             return 1.0
         pull = seen.weight * (seen.displacement - seen.filtered([w * w], [1, 2 * zeta * w, w * w]))
         pull = pull - basis @ (basis.T @ pull)
         gain = float(pull @ residual)
+        # kappa < 0 would be a mass that pushes: no explanation, however well it fits
         return 1 - gain**2 / max(float(pull @ pull) * energy, 1e-300) if gain > 0 else 1.0
 
-    start = min(np.geomspace(low, high, _GRID), key=lambda w: left(np.log([w, 0.08])))
-    found = scipy.optimize.minimize(
-        left, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4}
+    # a grid first: between two narrow modes no slope leads from one to the other
+    start = min(np.geomspace(low, high, _GRID), key=lambda w: unexplained(np.log([w, 0.08])))
+    best = scipy.optimize.minimize(
+        unexplained, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4}
     )
-    w, zeta = np.exp(found.x)
+    w, zeta = np.exp(best.x)
     inside = 1.01 * low < w < 0.99 * high  # at an edge it is the tail of something else
-    worth = (1 - found.fun) * energy >= WORTH**2 * float(force @ force)
-    return (float(w), float(zeta), float(found.fun)) if inside and worth and found.fun <= LEFT else None
+    worth = (1 - best.fun) * energy >= WORTH**2 * float(force @ force)
+    return (float(w), float(zeta), float(best.fun)) if inside and worth and best.fun <= UNEXPLAINED else None
 
 
 class _Rows(NamedTuple):
@@ -73,16 +76,16 @@ class _Rows(NamedTuple):
     weight: np.ndarray
 
     def read(self, column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
-        """One column (or several), all records in a row."""
+        """Read one column (or several), all records in a row."""
         return np.concatenate([column(s)[at] for s, at in zip(self.states, self.places, strict=True)])
 
     @property
     def displacement(self) -> np.ndarray:
-        """Measured X."""
+        """Measured displacement X of all records."""
         return self.read(lambda s: s.states[:, 0])
 
     def filtered(self, numerator, denominator) -> np.ndarray:
-        """X behind a continuous filter, exact for X linear between samples, settled at its first value."""
+        """Filter X in continuous time, exact for X linear between samples, settled at its first value."""
         b, a, _ = cast(tuple, scipy.signal.cont2discrete((numerator, denominator), self.states[0].dt, "foh"))
         b, a = np.ravel(b), np.ravel(a)
         settled = scipy.signal.lfilter_zi(b, a)
@@ -92,17 +95,18 @@ class _Rows(NamedTuple):
 
 
 def _rows(states: Sequence[StateRecord]) -> _Rows:
-    """Of records with samples to read (of very many, every so manieth) every so manieth sample."""
+    """Choose records that have valid samples, and of these every so manieth sample, within two budgets."""
     some = [s for s in states if s.valid.any()]
     some = some[:: max(sum(len(s.force) for s in some) // _SAMPLES, 1)]
     every = max(sum(int(s.valid.sum()) for s in some) // _ROWS, 1)
+    # each record from another first sample: the same grid on records of one drive would read the same phases
     places = [np.flatnonzero(s.valid)[k % every :: every] for k, s in enumerate(some)]
     spans = [max(float(np.ptp(s.force)), 1e-300) for s in some]
     return _Rows(some, places, np.repeat(1 / np.array(spans), [len(at) for at in places]))
 
 
 def _columns(seen: _Rows, lags) -> Float[np.ndarray, "rows phi"]:
-    """All phi, weighted, each of length one."""
+    """Compute all phi, weighted, each of length one."""
     dt = seen.states[0].dt
     motion = seen.read(lambda s: s.states)
     motion = motion / np.sqrt(np.mean(motion**2, 0))

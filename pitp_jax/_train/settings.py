@@ -1,4 +1,4 @@
-"""Settings of a training: presets, and the parts of a model they stand for.
+"""Set a training: presets, and the parts of a model that settings stand for.
 
 settings + nominal -> memory (time constants), encoder (at the nominal), drive (its first lag) and other lags
                       learned with it, prior weight of the nets
@@ -46,7 +46,7 @@ class Settings:
         width: hidden size of the compact encoder's nets.
         offset: whether the compact encoder has an offset token.
         few: with fewer records than that, behind a square, the compact encoder is a smaller one (`frugal`): damping
-            blind to memories, one coupling for all tokens; it halves a Peano-HASEL's error beyond its two records.
+            blind to memories, one coupling for all tokens.
         memory: "fading", "elapsed" or "none".
         memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record, or to a quarter of the
             one that the nominal keeps, where that outlasts training (`creep_balance`).
@@ -57,7 +57,7 @@ class Settings:
         difference: "stencil" (8th order) or "central" (eq. 8).
         epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
         stages: most stages.
-        tolerance [epsilon]: a stage must lower the physics residual by this share to earn another.
+        tolerance [epsilon]: a stage must lower the physics residual by this fraction to earn another.
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
         refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
@@ -97,7 +97,7 @@ class Settings:
     firmness: float | None = None
 
     def __post_init__(self):
-        """A word that stands for nothing would silently be the default."""
+        """Refuse a word that stands for nothing: it would silently be the default."""
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
                 raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")
@@ -116,7 +116,7 @@ PRESETS = {
 
 
 def preset_of(name: str) -> Settings:
-    """The preset of that name; an unknown one is refused."""
+    """Look up the preset of that name; refuse an unknown one."""
     if name not in PRESETS:
         raise BadInput(f"unknown preset {name!r}: use one of {', '.join(PRESETS)}")
     return PRESETS[name]
@@ -125,7 +125,7 @@ def preset_of(name: str) -> Settings:
 def memory_of(
     settings: Settings, nominal: Model, long: LongRecord | None, states: Sequence[StateRecord]
 ) -> AbstractMemory:
-    """The memory a preset asks for, its time constants from the resonance to the longest record.
+    """Build the memory a preset asks for, its time constants from the resonance to the longest record.
 
     Or to a quarter of the `long` one, in which a lag can settle. With a second mass, where the motion shows one.
     """
@@ -135,6 +135,7 @@ def memory_of(
         return NoMemory()
     if settings.memory == "elapsed":
         return ElapsedTime(horizon=float(longest))
+    # faster than the resonance a lag is nothing but x and x', which the encoder sees already
     tau = np.geomspace(min(2.0 / nominal.natural_frequency, longest / 20), longest, settings.memories)
     lags = jnp.asarray(np.log(tau), jnp.float32)
     mass = second_mass(states, nominal.natural_frequency, tau) if settings.ringing else None
@@ -145,11 +146,11 @@ def memory_of(
 
 
 def firmness_of(settings: Settings, model: Model, records: int) -> float:
-    """Prior weight of the nets of spring and damping: more without a square, most with `few` records behind one."""
+    """Choose the prior weight of the nets of spring and damping: more without a square, most with `few` records."""
     if settings.firmness is not None:
         return settings.firmness
     if _frugal(model):
-        return 0.06 / records
+        return 0.06 / records  # the error is a mean over records: fewer of them say less, and hold a net less
     return 1e-4 if model.input_map.one_sided else 1e-3
 
 
@@ -158,36 +159,39 @@ def _frugal(model: Model) -> bool:
 
 
 def with_drive(model: Model, settings: Settings) -> Model:
-    """The model with the electrode's lag that free runs start from; the equation error reads the drive as direct.
+    """Give the model the electrode's lag that free runs start from; the equation error reads the drive as direct.
 
     Without a square behind it a lag is one more linear pole, which the order stands for.
     """
     if settings.drive != "electrode" or not model.input_map.one_sided:
         return model
+    # a tenth of a radian of the resonance: short enough to change little, long enough for its slope to be felt
     lag = ElectrodeLag(jnp.asarray(np.log(0.1 / model.natural_frequency), jnp.float32))
     return eqx.tree_at(lambda m: m.drive, model, lag)
 
 
 def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
-    """The model with its drive's first lag, the effects of the nominal, and the parts that are asked for.
+    """Give the model its drive's first lag, the effects of the nominal, and the parts that are asked for.
 
     An effect that is there from the start is fitted beside the encoder: what it explains the nets need not learn.
     """
     begin = jnp.asarray(0.1 / nominal.natural_frequency, jnp.float32)
     old, new = nominal.scales, model.scales
+    # training has scales of its own; an effect's numbers are stored in those of its model
     given = tuple(in_scales(e, (old.state, old.force), (new.state, new.force)) for e in nominal.effects)
     effects = (*given, *(PARTS[part](begin) for part in settings.parts))
     return replace(with_drive(model, settings), effects=effects)
 
 
 def with_encoder(data: Dataset, settings: Settings, key) -> Model:
-    """The nominal with a fresh encoder, bounded at twice the trained region."""
+    """Give the nominal a fresh encoder, bounded at twice the trained region."""
     model = data.model
     n, memories = model.order, model.memory.size
     if settings.encoder == "paper":
         encoder = PaperEncoder(n + memories, n + 1, key=key)
     else:
         low, high = np.asarray(data.region).T
+        # a slow memory barely moves in short records: it gets a quarter of x's range at least
         half = np.maximum(high - low, 0.25 * (high[0] - low[0])) / 2
         bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half
         frugal = model.input_map.one_sided and len(data.features) < settings.few

@@ -1,4 +1,4 @@
-"""Training: from a nominal model and records to a model with an encoder (paper, Algorithm 1, then rollouts).
+"""Train an encoder: from a nominal model and records to a model (paper, Algorithm 1, then rollouts).
 
     stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
@@ -25,6 +25,7 @@ from .._errors import BadInput, ComputationFailed
 from .._model.memory import RingingMemory
 from .._model.model import Hold, Model
 from .._model.programs import jit
+from .._model.substeps import substeps
 from .._model_file.lineage import descended
 from .._record.initial_state import aligned, in_motion
 from .._record.long_record import LongRecord
@@ -117,29 +118,31 @@ def train(
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
-    seen, left_out = in_motion(records)
+    seen, motionless = in_motion(records)
     given, records = nominal, thinned(seen, nominal, BUDGET)
+    # means stand at the middle of their blocks: held from there to the next they would lag by half a block
     nominal = _at(nominal, records[0].dt, hold=nominal.hold if records is seen else "foh")
-    judged = judge(nominal, records)
+    compare = judge(nominal, records)
+    # the equation error needs x itself: each record's own zero and direction are taken out first
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
     data, slow = _prepared(nominal, records, settings)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
-        for found, entry in _attempts(nominal, data, slow, records, judged, settings, key, progress, mesh):
-            best = found
+        for model, entry in _attempts(nominal, data, slow, records, compare, settings, key, progress, mesh):
+            best = model
             history.append(entry)
     except KeyboardInterrupt:
         if best is None:
             raise
-        interrupted = True
+        interrupted = True  # minutes of training are not thrown away: what is best so far is handed back, and says so
     if best is None:
         raise BadInput("settings allow no training stage: set stages to 1 or more")
-    chosen, problems, fallback = kept(judged(best), judged, lambda m: _between(m, nominal, data, settings))
-    if records[0].dt != seen[0].dt:
+    chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
+    if records[0].dt != seen[0].dt:  # trained on block means, but judged on the records as they were given
         chosen = judge(given, seen)(_at(chosen.model, seen[0].dt, hold=given.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
-             "records": [r.name for r in records], "left_out": left_out, "samples": int(data.equation.force.shape[0]),
+             "records": [r.name for r in records], "left_out": motionless, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "errors": {e.name: [e.nominal, e.trained] for e in chosen.errors}, "problems": problems,
              "interrupted": interrupted, "fallback": fallback, "trained_at_hz": 1 / records[0].dt}  # fmt: skip
@@ -149,13 +152,13 @@ def train(
 
 
 def _at(model: Model, dt: float, hold: Hold) -> Model:
-    """The model for records of this sampling interval."""
-    substeps = max(1, round(model.substeps * dt / model.provenance.dt))
-    return replace(model, substeps=substeps, hold=hold, provenance=model.provenance.with_(dt=dt))
+    """Convert the model to records of this sampling interval."""
+    count = max(round(model.substeps * dt / model.provenance.dt), substeps(model.physical_coefficients, dt))
+    return replace(model, substeps=count, hold=hold, provenance=model.provenance.with_(dt=dt))
 
 
 def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:
-    """What training reads; with the slow balance where the nominal keeps a record that outlasts the free runs.
+    """Prepare what training reads; with the slow balance where the nominal keeps a record that outlasts the free runs.
 
     Not where the nominal has effects of its own, which that balance would not hold.
     """
@@ -168,14 +171,14 @@ def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, Slo
     long, seen = nominal.provenance.long_record, run_samples(records) * records[0].dt
     fits = settings.memory == "fading" and settings.refine_steps > 0 and not nominal.effects
     if long and fits and long.seconds > OUTLASTS * seen:
-        data = dataset(long)
+        data = dataset(long)  # again, below, if no window counts: its memories would be longer than anything shows
         if slow := slow_balance(data.model, long, data.region):
             return replace(data, region=widened(data.region, slow.features(data.model))), slow
     return dataset(None), None
 
 
 def _attempts(
-    nominal, data: Dataset, slow: SlowBalance | None, records, judged: Judge, settings: Settings, key, progress,
+    nominal, data: Dataset, slow: SlowBalance | None, records, compare: Judge, settings: Settings, key, progress,
     mesh: Mesh | None,
 ):  # fmt: skip
     """Yield (best model so far, history entry): the usual way, and where that does not converge others.
@@ -191,16 +194,16 @@ def _attempts(
         return refine(model, data, records, steps, report, firmness=firmness, slow=slow, mesh=mesh, **how)
 
     init, sub = jax.random.split(key)
-    found = None
-    for found, entry in _stages(with_encoder(data, settings, init), data, settings, sub, progress):
-        yield found, entry
-    if found is None or not settings.refine_steps:
+    model = None
+    for model, entry in _stages(with_encoder(data, settings, init), data, settings, sub, progress):
+        yield model, entry
+    if model is None or not settings.refine_steps:
         return
-    found = with_parts(found, nominal, settings)
-    for step, entry in _until_lost(refined(found)):
-        found = step
+    model = with_parts(model, nominal, settings)
+    for step, entry in _until_lost(refined(model)):
+        model = step
         yield step, entry
-    best, start = judged(found), 1
+    best, start = compare(model), 1
     while not best.converged and start < settings.starts:
         start += 1
         if best.nearly:
@@ -210,14 +213,14 @@ def _attempts(
             again = refined(with_parts(fresh, nominal, settings), 10.0 ** (start - 2))
         ends = [best.model]
         for ends[0], entry in _until_lost(again):
-            yield best.model, {**entry, "start": start}
-        best = min(best, judged(ends[0]), key=lambda c: c.rank)
+            yield best.model, {**entry, "start": start}  # an interrupt hands back the best, not one half on its way
+        best = min(best, compare(ends[0]), key=lambda c: c.rank)
     if start > 1:
         yield best.model, {"stage": "best", "error": best.mean**2}
 
 
 def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
-    """The steps of one start up to where its free runs diverge: that ends this start, not the training."""
+    """Take the steps of one start up to where its free runs diverge: that ends this start, not the training."""
     try:
         yield from steps
     except ComputationFailed:
@@ -225,7 +228,7 @@ def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, di
 
 
 def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Iterator[Model]:
-    """Models between this one and the nominal, which comes last: nothing learned, and no lag in the drive."""
+    """Yield models between this one and the nominal, which comes last: nothing learned, and no lag in the drive."""
     for factor in (0.7, 0.4, 0.2):
         yield replace(model, encoder=model.encoder.scaled(factor))
     start = replace(model, drive=data.model.drive, memory=data.model.memory)
@@ -233,22 +236,23 @@ def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) ->
     yield replace(bare, encoder=model.encoder.scaled(0.0))
 
 
-def _report(progress, stage, step, steps, value, best, seconds_left):
-    progress(Progress(stage, step, steps, None, value, best, seconds_left))
+def _report(progress, stage, step, steps, value, best, remaining):
+    progress(Progress(stage, step, steps, None, value, best, remaining))
 
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
-    """Algorithm 1: yield (best model, history entry) after every stage."""
+    """Run Algorithm 1: yield (best model, history entry) after every stage."""
     total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
     best_model, best, constraint, count, began = model, np.inf, np.inf, 0, time.monotonic()
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`
-        state = _OPTIMISER.init(params)
+        state = _OPTIMISER.init(params)  # a stage begins at the best weights so far: momentum belongs to the last ones
         epochs = max(1, int(settings.epochs * settings.decay_epochs**j))
         at_stage = best
         for epoch in range(epochs):
             key, sub = jax.random.split(key)
+            # a half cosine down to a twentieth: a stage ends where the noise of minibatches has settled
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder == "compact" else 1.0
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
@@ -261,8 +265,8 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
                 return  # free runs begin at the best so far: at first the nominal
             if physics < best:
                 best, best_model = physics, replace(best_model, encoder=eqx.combine(params, static))
-            left = (time.monotonic() - began) / count * (total - count)
-            progress(Progress(f"stage {j + 1}", epoch + 1, epochs, box[1], physics + constraint, best, left))
+            remaining = (time.monotonic() - began) / count * (total - count)
+            progress(Progress(f"stage {j + 1}", epoch + 1, epochs, box[1], physics + constraint, best, remaining))
         yield (
             best_model,
             {"stage": j + 1, "box": list(box), "physics": best, "constraint": constraint, "epochs": epochs},
@@ -272,14 +276,14 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
 
 
 def _in_an_epoch(settings: Settings) -> dict:
-    """The settings that its program depends on."""
+    """Choose the settings that the program of an epoch depends on."""
     dropout = settings.encoder == "paper"
     return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
 
 
 @jit
 def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: int, width, penalty, dropout: bool):
-    """One epoch over shuffled minibatches as one compiled scan; an incomplete batch is left to the next shuffle."""
+    """Run one epoch over shuffled minibatches as one compiled scan; an incomplete batch waits for the next shuffle."""
     count = max(data.force.shape[0] // batch, 1)
     size = min(batch, data.force.shape[0])
     shuffle, drop = jax.random.split(key)
@@ -294,6 +298,7 @@ def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: 
         index, k = item
         grads, parts = eqx.filter_grad(objective, has_aux=True)(p, data.take(index), k if dropout else None)
         updates, s = _OPTIMISER.update(grads, s, p)
+        # outside the optimiser: there the rate would be a constant, and every epoch's a program of its own
         updates = jax.tree.map(lambda u: -rate * u, updates)
         return (eqx.apply_updates(p, updates), s), jnp.stack(parts)
 
@@ -303,24 +308,25 @@ def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: 
 
 
 def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) -> tuple[tuple[float, float], ...]:
-    """Lowest and highest value of every feature, with the memories as they were learned."""
+    """Find lowest and highest value of every feature, with the memories as they were learned."""
     n, seen = model.order, []
-    for found, valid in zip(data.features, data.valid, strict=True):
-        past = np.asarray(model.memory.trajectory(jnp.asarray(found[:, 0]), dt, jnp.asarray(found[0, n:])))
-        seen.append(np.concatenate([found[:, :n], past], -1)[valid])
+    for features, valid in zip(data.features, data.valid, strict=True):
+        # free runs moved the time constants, and with them what the memories were
+        past = np.asarray(model.memory.trajectory(jnp.asarray(features[:, 0]), dt, jnp.asarray(features[0, n:])))
+        seen.append(np.concatenate([features[:, :n], past], -1)[valid])
     rows = np.concatenate(seen)
     region = tuple((float(a), float(b)) for a, b in zip(rows.min(0), rows.max(0), strict=True))
     return widened(region, slow.features(model)) if slow else region
 
 
 def _second_mass_hz(model: Model) -> float | None:
-    """Where what hangs on the moved mass resonates by itself, Hz."""
+    """Compute where what hangs on the moved mass resonates by itself, Hz."""
     memory = model.memory
     return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
 def _annotated(model: Model, region, records: Sequence[Record], notes: dict) -> Model:
-    """The model with its trained region, the drives it has seen and the training summary in its provenance."""
-    told = json.dumps({**json.loads(model.provenance.notes), "training": notes})
-    seen = model.provenance.driven_by(records).with_(dt=records[0].dt, region=region, notes=told)
+    """Write the trained region, the drives it has seen and the training summary into the model's provenance."""
+    text = json.dumps({**json.loads(model.provenance.notes), "training": notes})
+    seen = model.provenance.driven_by(records).with_(dt=records[0].dt, region=region, notes=text)
     return replace(model, provenance=seen.with_(covariance=(), misfit=float("inf")))  # an encoder stands beside it now

@@ -14,7 +14,7 @@ DRIVES = {"sweep": (0.1, 8.0), "sine2": (2.0, 2.0), "sine4": (4.0, 4.0)}
 TIME = np.arange(2000) / 500.0
 SCORE_KEYS = {
     "e_rms_percent", "nrmse_percent", "rmse", "rmse_unit", "samples", "missing", "diverged",
-    "outside_training_share", "begins", "zero", "direction", "zero_fitted_e_rms_percent",
+    "outside_training_share", "begins", "zero", "direction", "zero_fitted_e_rms_percent", "initial_samples",
 }  # fmt: skip
 
 

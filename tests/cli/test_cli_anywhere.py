@@ -41,7 +41,7 @@ def test_identify_and_predict_there(call, placed, quick_identify):
     record, out, scores = placed / "sinus ö Ω.csv", placed / "läufe 1", placed / "ö.json"
     code, said, _ = call("predict", placed / "modell ü", record, "--out", out, "--json", scores)
     assert code == 0 and "sinus ö Ω" in said
-    assert tree(out) == ["report.html", "sinus ö Ω.csv"]
+    assert tree(out) == ["index.html", "report.html", "sinus ö Ω.csv"]
     assert list(json.loads(scores.read_text(encoding="utf-8"))["records"]) == ["sinus ö Ω"]
 
 

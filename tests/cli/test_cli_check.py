@@ -42,11 +42,12 @@ def test_check_writes_records_as_understood_a_page_and_json(call, bench, tmp_pat
         assert header == ["time_s", "voltage_V", "displacement_m"]
         np.testing.assert_allclose(values[:, 1], motion(name)[0], atol=1e-5)
     assert "displacement" in told["records"]["broken"]["problems"][0] and "broken" in err
-    assert tree(out) == sorted(["check.html", "source.toml", *(f"{name}.csv" for name in DRIVES)])
+    assert tree(out) == sorted(["check.html", "index.html", "source.toml", *(f"{name}.csv" for name in DRIVES)])
     page = (out / "check.html").read_text()
     assert page.count("<svg") == 1 + len(DRIVES) and "http" not in page and "sweep" in text
 
 
+@pytest.mark.slow
 def test_check_with_a_model_names_what_it_does_not_explain(call, bench, tmp_path):
     voltage, x = motion("sine2")
     write_record(tmp_path / "other.csv", voltage, 1.3 * x)

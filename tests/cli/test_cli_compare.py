@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from cli_cases import refused, tree, truth
 
 from pitp_jax._model_file import model_file
@@ -10,6 +11,7 @@ from pitp_jax._model_file import model_file
 DIAGNOSIS = {"verdict": "no_gap", "effects": [], "equivalent": [], "gap": {"before": 1.0, "after": 1.0}, "ranking": []}
 
 
+@pytest.mark.slow
 def test_records_of_one_drive_make_a_page_and_figures(call, bench, tmp_path):
     """Two copies of the same recordings do not differ; one with 10 % more motion does."""
     (tmp_path / "again").mkdir()

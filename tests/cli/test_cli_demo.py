@@ -49,7 +49,7 @@ def test_demo_quick(call, tmp_path):
     assert code == 0
     assert "Table I" in text
     assert all(table["title"] in text for table in json.loads((tmp_path / "j").read_text())["tables"])
-    left = {*files.FILES, *files.recordings("cone100", quick=True), files.RECORDS, files.HELD_OUT}
+    left = {*files.FILES, *files.recordings("cone100", quick=True), files.RECORDS, files.HELD_OUT, "figures"}
     assert tree(tmp_path / "d") == sorted(left)
     assert call("predict", tmp_path / "d" / "model.pitp", tmp_path / "d" / "held_out")[0] == 0
     assert model_file.load(tmp_path / "d" / "model.pitp").order >= 2
@@ -73,7 +73,7 @@ def test_end_to_end(call, bench, tmp_path, monkeypatch):
     told = json.loads((tmp_path / "i").read_text())
     assert told["self_check_e_rms_percent"] < 5
     header, values = columns_of(out)
-    assert header == ["time_s", "voltage_V", "infeasible", "saturated"]
+    assert header == ["time_s", "voltage_V", "target_mm", "infeasible", "saturated"]
     assert len(values) == told["samples"]
     assert values[:, 1].max() <= 2001.0
     x = lsim(([1.0], COEFFICIENTS[::-1]), values[:, 1] ** 2, np.arange(len(values)) * 0.002)[1]

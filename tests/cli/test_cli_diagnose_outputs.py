@@ -75,6 +75,7 @@ def test_an_experiment_is_written_and_named_and_an_old_one_goes(bench, quick, ca
         "figures/gap.csv",
         "model_augmented",
         "diagnosis.json",
+        "index.html",
         "notes.txt",
         "report.html",
     }

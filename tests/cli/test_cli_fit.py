@@ -114,6 +114,7 @@ def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
     assert 3 <= len(drawn) < 20  # not redrawn faster than can be seen
 
 
+@pytest.mark.slow
 def test_fit_is_reproducible_by_seed(call, bench, tmp_path, trainer):
     for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
         call("fit", bench / "records", "--out", tmp_path / name, "--nominal", bench / "nominal", "--seed", seed)
@@ -141,6 +142,7 @@ def test_fit_refuses_options_that_contradict_the_nominal(call, bench, tmp_path, 
     assert call(*start, "--order", "auto")[0] == 0
 
 
+@pytest.mark.slow
 def test_fit_that_fails(call, bench, tmp_path, trainer):
     start = ["fit", bench / "records", "--out", tmp_path / "m", "--nominal", bench / "nominal"]
     trainer.error = ComputationFailed("the loss became nan\nin stage 1")

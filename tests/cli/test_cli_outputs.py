@@ -1,11 +1,14 @@
 """Outputs of every command appear whole or not at all, and never over an input."""
 
 import os
+import re
 
+import numpy as np
 import pytest
 from cli_cases import motion, refused, tree, write_record
 
 from pitp_jax._commands import outputs
+from pitp_jax._report import html
 
 
 def test_destinations_are_checked_before_the_work(call, bench, tmp_path, monkeypatch):
@@ -27,9 +30,9 @@ def test_a_folder_of_records_is_not_overwritten(call, bench, tmp_path):
     record = write_record(folder / "sine2.csv", *motion("sine2"))
     before = record.read_bytes()
     assert "replace" in refused(call("predict", bench / "nominal", folder, "--out", folder))
-    assert "not written by pitp" in refused(call("predict", bench / "nominal", folder, "--json", record))
-    assert "not written by pitp" in refused(call("identify", folder, "--out", record))
+    assert "already used" in refused(call("predict", bench / "nominal", folder, "--json", record))
     assert "already used" in refused(call("identify", folder, "--out", record, "--force"))
+    assert "not written by pitp" in refused(call("identify", bench / "records", "--out", record))
     assert record.read_bytes() == before
     assert tree(folder) == ["sine2.csv"]
 
@@ -75,6 +78,7 @@ def test_predict_on_a_full_disk_leaves_nothing(call, bench, tmp_path, full_disk,
         assert (out / "sine2.csv").read_text() == file.read_text() == '{"old": 1}'
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 def test_full_device(call, bench, tmp_path, quick_identify, quick_inverse):
     model, records = bench / "nominal", bench / "records"
@@ -100,5 +104,43 @@ def test_invert_on_a_full_disk_leaves_nothing(call, bench, tmp_path, quick_inver
         "--json",
         tmp_path / "j",
     ]
-    assert f"cannot write {tmp_path / 'j'}: No space left" in refused(call(*argv))
+    assert f"cannot write {tmp_path / 'v.csv'}: No space left" in refused(call(*argv))
     assert tree(tmp_path) == []
+
+
+def test_an_index_links_every_page_of_a_folder_and_leaves_what_is_not_ours(tmp_path):
+    page = html.page("Two < three", [])
+    with outputs.staged(folder=tmp_path / "d") as stage:
+        (stage / "check.html").write_text(page)
+    (tmp_path / "d" / "hand.html").write_text("<title>mine</title>")
+    (tmp_path / "d" / "knee").mkdir()
+    (tmp_path / "d" / "knee" / "a b.html").write_text(page)
+    with outputs.staged(folder=tmp_path / "d") as stage:
+        (stage / "report.html").write_text(html.page("verdict", []))
+    index = (tmp_path / "d" / "index.html").read_text()
+    links = re.findall('href="(.*?)">.*?<span class="soft">(.*?)</span>', index)
+    assert links == [
+        ("check.html", "Two &lt; three"),
+        ("knee/a%20b.html", "Two &lt; three"),
+        ("report.html", "verdict"),
+    ]
+    (tmp_path / "d" / "index.html").write_text("my own site")
+    with outputs.staged(folder=tmp_path / "d") as stage:
+        (stage / "report.html").write_text(page)
+    assert (tmp_path / "d" / "index.html").read_text() == "my own site"
+
+
+def test_a_folder_without_pages_has_no_index(tmp_path):
+    with outputs.staged(folder=tmp_path / "d") as stage:
+        (stage / "a.csv").write_text("x")
+    assert tree(tmp_path / "d") == ["a.csv"]
+
+
+def test_joints_of_a_log_are_linked_from_the_folder_above(call, tmp_path):
+    rows = [f"{k / 100:.2f},{a:.6f},{a:.6f},{-a:.6f}" for k, a in enumerate(np.sin(np.arange(400) / 30))]
+    (tmp_path / "log.csv").write_text("\n".join(["time_s,cmd (rad),knee (rad),hip (rad)", *rows]))
+    each = ["--each", "knee=cmd (rad),knee (rad)", "--each", "hip=cmd (rad),hip (rad)"]
+    code, _, err = call("check", tmp_path / "log.csv", *each, "--out", tmp_path / "d")
+    assert code == 0, err
+    index = (tmp_path / "d" / "index.html").read_text()
+    assert re.findall('href="(.*?)"', index) == ["hip/check.html", "knee/check.html"]

@@ -35,8 +35,9 @@ def test_predict_writes_scores_and_records_in_their_own_units(call, bench, tmp_p
     assert result["median_e_rms_percent"] == np.median([row["e_rms_percent"] for row in result["records"].values()])
     assert "median e_rms" in text
     assert tree(tmp_path) == sorted(
-        ["new", "new/folder", "new/folder/report.html", "scores.json", *(f"new/folder/{name}.csv" for name in DRIVES)]
-    )
+        ["new", "new/folder", "new/folder/index.html", "new/folder/report.html", "scores.json",
+         *(f"new/folder/{name}.csv" for name in DRIVES)]
+    )  # fmt: skip
 
 
 def test_predict_counts_missing_samples_and_names_moving_records(call, bench, tmp_path):
@@ -47,22 +48,23 @@ def test_predict_counts_missing_samples_and_names_moving_records(call, bench, tm
     assert call("predict", bench / "nominal", moving, "--json", tmp_path / "j", "--out", tmp_path / "d")[0] == 0
     code, text, _ = call("predict", bench / "nominal", moving, "--json", tmp_path / "j")
     assert code == 0
-    assert "moving: starts moving; initial state estimated from the first 50 samples" in text
+    assert "moving: starts moving; initial state estimated from the first 150 samples" in text  # 1.5 periods of 5 Hz
     row = json.loads((tmp_path / "j").read_text())["records"]["moving"]
-    assert (row["samples"], row["missing"]) == (1685, 20)
+    assert (row["samples"], row["missing"], row["initial_samples"]) == (1685, 20, 150)
     assert row["e_rms_percent"] < 2
     _, values = columns_of(tmp_path / "d" / "moving.csv")
     assert np.isnan(values[:, 2]).sum() == 20
     assert np.isfinite(values[:, 3]).all()
 
 
+@pytest.mark.slow
 def test_predict_gives_names_that_collide_their_folders(call, bench, tmp_path):
     for folder in ("clean", "worn"):
         (tmp_path / folder).mkdir()
         write_record(tmp_path / folder / "sine2.csv", *motion("sine2"))
     out = tmp_path / "out"
     assert call("predict", bench / "nominal", tmp_path / "clean", tmp_path / "worn", "--out", out)[0] == 0
-    assert tree(out) == ["clean", "clean/sine2.csv", "report.html", "worn", "worn/sine2.csv"]
+    assert tree(out) == ["clean", "clean/sine2.csv", "index.html", "report.html", "worn", "worn/sine2.csv"]
 
 
 @pytest.fixture
@@ -81,6 +83,7 @@ def diverging(monkeypatch):
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lost", "median"), [(["sine2"], True), (["sine2", "sine4"], False)])
 def test_predict_with_diverged_records(call, bench, tmp_path, diverging, lost, median):
     diverging.update(lost)
