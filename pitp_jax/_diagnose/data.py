@@ -133,7 +133,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         age = model.provenance.age(r.time[0]) if known else 0.0
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         rest = b.begins == "rest"
-        if rest and (k > 1 or model.hold == "zoh"):  # what is half a sample late needs the rest before it as a sample
+        if rest and k > 1:  # a mean over k samples stands in their middle: the rest before it is a sample of its own
             volts, x = np.append(0.0, volts), np.append(np.nan, x)
             seen = np.asarray(np.isfinite(x))
         starts.append((0.0, 0.0) if rest else (first, 0.0))

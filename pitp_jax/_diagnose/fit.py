@@ -92,10 +92,10 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     time = np.arange(size) * case.dt
     columns, begins = [np.ones(size)], [(0.0, 0.0)]
     if a2 <= 0:
-        poles: list[complex] = [complex(-a0 / a1)]
+        poles = [complex(-a0 / a1)]
     else:
         root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
-        poles = [complex(-a1 + root) / (2 * a2), complex(-a1 - root) / (2 * a2)]
+        poles = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
     for pole in poles if not poles[0].imag else poles[:1]:
         if abs(pole) * time[-1] < 1e-3 and a2 > 0:  # no spring: the zero stands for x(0)
             continue
