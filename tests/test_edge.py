@@ -202,9 +202,7 @@ def ringing():
     rate, hz = 200.0, 10.0
     u = sweep(rate, 100.0, 0.5, 20.0)
     record = pitp.Record("ringing", np.arange(len(u)) / rate, u, np.asarray(response(u / TOP, hz, 1e-4, rate)))
-    short = sweep(rate, 5.0, 0.5, 20.0)  # fifty periods: in a thousand the sum of squares has as many minima
-    known = pitp.Record("short", np.arange(len(short)) / rate, short, np.asarray(response(short / TOP, hz, 1e-4, rate)))
-    model = pitp.identify([known], order=2, hold="foh", input_map="linear").model
+    model = pitp.identify([record], order=2, hold="foh", input_map="linear").model
     sampled = cont2discrete(([1.0], model.physical_coefficients[::-1]), 1 / rate, method="foh")
     b, a = (np.ravel(np.asarray(part)) for part in sampled[:2])  # pyright: ignore[reportIndexIssue]
     return model, record, np.asarray(lfilter(b, a, u))

@@ -46,6 +46,9 @@ class FrequencyResponse:
         return len(known) >= _FEWEST and float(known.max()) >= _SPAN * float(known.min())
 
 
+UNKNOWN_RESPONSE = FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros(0), np.zeros(0))
+
+
 def frequency_response(problem: Problem) -> FrequencyResponse:
     """Of every record on lines spaced by their logarithm; the records' lines stand beside each other."""
     each = max(_LINES // len(problem.drive), 8)
@@ -58,7 +61,7 @@ def frequency_response(problem: Problem) -> FrequencyResponse:
         force = drive**2 if problem.square else drive
         parts.append(_local(force - force.mean(), filled - filled.mean(), problem.dt, each))
     if not parts:
-        return FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros(0), np.zeros(0))
+        return UNKNOWN_RESPONSE
     hz, value, stderr, coherence = (np.concatenate(p) for p in zip(*parts, strict=True))
     order = np.argsort(hz)[-_LINES:]
     return FrequencyResponse(hz[order], problem.scale * value[order], problem.scale * stderr[order], coherence[order])

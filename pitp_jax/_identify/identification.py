@@ -31,7 +31,7 @@ from .._shown import Shown
 from .beginnings import find_beginnings
 from .candidates import Candidate, choose, search
 from .frequency_fit import ORDERS
-from .frequency_response import FrequencyResponse, frequency_response
+from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
 from .heldout import OutOfFold, held_out, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, least_squares, solve
@@ -145,6 +145,10 @@ def identify(
     if not candidates:
         raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
     chosen = choose(candidates) if order != "auto" else _known(candidates, small)
+    if order != "auto" and response.rich and not describe(chosen, small).identifiable:
+        # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
+        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
+        chosen = choose(candidates)
     freed, begun = _zeros_by_score(chosen, records, input_map, begun, roots, finest)
     whole = whole if freed is chosen else build_problem(records, input_map, begun)
     chosen = _refined(freed, whole, [hold] if hold else [*_HOLDS] if chosen.structure.delayed or small.fine < small.dt
