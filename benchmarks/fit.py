@@ -63,13 +63,13 @@ def step_ways(nominal, train, settings) -> tuple[dict, str]:
     torch.set_num_threads(1)
     network = Tokens(model)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
-    batch = [tensor(a[: settings.batch]) for a in (few.features, few.equation, few.force)]
+    batch = [tensor(a[: settings.batch].T) for a in (few.features, few.equation, few.force)]
 
     def theirs():
         features, equation, force = batch
         for _ in range(steps):
             tokens, offset = network(features)
-            left = (tokens * equation).sum(1) + offset - force
+            left = (tokens * equation).sum(0) + offset - force
             physics = torch.nn.functional.smooth_l1_loss(left, torch.zeros_like(left), beta=settings.huber)
             factor = tokens / network.coefficients
             over, under = torch.relu(factor - 1.5), torch.relu(0.6 - factor)

@@ -26,8 +26,8 @@ class Net(nn.Module):
     def __init__(self, net):
         super().__init__()
         for name in ("hidden", "readout"):
-            self.register_buffer(name, tensor(getattr(net, name).weight))
-            self.register_buffer(f"{name}_bias", tensor(getattr(net, name).bias)[:, None])
+            self.register_parameter(name, nn.Parameter(tensor(getattr(net, name).weight)))
+            self.register_parameter(f"{name}_bias", nn.Parameter(tensor(getattr(net, name).bias)[:, None]))
 
     def forward(self, features):
         return self.readout @ torch.tanh(self.hidden @ features + self.hidden_bias) + self.readout_bias
@@ -41,7 +41,7 @@ class Compact(nn.Module):
         self.order, self.fast = encoder.order, fast_memories(encoder.bounds.shape[1] - encoder.order)
         self.spring, self.damping, self.past = Net(encoder.spring), Net(encoder.damping), Net(encoder.past)
         for name in ("spring_poly", "damping_poly", "fading"):
-            self.register_buffer(name, tensor(getattr(encoder, name)))
+            self.register_parameter(name, nn.Parameter(tensor(getattr(encoder, name))))
         self.register_buffer("bounds", tensor(encoder.bounds)[:, :, None])
         self.rows, self.columns = (torch.tensor(i) for i in np.triu_indices(encoder.order))
 

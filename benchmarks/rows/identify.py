@@ -23,7 +23,7 @@ from ..sizes import size
 def sweep():
     """The quick protocol's sweep, measured on the virtual cone."""
     whole = protocol.measure(pitp.plant("cone100"), protocol.excitations("cone100", "sweep", True))[0]
-    kept = slice(0, size(None, 4000))
+    kept = slice(0, size(None, 20_000))
     return replace(whole, time=whole.time[kept], voltage=whole.voltage[kept], displacement=whole.displacement[kept])
 
 
