@@ -32,7 +32,7 @@ from .beginnings import find_beginnings
 from .candidates import Candidate, choose, search
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
-from .heldout import OutOfFold, held_out, out_of_fold
+from .heldout import OutOfFold, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, least_squares, solve
 
@@ -41,7 +41,6 @@ _BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wron
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _SAMPLES = 10_000  # of which candidates are compared: more are averaged over blocks, as long as these hide no more than
 _HIDDEN = 0.1  # of what a linear model leaves: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
-_FREED = 0.97  # of the held-out score that a fitted zero has to leave at most, beside one from the first samples
 
 
 @dataclass(frozen=True)
@@ -149,9 +148,7 @@ def identify(
         # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
         chosen = choose(candidates)
-    freed, begun = _zeros_by_score(chosen, records, input_map, begun, roots, finest)
-    whole = whole if freed is chosen else build_problem(records, input_map, begun)
-    chosen = _refined(freed, whole, [hold] if hold else [*_HOLDS] if chosen.structure.delayed or small.fine < small.dt
+    chosen = _refined(chosen, whole, [hold] if hold else [*_HOLDS] if chosen.structure.delayed or small.fine < small.dt
                       else [chosen.structure.hold], bandlimited=hold is None)  # fmt: skip
     fit = describe(chosen, whole)
     if order != "auto" and not fit.identifiable:
@@ -199,22 +196,6 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
     forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
     small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
     return replace(build_problem(small, "linear", begun), fine=whole.dt)
-
-
-def _zeros_by_score(chosen: Candidate, records, input_map: str, begun: Sequence[Beginning], roots, finest: float):
-    """Whether zeros read at rest are better fitted: under a nonlinear plant the poles bend to make up for a zero held.
-
-    Right for a linear plant, where the first samples tell most; the blocks left out decide.
-    """
-    if all(b.free for b in begun):
-        return chosen, begun
-    free = [replace(b, free=True) for b in begun]
-    problem = _averaged(records, input_map, free, roots, finest)
-    params, cost, converged = least_squares(chosen.params, chosen.structure, problem)
-    heldout = held_out(params, chosen.structure, problem)
-    if heldout.score < _FREED * chosen.heldout.score and np.isfinite(cost):
-        return replace(chosen, params=params, cost=cost, converged=converged, heldout=heldout), free
-    return chosen, begun
 
 
 def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
