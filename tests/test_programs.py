@@ -14,7 +14,7 @@ from pitp_jax._model.model import Output, Provenance, Scales
 from pitp_jax._model.programs import bare, jit
 from pitp_jax._model.sections import sections_of
 from pitp_jax._record.record import Record
-from pitp_jax._simulate import decoder
+from pitp_jax._simulate import decoder, prediction
 from pitp_jax._simulate.batched_rollout import fast_rollout
 from pitp_jax._simulate.decoder import rest_state, rollout_batch
 from pitp_jax._train.parameters import parameters
@@ -130,7 +130,9 @@ def test_scales_and_output_are_exact_numbers_and_not_trained(nonlinear):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRITTEN)
-def test_files_written_before_load_and_predict_the_same(name, tmp_path):
+def test_files_written_before_load_and_predict_the_same(name, tmp_path, monkeypatch):
+    """As they did when a start in motion was read from 50 samples (now from 1.5 periods of the model)."""
+    monkeypatch.setattr(prediction, "initial_samples", lambda model, record: 50)
     path = FILES / f"{name}_508a6f1.model"
     model = pitp.load(path)
     (found,) = pitp.predict(model, [held_out(model)])

@@ -252,7 +252,7 @@ def test_firm_nets_stay_small(plant, start):
 def test_where_all_are_too_many_some_run_to_their_end(plant, start, monkeypatch):
     """Half of the budget for whole records, half for the beginnings of the others; each half of the weight."""
     model, records = start[0], [replace(plant[1][0], name=f"r{k}") for k in range(20)]
-    for name, value in {"BUDGET": 14 * SAMPLES, "_FEWEST": 6, "_SHORTEST": 300}.items():
+    for name, value in {"BUDGET": 14 * SAMPLES, "_FEWEST_WHOLE": 6, "_SHORTEST": 300}.items():
         monkeypatch.setattr(refining, name, value)
     long, brief = refining._free(model, records)
     assert long.voltage.shape == (7, SAMPLES)

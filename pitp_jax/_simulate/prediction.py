@@ -26,6 +26,7 @@ from .batched_rollout import free_runs
 from .beginnings import beginnings
 from .decoder import rollout, settled_state
 
+_BLOCK = 256  # samples: starts are estimated from whole blocks, so that few lengths are compiled
 _SLACK = 0.05  # of a trained range that does not count as outside it
 FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
 
@@ -206,11 +207,12 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
 
     After a gap at the beginning these are behind it: the rollout reaches them from the start.
     """
-    first = slice(0, samples)
     dtype = model.coefficients.dtype
-    x = model.output.to_model(record.displacement[first]) / model.scales.state[0]
+    x = model.output.to_model(record.displacement[:samples]) / model.scales.state[0]
+    x = np.pad(x, (0, -len(x) % _BLOCK), constant_values=np.nan)
+    u = np.pad(record.voltage[:samples], (0, -len(record.voltage[:samples]) % _BLOCK), mode="edge")
     observed = np.isfinite(x)
-    voltage, known = on_device(record.voltage[first], dtype), on_device(np.where(observed, x, 0.0), dtype)
+    voltage, known = on_device(u, dtype), on_device(np.where(observed, x, 0.0), dtype)
     now = on_device(age, dtype)  # an array: no program for every age
     return estimate_start(model, voltage, known, on_device(observed), record.dt, now)
 
