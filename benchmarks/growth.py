@@ -63,7 +63,7 @@ def page(found: dict[str, float | str], figure: Path) -> str:
             points = [(n, v) for n, v in zip(SAMPLES, row, strict=True) if isinstance(v, float)]
             axes.loglog(*zip(*points, strict=True), marker="o", label=name.replace("`", "")) if points else None
     axes.set(xlabel="samples", ylabel="CPU time, s")
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the lines, not over them
     drawn.savefig(figure, metadata={"Date": None})
     return "\n".join(lines)
 

@@ -12,6 +12,7 @@ from .._report import html
 from .._report.html import tag
 from .._report.lines import CYCLE, MEASURED, finish, own_axes
 from .._report.numbers import figure, with_error
+from .._table.units import base_unit
 
 
 def bode_page(found: Identification, name: str) -> str:
@@ -20,9 +21,13 @@ def bode_page(found: Identification, name: str) -> str:
     kind = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
     parts = [
-        tag("p", f"Identification of {name} on {len(found.beginnings)} recordings", "soft"),
+        tag(
+            "p",
+            f"Identification of {name} on {len(found.beginnings)} recording{'s'[: len(found.beginnings) != 1]}",
+            "soft",
+        ),
         tag("h1", f"Order {chosen.order}, {kind}{delay}"),
-        *[tag("p", remark, "lead") for remark in found.remarks],
+        *[tag("p", remark, "lead") for remark in (_why(found), *found.remarks)],
         '<div class="figures">',
         html.picture("bode", _bode(found), "Grey: measured, with two standard errors; lines: the models compared."),
         html.picture("coherence", _coherence(found), "How much of the output the drive explains, linearly."),
@@ -33,6 +38,22 @@ def bode_page(found: Identification, name: str) -> str:
         html.table(("pole", "damping"), [("", row) for row in _poles(chosen)], {0: "left"}),
     ]
     return html.page(f"Order {chosen.order}", parts)
+
+
+def _why(found: Identification) -> str:
+    """Say in one sentence why this order."""
+    chosen, known = found.chosen, [o.order for o in found.orders if o.identifiable]
+    if len(found.orders) == 1:
+        return f"Order {chosen.order} was asked for."
+    least = min(found.orders, key=lambda o: o.heldout)
+    if least is chosen:
+        return f"Order {chosen.order} leaves least on blocks of the recordings that it was not fitted to."
+    if least.identifiable:
+        return f"Order {chosen.order} has the fewest poles and delays within 3 % of what order {least.order} leaves."
+    return (
+        f"Order {least.order} leaves less on blocks that it was not fitted to, but these recordings do not determine "
+        f"its poles; of those that they do ({', '.join(map(str, known))}) order {chosen.order} is the one to take."
+    )
 
 
 _ORDERS = ("order", "hold", "delay, ms", "left out, % of std", "in sample, rms", "known")
@@ -55,7 +76,7 @@ def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
 
 
 def _bode(found: Identification) -> Figure:
-    axes = own_axes(None, 2, (5.0, 4.4))
+    axes = own_axes(None, 2, (5.0, 5.2))
     seen = found.response.coherent
     hz, value, stderr = (v[seen] for v in (found.response.hz, found.response.value, found.response.stderr))
     if len(hz):
@@ -71,7 +92,10 @@ def _bode(found: Identification) -> Figure:
             width = 1.8 if fit is found.chosen else 0.8
             axes[0].loglog(grid, np.abs(model), color=color, lw=width, label=f"order {fit.order}")
             axes[1].semilogx(grid, np.unwrap(np.angle(model)) * 180 / np.pi, color=color, lw=width)
-    finish(axes, "frequency (Hz)", ["output / force", "phase (deg)"], 4)
+    known = found.model.provenance
+    drive = base_unit(known.voltage_unit) + ("²" if found.model.input_map.one_sided else "")
+    unit = f"{base_unit(known.displacement_unit)}/{drive}"
+    finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"], 2)
     return axes[0].figure  # pyright: ignore[reportReturnType]
 
 
