@@ -12,6 +12,7 @@ from .._diagnose import Diagnosis
 from .._diagnose import diagnose as diagnose_model
 from .._errors import BadInput
 from .._metrics import e_rms_percent
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._model_file import descended
 from .._record.record import Record
@@ -26,7 +27,7 @@ _PART = 0.1  # of the gap's rms, below which the model of the simulator is not a
 
 @overload
 def diagnose(
-    model: Model, records: Sequence[Record], *, refit_nominal: bool = ..., exclude: Sequence[str] = ...,
+    model: Model | Fitted, records: Sequence[Record], *, refit_nominal: bool = ..., exclude: Sequence[str] = ...,
     seconds: float = ..., progress: Callable[[str], None] = ..., mesh: Mesh | None = ...,
 ) -> Diagnosis: ...  # fmt: skip
 
@@ -116,7 +117,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     )  # fmt: skip
 
 
-def _error(model: Model, records: Sequence[Record]) -> float:
+def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
     """Free-run error pooled over records, % of range; infinite where one diverges."""
     squares = []
     for record, run in zip(records, predict(model, records), strict=True):
@@ -126,6 +127,6 @@ def _error(model: Model, records: Sequence[Record]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def with_lineage(found: SimToReal) -> Model:
+def with_lineage(found: SimToReal) -> Fitted:
     """The model handed back, with the robot's recordings in its line of descent."""
     return descended(found.model, "diagnose against a simulator", found.records, found.nominal)

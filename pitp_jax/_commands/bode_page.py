@@ -92,7 +92,7 @@ def _bode(found: Identification) -> Figure:
             width = 1.8 if fit is found.chosen else 0.8
             axes[0].loglog(grid, np.abs(model), color=color, lw=width, label=f"order {fit.order}")
             axes[1].semilogx(grid, np.unwrap(np.angle(model)) * 180 / np.pi, color=color, lw=width)
-    known = found.model.provenance
+    known = found.model.origin
     drive = base_unit(known.voltage_unit) + ("²" if found.model.input_map.one_sided else "")
     unit = f"{base_unit(known.displacement_unit)}/{drive}"
     finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"], 2)
