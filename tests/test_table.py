@@ -11,7 +11,7 @@ import pytest
 import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, text
+from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, save_xlsx, text
 
 import pitp_jax as pitp
 from pitp_jax._errors import BadInput
@@ -20,6 +20,7 @@ from pitp_jax._table.names import read_header
 from pitp_jax._table.units import INPUT_UNITS, TIME_UNITS, base_unit, column_name, from_base, spelt, to_base
 
 QUIET = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FEW = settings(QUIET, max_examples=8)
 _PINT = {"rev": "turn", "deg/s": "degree/second", "N m": "newton*meter", "mN m": "millinewton*meter", "m/s2": "m/s**2"}
 _PINT |= {"counts": "count", "h": "hour", "d": "day", "min": "minute"}
 
@@ -53,6 +54,10 @@ def test_every_factor_is_pints(unit):
         ("acc (m/s²)", "m/s2", None),
         ("angle_deg", "deg", None),
         ("101 <HV> (VDC)", "V", None),
+        ("Weg..mm.", "mm", None),
+        ("HV, kV (LGR S/N: 10, SEN S/N: 11)", "kV", None),
+        ("Displacement (in)", "inch", None),
+        ("travel in", None, None),
     ],
 )
 def test_units_in_headers(header, unit, unknown):
@@ -383,3 +388,128 @@ def test_a_record_owns_its_samples():
         pitp.Record("x", TIME, VOLTAGE, OUTPUT, displacement_unit="furlong")
     epoch = pitp.Record("x", 1.8e9 + np.arange(T) / 1e5, VOLTAGE, OUTPUT)
     assert epoch.dt == pytest.approx(1e-5, rel=1e-3)
+
+
+@pytest.mark.parametrize("step", [0.2, 1.0, 1e-3 / 86400])
+def test_a_clock_without_a_unit_that_need_not_be_in_seconds_is_asked_about(tmp_path, step):
+    """Tenths of milliseconds, counts and the days of a spreadsheet; with all else that is wrong in the same line."""
+    clock = 46350.4 * (step < 1e-3) + np.arange(T) * step
+    heads = ("Time", "U (V)", "x (mm)")
+    save_csv(tmp_path / "a.csv", dict(zip(heads, (clock, VOLTAGE, OUTPUT), strict=True)))
+    assert tried(refused(tmp_path / "a.csv")) == {"time_unit": "UNIT"}
+    save_csv(tmp_path / "a.csv", dict(zip(("Time", "U", "x (mm)"), (clock, VOLTAGE, OUTPUT), strict=True)))
+    assert tried(refused(tmp_path / "a.csv")) == {"time_unit": "UNIT", "input_unit": "UNIT"}
+
+
+@FEW
+@given(data=st.data())
+def test_rows_that_begin_with_a_key(tmp_path, data):
+    """`TraceName,CH1,CH2` and `VUnit,V,V` among settings with numbers; rows of numbers begin with an empty cell."""
+    separator = data.draw(st.sampled_from([",", "\t"]))
+    volts, length = data.draw(VOLTS), data.draw(LENGTHS)
+    named, united = data.draw(
+        st.sampled_from([("TraceName", "VUnit"), ("ChannelTitle=", "UnitName="), ("Name", "Unit")])
+    )
+    settings_ = [["BlockSize", "300", "300"], ["Range", "10", "5"], ["SampleRate", "1000", "1000"]]
+    head = [[named, f"{data.draw(WORDS)} 1", f"{data.draw(WORDS)} 2"], [united, volts, length], *settings_]
+    head = [head[k] for k in data.draw(st.permutations(range(5)))]
+    values = (from_base(VOLTAGE, volts), from_base(OUTPUT / 50, length))
+    rows = [["", *(f"{v:.9g}" for v in row)] for row in zip(*values, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(separator.join(row) for row in (*head, *rows)) + "\n")
+    same(read(tmp_path / "a.csv", rate=1 / (TIME[1] - TIME[0]))[0], VOLTAGE, OUTPUT / 50)
+
+
+def test_settings_beside_the_header_and_below_it(tmp_path):
+    head = "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,-2.000000e-01,1.000000e-03\n"
+    rows = "".join(f"{k},{u / 1000:.9g},{x / 2:.9g},\n" for k, (u, x) in enumerate(zip(VOLTAGE, OUTPUT, strict=True)))
+    (tmp_path / "a.csv").write_text(head + rows)
+    options = tried(refused(tmp_path / "a.csv"))
+    assert (options["rate"], options["input_column"], options["output_column"]) == ("RATE", "CH1", "CH2")
+
+
+@FEW
+@given(data=st.data())
+def test_names_with_blanks_over_columns_of_blanks(tmp_path, data):
+    heads = [f"{data.draw(WORDS)} {k} ({unit})" for k, unit in enumerate(("s", "kV", "mm"))]
+    mark = data.draw(st.sampled_from(["% ", "    "]))
+    lines = [mark + "   ".join(f"{head:>16s}" for head in heads)]
+    lines += ["".join(f"{v:19.9g}" for v in row) for row in zip(TIME, VOLTAGE / 1000, OUTPUT, strict=True)]
+    (tmp_path / "a.txt").write_text("\n".join(["% Version:   6.2.0.278", *lines]))
+    same(read(tmp_path / "a.txt")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+@pytest.mark.parametrize("below", [["Mean,1,2"], ["", "Min,0,0", "Max,3,4"], ["*** END ***"]])
+def test_words_below_the_rows_are_told_and_left_out(tmp_path, below):
+    (tmp_path / "a.csv").write_text(text(columns()) + "\n".join(below) + "\n")
+    (record,) = read(tmp_path / "a.csv")
+    same(record, VOLTAGE, OUTPUT * 1e-3)
+    assert "of words below the numbers left out" in record.recognised["file"]
+
+
+def test_a_note_in_the_first_row_loses_no_sample(tmp_path):
+    lines = text(columns()).splitlines()
+    for place in (0, 3):  # before and behind the numbers
+        rows = [[*line.split(",")] for line in lines]
+        for k, row in enumerate(rows):
+            row.insert(place, "note" if not k else "filled" if k == 1 else "")
+        (tmp_path / "a.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+        same(read(tmp_path / "a.csv")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_marks_of_programs(tmp_path):
+    """`Unit: kV`, a quoted `#` as a name, exponents of Fortran, decimal commas as texts of a sheet."""
+    rows = text(columns()).split("\n", 1)[1]
+    (tmp_path / "a.csv").write_text(
+        'time,HV,laser\n"Unit: s","Unit: V","Unit: mm"\nInterp: linear,Interp: linear,x\n' + rows
+    )
+    same(read(tmp_path / "a.csv")[0], VOLTAGE, OUTPUT * 1e-3)
+    numbered = "\n".join(f"{k},{line}" for k, line in enumerate(rows.splitlines()))
+    (tmp_path / "a.csv").write_text('"Plot Title: rig"\n"#","Time, s","HV, V (S/N: 1)","x, mm (S/N: 2)"\n' + numbered)
+    same(read(tmp_path / "a.csv")[0], VOLTAGE, OUTPUT * 1e-3)
+    body = "\n".join(
+        " ".join(f"{v:.10E}".replace("E", "D") for v in row) for row in zip(*columns().values(), strict=True)
+    )
+    (tmp_path / "a.dat").write_text(f"# {' '.join(columns())}\n{body}\n")
+    same(read(tmp_path / "a.dat")[0], VOLTAGE, OUTPUT * 1e-3)
+    texts = {name: [f"{v:.9f}".replace(".", ",") for v in values] for name, values in columns().items()}
+    save_xlsx(tmp_path / "a.xlsx", texts)
+    same(read(tmp_path / "a.xlsx")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_text_in_a_named_column_is_named(tmp_path):
+    cells = [f'"{1000 + u:,.3f}"' for u in VOLTAGE]
+    lines = [f"{t},{u},{x}" for t, u, x in zip(TIME, cells, OUTPUT, strict=True)]
+    message = refused(csv_of(tmp_path / "a.csv", ("t (s)", "U (V)", "x (mm)"), (), below=lines))
+    assert "'U (V)' holds text" in message and "thousands" in message
+
+
+def test_columns_of_one_name_are_chosen_by_number(tmp_path):
+    heads, values = ("t (s)", "U (V)", "x (mm)"), (TIME, VOLTAGE, OUTPUT)
+    path = csv_of(tmp_path / "a.csv", heads * 2, (TIME, VOLTAGE, OUTPUT, *(v * 0.5 for v in values)))
+    options = tried(refused(path))
+    assert options == {"time_column": "1", "input_column": "2", "output_column": "3"}
+    same(read(path, **options)[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_of_two_ports_the_smoother_one_is_suggested_as_the_drive(tmp_path):
+    noisy = OUTPUT / 2 + np.random.default_rng(0).normal(size=T) * 1e-3
+    for names in (("Output (V)", "Input (V)"), ("Vin (V)", "Vout (V)")):
+        path = csv_of(tmp_path / "a.csv", ("t (s)", *names), (TIME, VOLTAGE / 1000, noisy))
+        options = tried(refused(path))
+        assert (options["input_column"], options["output_column"]) == names
+
+
+def test_matrices_and_tables_of_one_dataset_have_columns(tmp_path):
+    values = np.stack([TIME, VOLTAGE, OUTPUT], -1)
+    np.savez(tmp_path / "a.npz", data=values)
+    scipy.io.savemat(tmp_path / "b.mat", {"data": values.T})
+    with h5py.File(tmp_path / "c.h5", "w") as file:
+        file["entry/rig/data"] = values
+    wanted = {"time_unit": "s", "input_unit": "V", "output_unit": "mm"}
+    for name in ("a.npz", "b.mat", "c.h5"):
+        options = tried(refused(tmp_path / name))
+        assert options["time_column"] == "data[1]" and options["output_column"] == "data[3]"
+        same(read(tmp_path / name, **(options | wanted))[0], VOLTAGE, OUTPUT * 1e-3)
+    with h5py.File(tmp_path / "d.h5", "w") as file:
+        file["rows"] = np.array([tuple(row) for row in values], [(name, "f8") for name in columns()])
+    same(read(tmp_path / "d.h5")[0], VOLTAGE, OUTPUT * 1e-3)

@@ -14,7 +14,7 @@ from .._errors import BadInput
 
 MIN_SAMPLES = 64
 TIME_TOLERANCE = 0.01  # of one sample
-LATEST = 1e10  # s, 317 years: later than any clock, epoch seconds included
+LATEST = 1e11  # s, 3170 years: later than any clock, days since the year 0 (MATLAB) included
 _ROUNDING = 1e-6  # of one sample: an offset of exactly 1 % must not be refused by the last bit
 
 

@@ -347,8 +347,8 @@ def _remarks(masked: Masked, put: Gridded, unit: str) -> list[str]:
     if lost:
         lines.append(f"{counted(lost, 'lost sample')} filled in, their output missing")
     if len(put.pieces) > 1 or put.dropped:
-        short = f", {put.dropped} samples of shorter stretches left out" if put.dropped else ""
-        lines.append(f"split at its gaps into {len(put.pieces)}{short}")
+        short = f", {counted(put.dropped, 'sample')} of stretches too short to use left out" if put.dropped else ""
+        lines.append(f"split at its gaps into {counted(len(put.pieces), 'record')}{short}")
     return lines
 
 

@@ -16,7 +16,7 @@ from .names import Header, read_header
 from .options import OPTIONS, ReadOptions
 from .refusal import Refused
 from .table import Column, Table
-from .units import column_names, kind_of, spelt, units_of
+from .units import column_names, kind_of, spelt, to_base, units_of
 
 _EFFORTS = (("voltage",), ("current", "force", "torque", "pressure"))  # what drives, the likelier first
 _MOTIONS = (("length", "angle"), ("angular speed", "speed", "acceleration"), ("force", "torque", "pressure"))
@@ -26,8 +26,9 @@ _WORD = {
     "voltage": "input (voltage_V, input_rad, ...)",
     "displacement": "output (displacement_mm, output_deg, ...)",
 }
-_DAQ = frozenset("monitor mon adc ai analog channel ch daq".split())
-_COUNTERS = frozenset("sample samples index scan nr no row point".split())
+_DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
+_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence".split())
+_SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are no seconds for certain
 _MONITOR = 10.0  # V: the range of a DAQ
 
 
@@ -77,6 +78,11 @@ class _Seen:
     def role(self) -> str | None:
         return self.header.role
 
+    @property
+    def counts_rows(self) -> bool:
+        """Whether its unit is a count of the rows (`Sequence` of an oscilloscope)."""
+        return (self.unknown or "").lower() in _COUNTERS
+
 
 class _Ask(Exception):
     """What must be asked about one quantity, and the options to suggest."""
@@ -117,10 +123,18 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     places = [choice.place for choice in chosen.values() if choice.place is not None]
     if len(set(places)) < len(places):
         problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
-    elif len(ports) == 2 and all(_port(s) for s in ports) and not _told(options):
+    elif len(ports) == 2 and all(_port(s) for s in ports) and not _stated_ports(options):
+        ports.sort(
+            key=lambda s: _roughness(_values(table, s.place))
+        )  # what is played is smoother than what is measured
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
         problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
+    clock = chosen.get("time")
+    if problems and clock is not None and clock.place is not None and clock.note.startswith("no unit"):
+        strange = clock_question(_values(table, clock.place), clock.name)
+        if strange:  # all that is wrong at once
+            problems["time"] = _Ask(strange, ["--time-unit", "UNIT"])
     if problems:
         why = "; ".join(str(ask) for ask in problems.values())
         words = _suggested(table, seen, pools, chosen, problems, options, quantities)
@@ -130,12 +144,28 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     return chosen
 
 
+def clock_question(time: np.ndarray, name: str) -> str | None:
+    """What to ask about a clock without a unit whose steps need not be seconds; None where they must be.
+
+    Args:
+        time: as in the file, shape (T,), nan where empty.
+        name: of its column.
+    """
+    seen = time[np.isfinite(time)]
+    step = float(np.median(np.diff(seen))) if len(seen) > 1 else 0.0
+    whole = step >= 1 and np.array_equal(seen, np.round(seen))
+    if not (whole or step >= _SLOWEST or 0 < step < _FASTEST):
+        return None
+    how = "counts in whole numbers" if whole else f"goes on in steps of {step:.3g}"
+    return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ for a counter"
+
+
 def _port(seen: _Seen) -> bool:
     """Whether a voltage is known by the words input or output alone, in a spelling that pitp does not write."""
     return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
 
 
-def _told(options: ReadOptions) -> bool:
+def _stated_ports(options: ReadOptions) -> bool:
     return options.input_column is not None or options.output_column is not None
 
 
@@ -173,7 +203,7 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
     clocks += [
         s for s in open_ if s.kind == "time" or (s.kind is None and s.role == "time") or s.column.form == "stamp"
     ]
-    data = [s for s in open_ if s not in clocks]
+    data = [s for s in open_ if s not in clocks and not s.counts_rows]
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
     sensed = [s for s in volts if s.role == "output"]
     driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
@@ -235,10 +265,14 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
     if not pool and quantity == "time" and options.rate is not None:
         return Choice(None, "--rate", "s")
     if not pool:
+        worded = [s for s in seen if s.column.form == "text" and s.role == _ROLE[quantity]]
+        if worded:
+            raise _Ask(f"column {worded[0].column.name!r} holds text: write plain numbers, no thousands separators")
         raise _Ask(f"the {_WORD[quantity]} is missing")
     if len(pool) > 1:
         names = [s.column.name for s in pool]
-        remedy = "rename or delete one" if len(set(names)) < len(names) else f"choose one with --{stem}-column NAME"
+        by = "NUMBER, from 1" if len(set(names)) < len(names) else "NAME"
+        remedy = f"choose one with --{stem}-column {by}"
         raise _Ask(
             f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} matches for the {_WORD[quantity]}; {remedy}"
         )
@@ -310,9 +344,9 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     """Options that would answer: what no file holds (a scale, a rate, a unit) in capitals."""
     words = options.words()
     taken = {choice.place for choice in chosen.values()}
-    free = [s for s in seen if s.place not in taken and s.column.form == "number"]
+    free = [s for s in seen if s.place not in taken and s.column.form == "number" and not s.counts_rows]
     if "time" in problems and not problems["time"].options:
-        words += _time_words(table, pools["time"], free, taken)
+        words += _time_words(table, seen, pools["time"], free, taken)
     elif "time" in problems:
         words += problems["time"].options
     ports = {}
@@ -320,15 +354,19 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
         if quantity in chosen:
             ports[quantity] = next(s for s in seen if s.place == chosen[quantity].place)
         elif quantity in quantities:
+            other = "input" if quantity == "displacement" else "output"
             others = [s for s in free if s.role != "time" and s.kind != "time"]
-            pool = [s for s in pools[quantity] if s.place not in taken] or [s for s in others if s.place not in taken]
-            if pool:
-                named = [s for s in pool if s.role == "output"]
-                ports[quantity] = (named or pool)[0] if quantity == "displacement" else pool[0]
-                taken.add(ports[quantity].place)
-    daq = "voltage" in ports and _is_monitor(table, ports["voltage"])
+            others.sort(key=lambda s: s.role == other)  # a name that says the opposite comes last
+            pool = [s for s in pools[quantity] or others if s.place not in taken and not s.header.words & _COUNTERS]
+            named = [s for s in pool if s.role == "output"] if quantity == "displacement" else []
+            first = next((s for s in named or pool if len(_values(table, s.place))), None)
+            if first is not None:
+                ports[quantity] = first
+                taken.add(first.place)
+    daq = "voltage" in ports and _is_monitor(_values(table, ports["voltage"].place), ports["voltage"])
     for quantity, port in ports.items():
-        words += _port_words(quantity, port, problems, options, daq, len(pools[quantity]) != 1)
+        name = _said(seen, port) if len(pools[quantity]) != 1 else None
+        words += _port_words(quantity, port, problems, options, daq, name)
     return _once(words) if set(ports) | {"time"} >= set(quantities) else []
 
 
@@ -340,49 +378,63 @@ def _once(words: Sequence[str]) -> list[str]:
     return [word for pair in pairs.items() for word in pair]
 
 
-def _time_words(table: Table, pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
+def _said(seen: Sequence[_Seen], one: _Seen) -> str:
+    """A column as an option names it: by its number where others have its name."""
+    names = [s.column.name for s in seen]
+    return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
+
+
+def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
     """How the time could be said: a column that rises, or a rate."""
     pool = pool or [
-        s for s in free if s.role is None and s.unit is None and not s.header.words & _COUNTERS and _rises(table, s)
+        s
+        for s in free
+        if s.role is None and s.unit is None and not s.header.words & _COUNTERS and _rises(_values(table, s.place))
     ]
     if not pool:
         return ["--rate", "RATE"]
     taken.add(pool[0].place)
     first = pool[0]
-    named = ["--time-column", first.column.name] if len(pool) > 1 or first.role != "time" else []
+    named = ["--time-column", _said(seen, first)] if len(pool) > 1 or first.role != "time" else []
     return named + (["--time-unit", "UNIT"] if first.kind != "time" else [])
 
 
-def _rises(table: Table, seen: _Seen) -> bool:
-    values = _values(table, seen)
+def _rises(values: np.ndarray) -> bool:
     return len(values) > 2 and bool(np.all(np.diff(values) > 0))
 
 
-def _values(table: Table, seen: _Seen) -> np.ndarray:
+def _values(table: Table, place: int) -> np.ndarray:
+    """A column as in the file, shape (T,); empty where it cannot be loaded."""
     try:
-        return table.load([seen.place])[0]
+        return table.load([place])[0]
     except BadInput:
         return np.zeros(0)
 
 
-def _is_monitor(table: Table, seen: _Seen) -> bool:
-    """Whether a drive is what a DAQ recorded of an amplifier: volts within its range, or counts."""
-    values = _values(table, seen)
+def _roughness(values: np.ndarray) -> float:
+    """Noise of a column beside its range, by the median of its fifth differences."""
+    rough = np.abs(np.diff(values[np.isfinite(values)], 5))
+    return float(np.median(rough) / max(np.ptp(values), 1e-300)) if len(rough) else np.inf
+
+
+def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
+    """Whether a drive is what a DAQ recorded of an amplifier: volts within its range, or named as a DAQ's channel."""
     values = values[np.isfinite(values)]
     if not len(values) or seen.kind not in (None, "voltage") or seen.unit == "kV":
         return False
     if seen.unit is not None:
-        return float(np.abs(values).max()) <= _MONITOR
-    return bool(seen.header.words & _DAQ) or bool(np.all(values == np.round(values)))
+        return float(np.abs(to_base(values, seen.unit)).max()) <= _MONITOR
+    alone = seen.header.words == {"voltage"} and seen.column.name.lower() != "voltage"  # Voltage_0 of a DAQ
+    return bool(seen.header.words & _DAQ) or alone
 
 
-def _port_words(quantity: str, port: _Seen, problems, options: ReadOptions, daq: bool, many: bool) -> list[str]:
+def _port_words(quantity: str, port: _Seen, problems, options: ReadOptions, daq: bool, name: str | None) -> list[str]:
     stem, words = OPTIONS[quantity], []
     if quantity in problems:
         if problems[quantity].options:
             words += problems[quantity].options
-        elif many:
-            words += [f"--{stem}-column", port.column.name]
+        elif name is not None:
+            words += [f"--{stem}-column", name]
     if options.scale(quantity) is None:
         volts = port.kind == "voltage" or (port.kind is None and not port.conflict and not port.unknown and daq)
         if port.kind is None and not port.conflict and options.unit(quantity) is None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .._errors import BadInput
-from .choice import Choice, choose_columns
+from .choice import Choice, choose_columns, clock_question
 from .formats import Parts, open_parts
 from .options import OPTIONS, ReadOptions, with_folder
 from .refusal import Refused
@@ -231,13 +231,8 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
     if choice.clock is not None or not len(steps):
         return choice
     step = float(np.median(steps))
-    if choice.note.startswith("no unit") and step >= 1 and np.array_equal(seen, np.round(seen)):
-        raise Refused(
-            source,
-            f"column {name!r} counts in whole numbers and has no unit; give --time-unit s|ms|us, or --rate HZ for a "
-            "counter",
-            [*options.words(), "--time-unit", "UNIT"],
-        )
+    if choice.note.startswith("no unit") and (strange := clock_question(time, name)):
+        raise Refused(source, strange, [*options.words(), "--time-unit", "UNIT"])
     if rate is not None and abs(step * rate - 1.0) > 0.01:
         raise BadInput(
             f"{source}: column {name!r} has a sample every {step:.6g} s, --rate {rate:g} says {1 / rate:.6g} s; leave "

@@ -23,7 +23,7 @@ import scipy
 
 from .._errors import BadInput
 from .guard import check_archive, check_columns, check_unfolded, cleaned, file_bytes, guarded
-from .header import Rows, layouts
+from .header import Rows, is_number, layouts
 from .matlab import flat
 from .names import read_header
 from .options import ReadOptions
@@ -35,6 +35,7 @@ from .units import kind_of, spelt
 
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".lvm")
 _HEAD, _ROWS = 200, 1 << 20  # rows looked at; the most a sheet has
+_DEEPEST = 2  # groups below one of the root that are opened; a hard link may lead back up
 Parts = list[list[Table]]  # of a file: every part, and every table that it may be
 
 
@@ -78,7 +79,8 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
     width = max((len(row) for _, row in filled[:_HEAD]), default=0)
     cells = [[*map(_shown, row), *[""] * (width - len(row))] for _, row in filled[:_HEAD]]
     head = Rows(cells, [k for k, _ in filled[:_HEAD]], [False] * len(cells))
-    made = layouts(head, "\t", ".", source, options.header_line, options.units_line)
+    decimal = options.decimal or ("," if _texts_with_commas(filled) else ".")
+    made = layouts(head, "\t", decimal, source, options.header_line, options.units_line)
     start = filled[made[0].first][0]
     body = [(k, row) for k, row in rows if start <= k <= filled[-1][0]]
 
@@ -86,7 +88,7 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
         return f"sample {sample} (row {body[sample][0]})" if sample < len(body) else f"sample {sample}"
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [_numbers(body, k, made[0].columns[k].name, source, place) for k in places]
+        return [_numbers(body, k, made[0].columns[k].name, source, place, decimal) for k in places]
 
     def texts(k: int) -> np.ndarray:
         return np.array([_shown(row[k]) if k < len(row) else "" for _, row in body])
@@ -104,7 +106,13 @@ def _shown(value: Any) -> str:
     return "" if value is None else "00:00:00" if isinstance(value, timedelta) else cleaned(value).strip()
 
 
-def _numbers(body, k: int, column: str, source: str, place) -> np.ndarray:
+def _texts_with_commas(rows: list[tuple[int, tuple]]) -> bool:
+    """Whether the numbers of a sheet are texts with a decimal comma."""
+    cells = [cell for _, row in rows[-_HEAD:] for cell in row if cell is not None]
+    return 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in cells) > len(cells)
+
+
+def _numbers(body, k: int, column: str, source: str, place, decimal: str) -> np.ndarray:
     """One column of a sheet; dates and hours become seconds."""
     values, daily = np.full(len(body), np.nan), False
     for sample, (_, row) in enumerate(body):
@@ -118,7 +126,7 @@ def _numbers(body, k: int, column: str, source: str, place) -> np.ndarray:
         elif isinstance(cell, time):
             cell, daily = cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond * 1e-6, True
         try:
-            values[sample] = float(cell)
+            values[sample] = float(cell.replace(",", ".") if decimal == "," and isinstance(cell, str) else cell)
         except (TypeError, ValueError, OverflowError):
             raise BadInput(
                 f"{source}: column {column!r}, {place(sample)}: text {cleaned(cell)[:20]!r} where a number "
@@ -157,16 +165,30 @@ def npz(path: Path, options: ReadOptions) -> Parts:
     with zipfile.ZipFile(path) as archive:
         members = [name for name in archive.namelist() if name.endswith(".npy")]
     stored = {name.removesuffix(".npy"): (lambda name=name: _npy(path, name)) for name in members}
-    return [[array_table(path, stored, "NumPy archive")]]
+    shapes = {name.removesuffix(".npy"): _npy_shape(path, name) for name in members}
+    return [[array_table(path, stored, "NumPy archive", shapes=shapes)]]
+
+
+def _npy_header(data: Any) -> tuple:
+    """Shape, order and type of an array that a stream of bytes holds."""
+    version = np.lib.format.read_magic(data)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return read(data)
+
+
+def _npy_shape(path: Path, name: str) -> tuple[int, ...]:
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(name) as file:
+            return _npy_header(file)[0]
+    except (ValueError, OSError, zipfile.BadZipFile):
+        return ()  # told where the column is chosen
 
 
 def _npy(path: Path, name: str) -> np.ndarray:
     """One array of an archive, whose header may not promise more than the member holds."""
     with zipfile.ZipFile(path) as archive, archive.open(name) as file:
         data = io.BytesIO(file.read())
-    version = np.lib.format.read_magic(data)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(data)
+    shape, _, dtype = _npy_header(data)
     if dtype.hasobject:
         return np.empty(0, dtype=object)  # refused as "not plain numbers"
     if int(np.prod(shape, dtype=object)) * dtype.itemsize > len(data.getbuffer()) - data.tell():
@@ -212,49 +234,54 @@ def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: st
     words = " ".join(map(str, text.reshape(-1))) if text is not None and text.dtype.kind == "U" else ""
     said = re.split(r"[\s,;]+", words.strip())
     names = _vectors(variables)
-    fits = len(said) == len(names) and all(_suits(n, unit) for n, unit in zip(names, said, strict=True))
+    fits = len(said) == len(names) and all(_fitting(n, unit) for n, unit in zip(names, said, strict=True))
     beside = dict(zip(names, said, strict=True)) if fits else {}
     return array_table(path, variables, f"MATLAB file{more}", beside=beside, part=part)
 
 
-def _suits(name: str, unit: str) -> bool:
+def _fitting(name: str, unit: str) -> bool:
     """Whether a unit may be that of a variable of this name: times have those of time, others do not."""
     role, kind = read_header(name).role, kind_of(spelt(unit))
     return role is None or kind is None or (role == "time") == (kind == "time")
 
 
 def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
-    """An HDF5 file: datasets at the root and in its groups; links are followed only where they are hard ones."""
+    """An HDF5 file: datasets at the root and in groups below it; links are followed only where they are hard ones."""
     source = cleaned(path)
     with h5py.File(path, "r") as file:
         groups = _datasets(file, source)
-        beside = {where: _attribute(file[where]) for places in groups.values() for where in places}
+        known = {where: _about(file[where]) for places in groups.values() for where in places}
     split = options.split_by == "group" and len(groups) > 1
     parts = [{n: p} for n, p in groups.items()] if split else [groups]
     made = []
     for chosen in parts:
         full = len(chosen) > 1
         names = {where if full else where.rpartition("/")[2]: where for places in chosen.values() for where in places}
-        stored = {name: (lambda where=where: _dataset(path, where, source)) for name, where in names.items()}
-        units = {name: beside[where] for name, where in names.items()}
-        made.append([array_table(path, stored, kind, beside=units, part=next(iter(chosen), "") if split else "")])
+        stored, beside, shapes = {}, {}, {}
+        for name, where in names.items():
+            beside[name], shapes[name], fields = known[where]
+            if fields:  # a table of PyTables or pandas: its fields are the columns
+                stored |= {f: (lambda where=where, f=f: _dataset(path, where, source)[f]) for f in fields}
+            else:
+                stored[name] = lambda where=where: _dataset(path, where, source)
+        part = next(iter(chosen), "") if split else ""
+        made.append([array_table(path, stored, kind, beside=beside, shapes=shapes, part=part)])
     return made
 
 
-def _datasets(file: Any, source: str) -> dict[str, list[str]]:
-    """Paths of the datasets at the root and in its groups, by group."""
-    check_columns(len(file), source)
-    groups: dict[str, list[str]] = {"": []}
-    for name in file:
-        if name.startswith("#"):  # what MATLAB keeps for itself
+def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
+    """Paths of the datasets in a group and in those below it, by group."""
+    check_columns(len(group), source)
+    groups: dict[str, list[str]] = {above: []}
+    for name in group:
+        if not above and name.startswith("#"):  # what MATLAB keeps for itself
             continue
-        kind = _kind(file, name, source)
+        kind, place = _kind(group, name, source), f"{above}/{name}".lstrip("/")
         if kind is h5py.Dataset:
-            groups[""].append(name)
-        elif kind is h5py.Group:
-            check_columns(len(file[name]), source)
-            groups[name] = [f"{name}/{m}" for m in file[name] if _kind(file[name], m, source) is h5py.Dataset]
-    check_columns(sum(map(len, groups.values())), source)
+            groups[above].append(place)
+        elif kind is h5py.Group and above.count("/") < _DEEPEST:
+            groups |= _datasets(group[name], source, place)
+        check_columns(sum(map(len, groups.values())), source)
     return {name: places for name, places in groups.items() if places}
 
 
@@ -274,8 +301,10 @@ def _kind(group: Any, name: str, source: str):
     return kind
 
 
-def _attribute(dataset: Any) -> Any:
-    return next((dataset.attrs[n] for n in ("unit", "units", "Unit", "Units") if n in dataset.attrs), None)
+def _about(dataset: Any) -> tuple[Any, tuple[int, ...], tuple[str, ...]]:
+    """The unit, the shape and the fields of a dataset."""
+    unit = next((dataset.attrs[n] for n in ("unit", "units", "Unit", "Units") if n in dataset.attrs), None)
+    return unit, dataset.shape or (), dataset.dtype.names or ()
 
 
 def _dataset(path: Path, where: str, source: str) -> np.ndarray:

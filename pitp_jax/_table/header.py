@@ -18,13 +18,17 @@ from .table import Column
 from .units import plain, spelt
 
 _NUMBER = {
-    ".": re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eE][+-]?\d++)?$"),
-    ",": re.compile(r"[+-]?(\d++,?\d*+|,\d++)([eE][+-]?\d++)?$"),
+    ".": re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eEdD][+-]?\d++)?$"),
+    ",": re.compile(r"[+-]?(\d++,?\d*+|,\d++)([eEdD][+-]?\d++)?$"),
 }
 MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "null", "none"))
 _WORDS = MISSING | {"inf", "-inf", "+inf", "infinity", "-infinity"}
 _LONGEST_UNIT = 12  # letters: `Millimeters` is one, a sentence is none
 _MOST_NAMES = 4  # rows above the numbers that are tried as names
+_KEYS = (  # of rows that begin with a key: `TraceName,CH1,CH2`, `UnitName=  kV  mm`
+    re.compile(r"((trace|channel|signal|curve)[ _]?)?(name|title|label|channel)s?[:=]?", re.IGNORECASE),
+    re.compile(r"((v|y|vertical|channel|signal)[ _]?)?units?[ _]?(name|label|string)?[:=]?", re.IGNORECASE),
+)
 _PAIR = re.compile(r"(?:unit of )?(\w[\w ]*?)\s*(?:\bin\b|[=:/]|[(\[])\s*([^\s\d)\]]+)\s*[)\]]?")
 
 
@@ -91,7 +95,7 @@ def layouts(
     body = [k for k in range(len(rows.cells)) if not rows.commented[k] and rows.numbers[k] > (header_line or 0)]
     width = _width([rows.cells[k] for k in body], decimal)
     full = [row for row in map(rows.cells.__getitem__, body) if len(row) == width and _count(row, decimal)]
-    forms = _forms(full, width, decimal)
+    forms = _forms(full[_settings(full) :], width, decimal)
     if sum(form != "text" for form in forms) < 2:
         raise BadInput(f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV")
     first = _first(rows, body, width, forms, decimal)
@@ -130,6 +134,12 @@ def _count(row: Sequence[str], decimal: str) -> int:
     return sum(bool(cell) and (is_number(cell, decimal) or is_stamp(cell)) for cell in row)
 
 
+def _settings(block: Sequence[Sequence[str]]) -> int:
+    """How many rows at the top are settings with numbers (`BlockSize,400,400`): keyed, and no row below them is."""
+    keyed = next((k for k, row in enumerate(block) if not row[0]), 0)
+    return keyed if keyed > 2 and not any(row[0] for row in block[keyed:]) else 0
+
+
 def _forms(block: Sequence[Sequence[str]], width: int, decimal: str) -> list[str]:
     """What each column holds: numbers, hours or text, by most of its cells."""
     forms = []
@@ -155,15 +165,22 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
         return len(row) == width and some and all(fit[form](cell) for cell, form in zip(row, forms, strict=True))
 
     good = [k for k in body if holds(k)]
+    if len(good) > 1 and _counts_samples(rows.cells[good[0]]) and all(rows.cells[k][0] for k in good[1:]):
+        good = good[1:]
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
     return pairs[0] if pairs else good[0] if good else None
+
+
+def _counts_samples(row: Sequence[str]) -> bool:
+    """Whether a row is the length of every channel (`,400,400`)."""
+    return not row[0] and len(trimmed(row)) > 2 and len(set(filter(None, row))) == 1 and max(row).isdecimal()
 
 
 def _units_row(
     rows: Rows, first: int, widths: range, units_line: str | None, source: str
 ) -> tuple[list[str], list[int]]:
     """Units below the names, and the rows above the numbers that could be names, the nearest first."""
-    fits = [k for k in range(first) if _fits(rows.cells[k], widths)]
+    fits = [k for k in range(first) if _fits(rows, k, widths)]
     if units_line == "none":
         return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
     if units_line is not None:
@@ -171,17 +188,28 @@ def _units_row(
         if not stated:
             raise BadInput(f"{source}: line {units_line} is empty or not above the numbers; give another --units-line")
         return rows.cells[stated[0]], [k for k in fits[::-1] if k != stated[0]]
+    named, united = ([k for k in fits if key.fullmatch(rows.cells[k][0])] for key in _KEYS)
+    if named and united and _is_units(rows.cells[united[-1]][1:]):
+        if not any(row[0] for row in rows.cells[first:] if row):  # no key of its own, no column below it
+            rows.cells[named[-1]][0] = ""
+        return ["", *rows.cells[united[-1]][1:]], named[-1:]
     for k in fits[::-1][:2]:
-        if _is_units(rows.cells[k]) and not (rows.commented[k] and not fits.index(k)):
+        if _is_units(rows.cells[k][: widths[0]]) and not (rows.commented[k] and not fits.index(k)):
             names = [m for m in fits if m < k]
             return rows.cells[k], names[::-1][:1] or [k]
     return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
 
 
-def _fits(row: Sequence[str], widths: range) -> bool:
-    """Whether a row has as many cells as the numbers; R leaves out the name of the first column."""
+def _fits(rows: Rows, k: int, widths: range) -> bool:
+    """Whether row k has as many cells as the numbers; R leaves out the name of the first column, in no comment."""
+    row, below = rows.cells[k], rows.cells[k + 1]
     count = len(trimmed(row))
-    return count > 1 and (count in widths or count == widths[0] - 1 or (count > widths[-1] and _extra(row, widths[-1])))
+    if count < 2 or (rows.commented[k] and row[0].endswith((":", "="))):  # `# rows: 400` is a setting
+        return False
+    if count in widths or (count == widths[0] - 1 and not rows.commented[k]):
+        return True
+    # Beyond the columns there may be settings (`X,CH1,CH2,Start,Increment`), their values here or in the row below
+    return count > widths[-1] and (_extra(row, widths[-1]) or _numeric(below[widths[-1] :]))
 
 
 def _extra(row: Sequence[str], width: int) -> bool:
@@ -190,21 +218,27 @@ def _extra(row: Sequence[str], width: int) -> bool:
 
 
 def _numeric(row: Sequence[str]) -> bool:
-    return any(cell and (is_number(cell, ".") or is_number(cell, ",")) for cell in row)
+    """Whether a row holds numbers or hours, which names are not."""
+    return any(cell and (is_number(cell, ".") or is_number(cell, ",") or is_stamp(cell)) for cell in row)
 
 
 def _is_units(row: Sequence[str]) -> bool:
     """Whether a row is one of units: most cells are, the others short (`mA`, `-`)."""
-    cells = [cell.strip() for cell in row if cell.strip("[]()- ")]
+    cells = [_of_unit(cell) for cell in row if cell.strip("[]()- ") and not _numeric([cell])]
     known = sum(spelt(cell) is not None for cell in cells)
     return known > 0 and 2 * known >= len(cells) and all(len(cell) <= _LONGEST_UNIT for cell in cells)
+
+
+def _of_unit(cell: str) -> str:
+    """A cell of a units row without its key: `Unit: kV`."""
+    return re.sub(r"^units?\s*[:=]\s*", "", cell.strip(), flags=re.IGNORECASE)
 
 
 def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range, first: int, source: str) -> Layout:
     """The reading in which row k names the columns."""
     names, width, notes = trimmed(rows.cells[k]), bare.width, []
     if len(names) > width:
-        names, notes = names[:width], [f"{len(names) - width} cells beside the header"]
+        names, notes = names[: widths[0]], [f"{len(names) - widths[0]} cells beside the header"]
     if len(names) == widths[0] - 1:
         names = ["row", *names]
         notes.append("row names before the first column")
@@ -238,7 +272,7 @@ def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths:
 
 def _with_names(bare: Layout, names: Sequence[str], units: Sequence[str], rows: Rows, first: int) -> Layout:
     spoken = _spoken(rows, first)
-    beside = [unit.strip() if unit.strip("[]()- ") else None for unit in (*units, *[""] * bare.width)]
+    beside = [_of_unit(unit) if unit.strip("[]()- ") else None for unit in (*units, *[""] * bare.width)]
     if len(trimmed(units)) == len(trimmed(names)) - 1 and names[0] == "row":
         beside = [None, *beside]
     columns = tuple(

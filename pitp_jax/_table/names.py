@@ -15,19 +15,22 @@ _VOCABULARY = {
     "time": "t time zeit timestamp date datetime datum uhrzeit temps tiempo tempo elapsed clock millis micros "
     "x_value x_werte время 時間 时间 時刻",
     "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input in vin amplifier amp "
-    "excitation eingang anregung actuation monitor command cmd setpoint desired reference ref goal soll demand duty "
-    "pwm throttle potential напряжение 電圧 电压 電圧値",
+    "excitation eingang anregung actuation monitor command cmd setpoint desired des target reference ref goal soll "
+    "demand duty pwm throttle potential напряжение 電圧 电压 電圧値",
     "output": "x y z d w q displacement disp position pos weg auslenkung verschiebung abstand hub laser stroke "
     "deflection distance output out motion extension elongation height hoehe deplacement response lvdt sensor ausgang "
-    "angle theta encoder measured actual ist feedback перемещение смещение 変位 位移",
+    "vout angle theta encoder measured actual ist feedback перемещение смещение 変位 位移",
 }
 _WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
-_COMMANDS = frozenset("command cmd setpoint desired goal soll demand".split())  # also before the word "position"
-_PORTS = frozenset("input output in out eingang ausgang".split())  # of the DAQ or of the actuator, who knows
+_COMMANDS = frozenset(
+    "command cmd setpoint desired des goal target soll demand".split()
+)  # also before the word "position"
+_PORTS = frozenset("input output in out vin vout eingang ausgang".split())  # of the DAQ or of the actuator, who knows
 _BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
 _LAST = re.compile(r"^(.*\S)(?:\s*[_,:;-]\s*|\s+)(\S+)$")
-_SUITS = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None}
+_ROLE_OF = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None}
 _OWN = {"A": {"current", "strom", "i", "input", "output"}, "N": {"force", "kraft", "f", "input", "output"}}
+_R_BRACKETS = re.compile(r"\.\.([^.\s]+)\.$")  # R makes `Weg..mm.` of `Weg (mm)`
 _PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  # what no quantity is called
 
 
@@ -72,30 +75,35 @@ def split_header(text: str) -> tuple[str, str | None]:
 
 
 def _parted(text: str) -> tuple[str, str | None, str | None]:
-    unknown = None
-    for found in _BRACKETS.finditer(text):
-        unit = spelt(found[1]) or spelt(re.split(r"[,;]", found[1])[0])
+    unknown, text = None, _R_BRACKETS.sub(r" (\1)", text)
+    for bracket in _BRACKETS.finditer(text):
+        inside = bracket[1]
+        # `(in)` is an inch, the word before a unit is none
+        unit = "inch" if inside == "in" else spelt(inside) or spelt(re.split(r"[,;]", inside)[0])
         if unit:
-            return (text[: found.start()] + text[found.end() :]).strip(), unit, None
-        if not found[1].isdecimal():  # position[2] is the third joint
-            unknown = found[1] or unknown
+            return (text[: bracket.start()] + text[bracket.end() :]).strip(), unit, None
+        if not inside.isdecimal():  # position[2] is the third joint
+            unknown = inside or unknown
     if unknown:
-        return text, None, unknown
+        # A logger's serial number may follow the unit: `HV, kV (LGR S/N: 10)`
+        bare = _BRACKETS.sub("", text).strip()
+        stem, unit, _ = _parted(bare) if "," in bare else (text, None, None)
+        return (stem, unit, None) if unit else (text, None, unknown)
     if (whole := spelt(text)) and len(text) > 1 and whole not in ("min", "h", "d"):
         return text, whole, None
     text = re.sub(r"\s*/\s*", "/", text)
     last = re.split(r"[\s_,;:]+", text)[-1]
     if "/" in last:
         return _ratio(text, last)
-    found = _LAST.match(text)
-    unit = spelt(found[2]) if found else None
-    if not found or not unit:
+    ending = _LAST.match(text)
+    unit = spelt(ending[2]) if ending else None
+    if not ending or not unit:
         return text, None, None
-    stem = re.sub(r"(\s|^)in$", "", found[1]).rstrip(" /_,:;-")
-    said = stem != found[1].rstrip(" /_,:;-") or text.lower().startswith("in ")
-    if not said and unit in _SUITS and len(found[2]) == 1 + 2 * (unit == "min"):
+    stem = re.sub(r"(\s|^)in$", "", ending[1]).rstrip(" /_,:;-")
+    said = stem != ending[1].rstrip(" /_,:;-") or text.lower().startswith("in ")
+    if not said and unit in _ROLE_OF and len(ending[2]) == 1 + 2 * (unit == "min"):
         words = _words(stem)
-        if not (_role(words) == _SUITS[unit] if _SUITS[unit] else words & _OWN[unit]):
+        if not (_role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]):
             return text, None, None  # `Channel A` is no current
     return stem, unit, None
 
@@ -104,13 +112,13 @@ def _ratio(text: str, last: str) -> tuple[str, str | None, str | None]:
     """A header that ends in `a/b`: a unit of the table, `quantity/unit`, or a ratio that is no unit of ours."""
     if unit := spelt(last):
         return text.removesuffix(last).rstrip(" /_,:;-") or text, unit, None
-    left, _, right = last.partition("/")
-    unit, of = spelt(right), spelt(left)
-    if _PHYSICAL.fullmatch(left) or (of is not None and len(left) > 1):
+    above, _, below = last.partition("/")
+    unit, of = spelt(below), spelt(above)
+    if _PHYSICAL.fullmatch(above) or (of is not None and len(above) > 1):
         return text, None, last
     if unit:
-        return text.removesuffix(last) + left, unit, None
-    parts = [spelt(part) for part in right.split("/")]
+        return text.removesuffix(last) + above, unit, None
+    parts = [spelt(part) for part in below.split("/")]
     return text, None, last if any(parts) and len(parts) > 1 else None
 
 

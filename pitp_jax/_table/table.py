@@ -13,6 +13,8 @@ import numpy as np
 
 from .guard import as_column, check_columns, cleaned, guarded
 
+_WIDEST = 63  # lines of a matrix that may be columns; a record has more samples
+
 
 @dataclass(frozen=True)
 class Column:
@@ -78,6 +80,7 @@ def array_table(
     beside: Mapping = MappingProxyType({}),
     part: str = "",
     clocks: Mapping = MappingProxyType({}),
+    shapes: Mapping = MappingProxyType({}),
 ) -> Table:
     """Named arrays as a table.
 
@@ -88,10 +91,12 @@ def array_table(
         beside: units beside the data, by name.
         part: the group, where the file is split by groups.
         clocks: (first time, step) of channels that have their own clock.
+        shapes: of what is not read yet; a matrix of samples is a column for each of its lines, counted from 1.
 
     Raises:
         BadInput: more columns than reasonable.
     """
+    stored = dict(pair for n, v in stored.items() for pair in _lines(n, v, shapes.get(n, getattr(v, "shape", ()))))
     source, names = cleaned(path), list(stored)
     check_columns(len(names), source)
     columns = tuple(Column(cleaned(n), _text(beside.get(n)), clock=clocks.get(n)) for n in names)
@@ -100,6 +105,18 @@ def array_table(
         return [guarded(source, form, _loaded, stored[names[k]], columns[k].name, source) for k in places]
 
     return Table(path, columns, load, sample, form, part)
+
+
+def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
+    """A vector as it is; a matrix that is long one way as its columns (or rows) `data[1]`, `data[2]`, ..."""
+    if len(shape) != 2 or not 1 < min(shape) <= _WIDEST < max(shape):
+        return [(name, values)]
+
+    def line(k: int) -> np.ndarray:
+        matrix = np.asarray(values() if callable(values) else values)
+        return matrix[:, k] if shape[0] > shape[1] else matrix[k]
+
+    return [(f"{name}[{k + 1}]", lambda k=k: line(k)) for k in range(min(shape))]
 
 
 def _loaded(values: Any, column: str, source: str) -> np.ndarray:

@@ -9,6 +9,7 @@ import codecs
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -31,6 +32,8 @@ _SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
 _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are no comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
+_QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
+_FOOTER = 50  # lines below the rows of numbers that may be a summary
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
@@ -57,7 +60,8 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
 
 
 def _table(path: Path, data: bytes, start: int, layout: Layout, encoding: str) -> Table:
-    source, above, body = cleaned(path), data[:start].count(b"\n"), _rows_only(data[start:], layout)
+    source, above = cleaned(path), data[:start].count(b"\n")
+    body, below = _without_summary(_rows_only(data[start:], layout), layout, encoding)
     check_count(body.count(b"\n"), source)
 
     def place(sample: int) -> str:
@@ -75,7 +79,8 @@ def _table(path: Path, data: bytes, start: int, layout: Layout, encoding: str) -
     parts += ["decimal comma"] if layout.decimal == "," else []
     parts += [encoding] if encoding not in ("utf-8", "ascii") else []
     blanks = data[start:].strip(b"\n").count(b"\n\n")
-    form = ", ".join((*parts, *layout.notes))
+    summary = (f"{below} line{'s' if below > 1 else ''} of words below the numbers left out",) if below else ()
+    form = ", ".join((*parts, *layout.notes, *summary))
     return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
 
 
@@ -156,16 +161,25 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source:
             layout = signature(lines, source)
             if layout is not None:
                 return [layout]
-    commented = [line.lstrip(' "').startswith(COMMENTS) for line in lines]
+    commented = [line.lstrip(' "').startswith(COMMENTS) and not _QUOTED_MARK.match(line) for line in lines]
     plain = [line for line, comment in zip(lines, commented, strict=True) if not comment]
     separator, decimal = _dialect(plain, options, source)
-    cells = [
-        cells_of(_bare(line) if comment else line, separator) for line, comment in zip(lines, commented, strict=True)
-    ]
+    bare = [_bare(line) if comment else line for line, comment in zip(lines, commented, strict=True)]
+    cells = [cells_of(line, separator) for line in bare]
+    if separator == " ":
+        cells = _with_blanks(bare, cells, decimal)
     marked = _durations(cells, decimal)
     rows = Rows(cells, numbers, commented)
     made = layouts(rows, separator, decimal, source, options.header_line, options.units_line)
     return [_with_durations(layout, marked) for layout in made] if marked else made
+
+
+def _with_blanks(lines: Sequence[str], cells: list[list[str]], decimal: str) -> list[list[str]]:
+    """Rows of cells cut at single blanks; names that hold such blanks are cut at two and more where that fits."""
+    widths = Counter(len(row) for row in cells if len(row) > 1 and all(is_number(cell, decimal) for cell in row))
+    usual = widths.most_common(1)[0][0] if widths else 0
+    wide = [re.split(r"\s{2,}|\t", line.strip()) for line in lines]
+    return [many if len(many) == usual != len(row) else row for row, many in zip(cells, wide, strict=True)]
 
 
 def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
@@ -262,6 +276,21 @@ def _rows_only(body: bytes, layout: Layout) -> bytes:
     return body if end < 0 else body[:end]
 
 
+def _without_summary(body: bytes, layout: Layout, encoding: str) -> tuple[bytes, int]:
+    """The rows without lines of words at their end (`Mean;2.5;0.4`, `*** END ***`), and how many those were.
+
+    Only where the first column holds numbers; a word within the rows is refused later, with its line.
+    """
+    count = 0
+    while layout.columns[0].form == "number" and count < _FOOTER:
+        begin = body.rfind(b"\n") + 1
+        words = cells_of(body[begin:].decode(encoding, "replace"), layout.separator)
+        if not begin or not words or not words[0].lstrip("*=-> ")[:1].isalpha() or is_number(words[0], layout.decimal):
+            break
+        body, count = body[: begin - 1], count + 1
+    return body, count
+
+
 def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
     """Wanted columns by the C parser, or None where the text needs a closer look."""
     import pandas as pd
@@ -348,5 +377,6 @@ def _column(cells: Sequence[str], layout: Layout, k: int, source: str, place) ->
                 f"{source}: column {column.name!r}, {place(sample)}: text {shown!r} where a number belongs; write a "
                 "number (leave a missing output empty)"
             )
-    point = (cell.replace(",", ".") if layout.decimal == "," else cell for cell in cells)
+    plain = str.maketrans("Dd,", "Ee.") if layout.decimal == "," else str.maketrans("Dd", "Ee")  # Fortran's 1.0D-3
+    point = (cell.translate(plain) for cell in cells)
     return np.array([float("nan") if cell.lower() in MISSING else float(cell) for cell in point])

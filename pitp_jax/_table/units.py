@@ -8,15 +8,15 @@ import unicodedata
 
 _KINDS: dict[str, dict[str, float]] = {  # the first unit of a kind is its base
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
-    "voltage": {"V": 1.0, "kV": 1e3, "mV": 1e-3},
-    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "nm": 1e-9},
-    "current": {"A": 1.0, "mA": 1e-3},
+    "voltage": {"V": 1.0, "kV": 1e3, "mV": 1e-3, "uV": 1e-6},
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "nm": 1e-9, "inch": 0.0254},
+    "current": {"A": 1.0, "mA": 1e-3, "uA": 1e-6},
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
     "torque": {"N m": 1.0, "mN m": 1e-3},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2, "psi": 6894.757293168361},
-    "angle": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi},
+    "angle": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi, "mrad": 1e-3, "urad": 1e-6},
     "angular speed": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": 2 * math.pi / 60},
-    "speed": {"m/s": 1.0, "mm/s": 1e-3},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
     "acceleration": {"m/s2": 1.0},
     "number": {"counts": 1.0, "percent": 1e-2},
 }
@@ -41,6 +41,7 @@ _WORDS = {
     "um": "um micron microns mikrometer micrometer micrometers micrometre micrometres мкм ミクロン 微米",
     "cm": "centimeter centimeters см 厘米",
     "nm": "nanometer nanometers нм 纳米",
+    "inch": "inches",
     "A": "amp amps ampere amperes",
     "mA": "milliamp milliamps milliampere",
     "N": "newton newtons",
