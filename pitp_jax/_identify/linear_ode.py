@@ -264,7 +264,7 @@ def coast(
         if pole.imag < 0:
             continue
         mode = powers(pole, samples)
-        columns += [mode.real, mode.imag] if pole.imag > 0 else [mode.real]
+        columns += [np.real(mode), np.imag(mode)] if pole.imag > 0 else [np.real(mode)]
         rings += [True, True] if pole.imag > 0 else [False]
     return np.array(columns).reshape(-1, samples).T, np.array(rings, bool)
 
