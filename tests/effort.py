@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def calls(function: Callable) -> int:
-    """How many functions, of Python or of C, a call makes."""
+def calls(function: Callable, name: str | None = None) -> int:
+    """How many functions, of Python or of C, a call makes; with a name, only those of C so called."""
     count = 0
 
     def counted(frame, event, argument):
         nonlocal count
-        count += event in ("call", "c_call")
+        count += event in ("call", "c_call") if name is None else event == "c_call" and argument.__name__ == name
 
     sys.setprofile(counted)
     try:

@@ -4,10 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from effort import calls
 from scipy.signal import cont2discrete, lfilter, lsim
 from typed import of_kind
 
 from pitp_jax import BadInput, ComputationFailed, Record
+from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.identification import identify
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
@@ -211,3 +213,13 @@ def test_what_is_left_out_of_fold_by_band(coefficients):
     width = np.diff(own.edges_hz)[6:-1] * 2 * DT
     assert np.square(own.error)[6:-1] / noise**2 == pytest.approx(width, rel=0.5)
     assert json.loads(found.model.provenance.notes)["identification"]["out_of_fold"]["error"] == list(own.error)
+
+
+def test_what_a_search_costs(coefficients):
+    """A sweep's response leads to its start and orders: a grid of starts, with every order after it, costs three times.
+
+    Counted in runs of a mode, not in seconds.
+    """
+    record = sweep(coefficients(2), 31)
+    assert calls(lambda: find_beginnings([record], "square"), "_linear_filter") < 60
+    assert calls(lambda: identify([record]), "_linear_filter") < 1500

@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from pitp_jax._identify.linear_ode import coast, logs_from_roots, polynomial, polynomial_slopes, respond
+from pitp_jax._identify.linear_ode import (
+    coast,
+    logs_from_roots,
+    no_faster,
+    poles,
+    polynomial,
+    polynomial_slopes,
+    respond,
+)
 
 STEP = 0.4
 
@@ -140,3 +148,8 @@ def test_a_pole_far_above_the_samples_is_not_seen():
     second = run(LOGS[2], drive, square=True, hold="foh", step=0.05)
     late = np.interp(np.arange(500) - 1 / 30, np.arange(500), second)
     np.testing.assert_allclose(third[5:], late[5:], rtol=0, atol=5e-4)  # of 8; the delay is 8e-3
+
+
+def test_a_pole_too_fast_moves_no_other():
+    moved = poles(no_faster(logs_from_roots(np.array([-1e4, -16.0, -3 + 4j, -3 - 4j])), 600.0))
+    assert sorted(np.abs(moved)) == pytest.approx([5.0, 5.0, 16.0, 600.0])

@@ -21,8 +21,10 @@ from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
 from .._record.preprocess import force_band
 from .._record.record import Record
-from .linear_ode import coast, logs_from_roots, polynomial, respond
-from .output_error import Problem, Structure, build_problem, driven, least_squares, own_columns, solve
+from .frequency_fit import linear_start
+from .frequency_response import frequency_response
+from .linear_ode import coast, logs_from_roots, no_faster, polynomial, respond
+from .output_error import FASTEST, Problem, Structure, alone, build_problem, driven, least_squares, own_columns, solve
 from .starts import cost_of, guesses
 
 _PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that tell beginnings apart
@@ -107,17 +109,32 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
     """What `_fitted` returns, nothing known of how records begin."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
-    starts = [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
+    by_response = _from_response(problem)
+    starts = (
+        [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
+        if by_response is None
+        else [by_response]
+    )
     scored = []
     for start in starts:
-        logs = np.minimum(start, problem.upper(_STRUCTURE) - 1e-3)
-        same = build_problem(small, "linear", _directed(logs, problem))
-        scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
+        logs = no_faster(start, FASTEST / problem.fine)
+        same = _directed(logs, problem)
+        scored.append((cost_of(logs, _STRUCTURE, same) if len(starts) > 1 else 0.0, logs, same))
     found = []
     for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
         fit = _fitted(logs, same)
         found += [] if fit is None else [fit]
     return min(found, key=lambda f: f[0]) if found else None
+
+
+def _from_response(problem: Problem) -> np.ndarray | None:
+    """Where the frequency response of the record leads whose lines tell most; None where no record has enough.
+
+    One record's, since the directions of the others are not known yet.
+    """
+    each = [frequency_response(alone(problem, k)) for k in range(len(problem.drive))]
+    best = max(each, key=lambda response: int(response.coherent.sum()))
+    return linear_start(best, problem.dt, _STRUCTURE.order) if best.rich else None
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
@@ -127,8 +144,8 @@ def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarra
     return (cost, (logs, gain)) if np.isfinite(cost) else None
 
 
-def _directed(logs: np.ndarray, problem: Problem) -> list[Beginning]:
-    """Directions from each record's own gain, relative to most."""
+def _directed(logs: np.ndarray, problem: Problem) -> Problem:
+    """The problem in directions from each record's own gain, relative to most."""
     gains = []
     for k, (output, weight) in enumerate(zip(problem.output, problem.weight, strict=True)):
         unit = driven(logs, _STRUCTURE, problem, k)
@@ -137,7 +154,11 @@ def _directed(logs: np.ndarray, problem: Problem) -> list[Beginning]:
         gains.append(project(weight * output, columns)[0][0] * np.std(unit))
     most = 1.0 if np.sum(gains) >= 0 else -1.0
     directions = [1.0 if most * g >= 0 else -1.0 for g in gains]
-    return [replace(b, direction=d) for b, d in zip(problem.beginnings, directions, strict=True)]
+    return replace(
+        problem,
+        output=tuple(d * o for d, o in zip(directions, problem.output, strict=True)),
+        beginnings=tuple(replace(b, direction=d) for b, d in zip(problem.beginnings, directions, strict=True)),
+    )
 
 
 def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:

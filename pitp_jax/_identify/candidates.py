@@ -10,7 +10,6 @@ for half a sample of delay (+6.5 %); no delay is kept that buys nothing held out
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -18,34 +17,20 @@ import numpy as np
 from .._model.model import Hold
 from .frequency_fit import fit_response
 from .frequency_response import FrequencyResponse
-from .heldout import HeldOut, held_out
+from .heldout import Candidate, held_out
 from .linear_ode import logs_from_roots
+from .order_fit import identifiable
 from .output_error import Problem, Structure, least_squares
 from .starts import best_starts, guesses, one_more
 
-NEAR, TIE, LEAST = 1.03, 1.01, 1e-3
+NEAR, TIE = 1.03, 1.01
 _ALWAYS = 3  # orders that are tried in any case; one more since a mode is two; then while the last wins
 _NO_WORSE = 1.001  # an order holds every lower one: a higher cost means that the search stopped short
+_ALIKE = 1e-4  # of a cost: two fits that end so near ended in one place
 _STEPS, _LEAST_STEP = 40, 1e-5  # of a fit that is only to be compared; the chosen one goes on
 _DELAY = 0.05  # samples: a shorter delay is none; to start from, since none has no slope
 
 Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One structure, its parameters, what it leaves in sample (mean square of the output's), and held out."""
-
-    structure: Structure
-    params: np.ndarray
-    cost: float
-    converged: bool
-    heldout: HeldOut
-
-    @property
-    def score(self) -> float:
-        """Held out, with what no record resolves."""
-        return float(np.hypot(self.heldout.score, LEAST))
 
 
 def search(
@@ -63,25 +48,33 @@ def search(
     roots = cache(lambda order: guesses(order, problem) + _with_pair(pair, order))
     found: list[Candidate] = []
     for order in orders:
-        if (
-            order > _ALWAYS
-            and len(orders) > 1
-            and choose(found).structure.order < order - (2 if order == _ALWAYS + 1 else 1)
-        ):
+        if order > _ALWAYS and len(orders) > 1 and not _worth_trying(order, found):
             break
         here: list[Candidate] = []
         for delayed in delays:
+            if here and order > _ALWAYS and not here[0].known:
+                break  # what the records do not tell without a delay they do not tell with one more number
             ends: list[tuple[Structure, Ending]] = []
             for hold in holds:
+                if ends and delayed and problem.fine < problem.dt:
+                    break  # of means, holds differ by half a sample of the drive, which is a delay
                 structure = Structure(order, hold, delayed)
-                end = _fitted(structure, problem, told, roots, found + here, ends[0][1] if ends else None)
-                ends += [] if end is None else [(structure, end)]
+                if ends:
+                    end = least_squares(_under(hold, ends[0], problem), structure, problem, _STEPS, _LEAST_STEP)
+                else:
+                    end = _fitted(structure, problem, told, roots, found + here)
+                ends += [(structure, end)] if end is not None and np.isfinite(end[1]) else []
             if not ends:
                 continue
-            structure, (params, cost, converged) = min(ends, key=lambda e: e[1][1])
-            if not delayed or len(delays) == 1 or np.exp(params[-1]) > _DELAY * problem.fine:
-                with np.errstate(all="ignore"):
-                    here.append(Candidate(structure, params, cost, converged, held_out(params, structure, problem)))
+            structure, end = min(ends, key=lambda e: e[1][1])
+            if delayed and len(delays) > 1 and np.exp(end[0][-1]) <= _DELAY * problem.fine:
+                # no delay, but a start that the order without one did not have
+                if here and end[1] * _NO_WORSE < here[0].cost:
+                    structure = here.pop().structure
+                    end = least_squares(end[0][:-1], structure, problem, _STEPS, _LEAST_STEP)
+                else:
+                    continue
+            here.append(_scored(structure, end, problem))
         if not here:
             continue
         found += here
@@ -90,27 +83,62 @@ def search(
     return found
 
 
-def _fitted(structure: Structure, problem: Problem, told, roots, found: Sequence[Candidate], other) -> Ending | None:
-    """Where the fit ends from where the frequency response leads; where that tells nothing, from the best of others."""
+def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
+    params, cost, converged = end
+    with np.errstate(all="ignore"):
+        return Candidate(structure, params, cost, converged, held_out(params, structure, problem),
+                         identifiable(params, structure, problem, converged))  # fmt: skip
+
+
+def _worth_trying(order: int, found: Sequence[Candidate]) -> bool:
+    """Whether the best order that is known is the last one; or the last but one, for one mode adds two."""
+    known = [c for c in found if c.known]
+    return bool(known) and choose(known).structure.order >= order - (2 if order == _ALWAYS + 1 else 1)
+
+
+def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.ndarray:
+    """Where a fit under another hold starts: half a sample of the drive earlier or later, where that is a number."""
+    structure, (params, _, _) = other
+    if structure.delayed and hold != structure.hold:
+        moved = (0.5 if structure.hold == "zoh" else -0.5) * problem.fine
+        params = np.append(params[:-1], np.log(max(np.exp(params[-1]) + moved, _DELAY * problem.fine)))
+    return params
+
+
+def _fitted(structure: Structure, problem: Problem, told, roots, found: Sequence[Candidate]) -> Ending | None:
+    """Where the fit ends from where the frequency response leads; if that is worse than what it holds, from others."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in found}
     lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None
-    start, short = told.get((order, delayed)), np.log(_DELAY * problem.fine)
-    if other is not None:  # under another hold: what is best there is near
-        start = other[0]
-    elif start is not None and delayed:
-        start = np.append(start[:-1], max(start[-1], short))
-    ends = [] if start is None else [least_squares(start, structure, problem, _STEPS, _LEAST_STEP)]
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
-    if lower is None and order > 1 and other is None and len(problem.drive) > 1:
+    if lower is None and order > 1 and len(problem.drive) > 1:
         bound = -np.inf  # asked for alone: the lines of several sines together pass for a sweep's
-    if not ends or min(e[1] for e in ends) > bound:
-        sets = roots(order) + ([] if lower is None else one_more(lower.params[: order - 1]))
-        some = best_starts(structure, problem, sets, most=2)
-        some += [np.append(prompt.params, short)] if prompt is not None else []
-        ends += [least_squares(s, structure, problem, _STEPS, _LEAST_STEP) for s in some]
+    start, short = told.get((order, delayed)), np.log(_DELAY * problem.fine)
+    if start is not None and delayed:
+        start = np.append(start[:-1], max(start[-1], short))
+    ends = [] if start is None else [_short(start, structure, problem)]
+    nested = [] if prompt is None else [np.append(prompt.params, short)]
+    nested += [] if lower is None else best_starts(structure, problem, one_more(lower.params[: order - 1]), most=1)
+    for some in (nested if ends else [], None):
+        if ends and _settled(ends, bound, structure, problem):
+            break
+        if some is None:
+            some = best_starts(structure, problem, roots(order), most=2) + ([] if ends else nested)
+        ends += [_short(s, structure, problem) for s in some]
     ends = [e for e in ends if np.isfinite(e[1])]
     return min(ends, key=lambda e: e[1]) if ends else None
+
+
+def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem: Problem) -> bool:
+    """Whether no other start is needed: good enough, found from two of them, or a delay that vanishes."""
+    params, least, _ = min(ends, key=lambda e: e[1])
+    again = sum(e[1] <= (1 + _ALIKE) * least for e in ends) > 1
+    none = structure.delayed and np.exp(params[-1]) <= _DELAY * problem.fine
+    return bool(np.isfinite(least) and bound > 0 and (least <= bound or again or none))
+
+
+def _short(start: np.ndarray, structure: Structure, problem: Problem) -> Ending:
+    return least_squares(start, structure, problem, _STEPS, _LEAST_STEP)
 
 
 def _with_pair(pair: np.ndarray | None, order: int) -> list[np.ndarray]:

@@ -9,6 +9,7 @@ Source: Sanathanan & Koerner (1963); Pintelon & Schoukens (2012), 9.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,26 +33,52 @@ def fit_response(
     response: FrequencyResponse, dt: float, orders: Sequence[int] = ORDERS, delays: Sequence[bool] = (False, True)
 ) -> dict[tuple[int, bool], np.ndarray]:
     """Parameters of every (order, delayed): logarithms of the pole coefficients (rad/s), then of the delay (s)."""
-    known = np.flatnonzero(response.coherent)
-    hz, value = response.hz[known], response.value[known]
-    weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
-    unit = 2 * np.pi * float(np.exp(np.log(hz).mean()))
-    s = 2j * np.pi * hz / unit
-    held = np.sinc(hz * dt) ** 2
+    s, value, weight, held, unit = _Lines.of(response, dt)
     lanes = [(order, delayed) for order in orders for delayed in delays]
     rows = [(_start(*lane, s, value / held, weight * held, unit * dt), _mask(*lane)) for lane in lanes]
-    pad = _LINES - len(hz)
+    pad = _LINES - len(s)
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
     with jax.enable_x64(True):
         fixed = [jnp.asarray(a) for a in data]
         found = [_least_squares(jnp.asarray(start), jnp.asarray(mask), fixed) for start, mask in rows]
     result = {}
     for (order, delayed), row in zip(lanes, found, strict=True):
-        logs = np.concatenate([row[: 2 * (order // 2)], row[2 * _PAIRS : 2 * _PAIRS + order % 2]])
-        logs = logs + np.log(unit) * np.array([1.0, 2.0] * (order // 2) + [1.0] * (order % 2))
+        logs = _logs(row, order, unit)
         if np.isfinite(row).all():
             result[order, delayed] = np.append(logs, [row[-1] - np.log(unit)] * delayed)
     return result
+
+
+def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
+    """Logarithms of the pole coefficients (rad/s) of the linear equation-error fit, which needs no start itself."""
+    s, value, weight, held, unit = _Lines.of(response, dt)
+    found = _start(order, False, s, value / held, weight * held, unit * dt)
+    return _logs(found, order, unit)
+
+
+class _Lines(NamedTuple):
+    """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, and what a held drive does to it."""
+
+    s: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+    held: np.ndarray
+    unit: float
+
+    @classmethod
+    def of(cls, response: FrequencyResponse, dt: float) -> "_Lines":
+        """Those of a response sampled every `dt` seconds."""
+        known = np.flatnonzero(response.coherent)
+        hz, value = response.hz[known], response.value[known]
+        weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
+        unit = 2 * np.pi * float(np.exp(np.log(hz).mean()))
+        return cls(2j * np.pi * hz / unit, value, weight, np.sinc(hz * dt) ** 2, unit)
+
+
+def _logs(row: np.ndarray, order: int, unit: float) -> np.ndarray:
+    """The logarithms that a lane has, in rad/s."""
+    logs = np.concatenate([row[: 2 * (order // 2)], row[2 * _PAIRS : 2 * _PAIRS + order % 2]])
+    return logs + np.log(unit) * np.array([1.0, 2.0] * (order // 2) + [1.0] * (order % 2))
 
 
 def _least_squares(start: Array, mask: Array, data: list[Array]) -> np.ndarray:

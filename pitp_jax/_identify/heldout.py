@@ -16,6 +16,7 @@ from .output_error import Problem, Structure, driven, least_squares, masked, own
 
 _FOLDS, _STEPS, _LEAST_STEP = 3, 4, 1e-3
 _DECAYS = 3.0
+_LEAST = 1e-3  # of the output: no record resolves less
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,26 @@ class OutOfFold:
     edges_hz: tuple[float, ...]
     error: tuple[float, ...]
     output: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One structure, its parameters, what it leaves in sample (mean square of the output's), and held out.
+
+    `known`: the records determine its poles (`order_fit`).
+    """
+
+    structure: Structure
+    params: np.ndarray
+    cost: float
+    converged: bool
+    heldout: HeldOut
+    known: bool
+
+    @property
+    def score(self) -> float:
+        """Held out, with what no record resolves."""
+        return float(np.hypot(self.heldout.score, _LEAST))
 
 
 def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:

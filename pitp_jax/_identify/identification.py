@@ -29,10 +29,10 @@ from .._record.record import Record
 from .._record.sets import check_set
 from .._shown import Shown
 from .beginnings import find_beginnings
-from .candidates import Candidate, choose, search
+from .candidates import choose, search
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
-from .heldout import OutOfFold, out_of_fold
+from .heldout import Candidate, OutOfFold, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, least_squares, solve
 
@@ -143,8 +143,14 @@ def identify(
     candidates = search(small, response, roots, **asked, progress=progress)
     if not candidates:
         raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
-    chosen = choose(candidates) if order != "auto" else _known(candidates, small)
-    if order != "auto" and response.rich and not describe(chosen, small).identifiable:
+    known = [c for c in candidates if c.known]
+    if order == "auto" and not known:
+        raise ComputationFailed(
+            "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
+            "or check that the voltage and displacement columns belong together"
+        )
+    chosen = choose(known or candidates)
+    if order != "auto" and response.rich and not chosen.known:
         # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
         chosen = choose(candidates)
@@ -153,7 +159,7 @@ def identify(
     fit = describe(chosen, whole)
     if order != "auto" and not fit.identifiable:
         raise ComputationFailed(_refusal(fit))
-    best = [min((c for c in candidates if c.structure.order == n), key=lambda c: c.score)
+    best = [min((c for c in candidates if c.structure.order == n), key=lambda c: (not c.known, c.score))
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
     begun = _fitted(begun, chosen, whole)
@@ -163,24 +169,6 @@ def identify(
     names = [r.name for r in records]
     return Identification(
         model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tuple(told["remarks"])
-    )
-
-
-def _known(candidates: Sequence[Candidate], problem: Problem) -> Candidate:
-    """The best candidate whose poles the records determine.
-
-    Raises:
-        ComputationFailed: there is none.
-    """
-    pool = list(candidates)
-    while pool:
-        chosen = choose(pool)
-        if describe(chosen, problem).identifiable:
-            return chosen
-        pool = [c for c in pool if c is not chosen]
-    raise ComputationFailed(
-        "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
-        "or check that the voltage and displacement columns belong together"
     )
 
 
@@ -203,6 +191,10 @@ def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, band
     ends = []
     for hold in [*holds, *(["bandlimited"] if bandlimited else [])]:
         structure = replace(chosen.structure, hold=hold)
+        if hold == "bandlimited" and bandlimited:  # four times as dear: it has to lead after one step
+            first = least_squares(chosen.params, structure, problem, 2)[1]
+            if first > min(worth for worth, _ in ends):
+                continue
         params, cost, converged = least_squares(chosen.params, structure, problem)
         worth = cost / _BANDLIMITED**2 if hold == "bandlimited" and bandlimited else cost
         ends.append((worth, replace(chosen, structure=structure, params=params, cost=cost, converged=converged)))

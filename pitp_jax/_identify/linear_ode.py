@@ -88,6 +88,13 @@ def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
     return np.array(found)
 
 
+def no_faster(logs: Float[np.ndarray, " n"], fastest: float) -> Float[np.ndarray, " n"]:
+    """The same poles, but those beyond `fastest` moved back to it; coefficients cut one by one would move all."""
+    known = poles(logs)
+    size = np.abs(known)
+    return logs_from_roots(known * np.minimum(fastest / size, 1.0)) if (size > fastest).any() else logs
+
+
 def _phi(z: complex, k: int) -> complex:
     """phi_k: by its series near zero, where the closed form cancels."""
     if abs(z) < 1:
@@ -256,7 +263,14 @@ def coast(
     for pole in poles(logs) * step:
         if pole.imag < 0:
             continue
-        mode = np.exp(pole * np.arange(samples))
-        columns += [mode.real, mode.imag] if pole.imag > 0 else [mode.real]
+        mode = powers(pole, samples)
+        columns += [np.real(mode), np.imag(mode)] if pole.imag > 0 else [np.real(mode)]
         rings += [True, True] if pole.imag > 0 else [False]
     return np.array(columns).reshape(-1, samples).T, np.array(rings, bool)
+
+
+def powers(z: complex, samples: int) -> Complex[np.ndarray, " time"]:
+    """e^(z t), t = 0 ... samples - 1, as e^(z B i) e^(z j): a product costs a tenth of an exponential."""
+    size = int(np.ceil(np.sqrt(samples)))
+    coarse, fine = np.exp(z * size * np.arange(size)), np.exp(z * np.arange(size))
+    return (coarse[:, None] * fine).reshape(-1)[:samples]

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from .._model.model import Hold
 from .._shown import Shown
-from .candidates import Candidate
+from .heldout import Candidate
 from .linear_ode import polynomial, polynomial_slopes
 from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
 
@@ -81,12 +81,7 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     main = spread[: structure.order + 1, : structure.order + 1]
     of_coefficients = jacobian @ main @ jacobian.T
     stderr = np.sqrt(np.clip(np.diag(of_coefficients), 0, None))
-    known = np.sqrt(np.clip(np.diag(spread), 0, None))[: structure.order]
-    open_ones = int((known >= _KNOWN).sum())
-    fast = bool(n == 1 and (open_ones or np.abs(poles).max() > _BEYOND / problem.fine))
-    slow = bool(np.abs(poles).min() * problem.seconds < _INTEGRATES)
-    static = fast and not slow
-    bounded = bool(np.abs(poles).max() > 0.97 * FASTEST / problem.fine)
+    determined, static, slow = _determined(poles, spread, problem)
     upper = sorted(poles[np.imag(poles) >= 0], key=abs)
     delay = float(np.exp(params[-1])) if structure.delayed else 0.0
     return OrderFit(
@@ -104,12 +99,28 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         offset=zero_of(problem.main, solved.gains, problem),
         polarity=float(np.sign(solved.gains[0]) or 1.0),
         converged=candidate.converged,
-        identifiable=bool(candidate.converged and (static or open_ones <= slow and not bounded)),
+        identifiable=candidate.converged and determined,
         static=static,
         integrates=slow,
         delay=delay,
         delay_stderr=delay * float(np.sqrt(max(spread[-1, -1], 0.0))) if structure.delayed else 0.0,
     )
+
+
+def identifiable(params: np.ndarray, structure: Structure, problem: Problem, converged: bool) -> bool:
+    """Whether the records determine these poles: see `OrderFit`."""
+    return converged and _determined(poles_of(params, structure), covariance(params, structure, problem), problem)[0]
+
+
+def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tuple[bool, bool, bool]:
+    """Whether the poles are determined, are those of a static plant, and have one by which it integrates."""
+    known = np.sqrt(np.clip(np.diag(spread), 0, None))[: len(poles)]
+    open_ones = int((known >= _KNOWN).sum())
+    fast = bool(len(poles) == 1 and (open_ones or np.abs(poles).max() > _BEYOND / problem.fine))
+    slow = bool(np.abs(poles).min() * problem.seconds < _INTEGRATES)
+    bounded = bool(np.abs(poles).max() > 0.97 * FASTEST / problem.fine)
+    static = fast and not slow
+    return bool(static or open_ones <= slow and not bounded), static, slow
 
 
 def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:

@@ -22,7 +22,7 @@ from .._numerics.levenberg_marquardt import Normal, minimise
 from .._record.initial_state import Beginning, from_known
 from .._record.preprocess import force_band
 from .._record.record import Record
-from .linear_ode import coast, pole_slopes, poles, respond, respond_with_slopes
+from .linear_ode import coast, no_faster, pole_slopes, poles, powers, respond, respond_with_slopes
 
 _RIDGE = 1e-3  # per sample, on an initial state in units of the output's rms
 _SLOWEST = 0.01  # rad a record: a slower pole integrates, as far as the records show
@@ -89,7 +89,7 @@ class Problem:
 
     def upper(self, structure: Structure) -> Float[np.ndarray, " parameters"]:
         """Of the logarithms: no pole above the band that is sampled, no delay beyond a quarter of a record."""
-        fastest, n = np.log(FASTEST / self.dt), structure.order
+        fastest, n = np.log(FASTEST / self.fine), structure.order  # means over blocks hide no pole that is a lag
         bounds = [np.log(2) + fastest, 2 * fastest] * (n // 2) + [fastest] * (n % 2)
         return np.array(bounds + [np.log(self.seconds / 4)] * structure.delayed)
 
@@ -183,7 +183,7 @@ def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: i
             continue
         size = own[at] - 1j * own[at + 1] if pole.imag else own[at]
         at += 2 if pole.imag else 1
-        found[: structure.order] += np.real(move[:, None] * (size * time * np.exp(pole * time)))
+        found[: structure.order] += np.real(move[:, None] * (size * time * powers(pole * problem.dt, len(time))))
     return found
 
 
@@ -267,6 +267,7 @@ def least_squares(
 ) -> tuple[np.ndarray, float, bool]:
     """Parameters of least output error from a start, their mean square (of the output's), and whether it converged."""
     upper = problem.upper(structure)
+    params = np.append(no_faster(params[: structure.order], 0.99 * FASTEST / problem.fine), params[structure.order :])
     params, converged = minimise(lambda p: normal_equations(p, structure, problem), params, upper, most, least)
     params = _not_slower(params, structure, _SLOWEST / problem.seconds)
     rows = solve(params, structure, problem).rows
@@ -287,3 +288,15 @@ def _not_slower(params: np.ndarray, structure: Structure, slowest: float) -> np.
 def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
     """The problem with some samples left out of every sum."""
     return replace(problem, weight=tuple(w * k for w, k in zip(problem.weight, keep, strict=True)))
+
+
+def alone(problem: Problem, k: int) -> Problem:
+    """The problem of record k by itself, in the same units."""
+    return replace(
+        problem,
+        drive=problem.drive[k : k + 1],
+        output=problem.output[k : k + 1],
+        weight=problem.weight[k : k + 1],
+        beginnings=problem.beginnings[k : k + 1],
+        zeros=(min(problem.zeros[k], 0),),
+    )

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import lfilter
 
-from .linear_ode import logs_from_roots, poles
-from .output_error import Problem, Structure, solve
+from .linear_ode import logs_from_roots, no_faster, poles
+from .output_error import FASTEST, Problem, Structure, solve
 
 _SIZES = (1, 4, 16)
 _ROUNDS = 4
@@ -28,7 +28,7 @@ def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray],
     for some in roots:
         if len(some) != structure.order or not np.isfinite(some).all():
             continue
-        logs = np.minimum(logs_from_roots(some), problem.upper(structure)[: structure.order] - 1e-3)
+        logs = no_faster(logs_from_roots(some), 0.99 * FASTEST / problem.fine)
         for delay in _DELAYS if structure.delayed else (None,):
             params = logs if delay is None else np.append(logs, np.log(delay * problem.dt))
             scored.append((params, cost_of(params, structure, problem)))
