@@ -94,7 +94,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
         BadInput: no record, none that moves, several sampling rates, or a model that diverges on one.
 
     Returns:
-        the verdict, what changed by how much, and the model to go on with.
+        the verdict, what changed by how much, and the model (a `Fitted`) to go on with.
 
     Examples:
         >>> pitp.adapt(model, records[0]).verdict

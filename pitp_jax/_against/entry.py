@@ -50,7 +50,7 @@ def diagnose(
     missing is then told as the simulator's number, the robot's and the difference.
 
     Args:
-        model: an identified linear model or a trained one; with `against` the real recordings.
+        model: an identified linear model or a trained one (`Fitted` or `Model`); with `against` the real recordings.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         against: recordings of a simulator, paired by their drives; another rate and another clock are fine.
         position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
@@ -61,7 +61,7 @@ def diagnose(
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
     Returns:
-        verdict, effects, gap, ranking, and the model with the effects added; with `against` a `SimToReal`.
+        verdict, effects, gap, ranking, and the model (a `Fitted`) with the effects added; with `against` a `SimToReal`.
 
     Raises:
         BadInput: no records, of several rates, two of one name or none that moves; no drive common to both sets; a

@@ -109,7 +109,7 @@ def identify(
         progress: called with one line per finished order.
 
     Returns:
-        the model, every order compared, and how every record begins.
+        the model (a `Fitted`), every order compared, and how every record begins.
 
     Raises:
         BadInput: unknown order or input map, no variation in voltage or displacement.

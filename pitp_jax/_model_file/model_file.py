@@ -41,7 +41,7 @@ def save(path: str | os.PathLike, model: Model | Fitted) -> None:
 
     Args:
         path: the file; an existing one is replaced.
-        model: any, with its origin where it has one; leaves keep their dtype (float16, float32 or float64).
+        model: a `Fitted`, or a bare `Model`, whose origin is empty; leaves keep their dtype (float16, 32 or 64).
 
     Raises:
         BadInput: a part this format has no name for (an own encoder, an effect), or an unwritable file.
@@ -97,7 +97,7 @@ def load(path: str | os.PathLike) -> Fitted:
         path: a file that `save` wrote.
 
     Returns:
-        the model and its origin, equal to those that were saved.
+        a `Fitted`: the model and its origin, equal to those that were saved.
 
     Raises:
         BadInput: missing, a folder, not a model file, from a newer version, or damaged in any bit.

@@ -118,7 +118,7 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
     """Run the model freely under every record's voltage, batched; records may have any lengths, one sampling rate.
 
     Args:
-        model: identified, trained, or with effects.
+        model: identified, trained, or with effects (`Fitted` or `Model`).
         records: as `pitp.read` gives them.
 
     Returns:

@@ -95,8 +95,8 @@ def train(
     can hold are averaged over blocks first (`oversampling`).
 
     Args:
-        nominal: an identified model; order, input map, hold and output are kept. Its effects come in with the free
-            runs, and their numbers are fitted along.
+        nominal: an identified model (`Fitted`, or a bare `Model`); order, input map, hold and output are kept. Its
+            effects come in with the free runs, and their numbers are fitted along.
         records: the training records, one sampling rate; those in which nothing moves are left out (`in_motion`).
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
@@ -104,7 +104,7 @@ def train(
         key: JAX key; the same key, records and machine give the same model.
 
     Returns:
-        the model, losses per stage, and notes.
+        the model (a `Fitted`), losses per stage, and notes.
 
     Raises:
         BadInput: unknown preset, records of several rates, none that moves, a mesh over several processes, or no
