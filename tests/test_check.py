@@ -1,6 +1,7 @@
 """The check finds what was planted (zeros, directions, faults, strangers, gaps in the band), nothing in a good set."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ import pitp_jax as pitp
 from pitp_jax._check.check import checked
 from pitp_jax._check.one_record import quick_problems
 from pitp_jax._check.page import page
+from pitp_jax._record.remarks import Remark, by_kind
 
 DT, SAMPLES = 2e-3, 3000
 TIME = np.arange(SAMPLES) * DT
@@ -92,7 +94,9 @@ def test_faults_are_counted_and_do_not_hide_the_others(good, tmp_path):
     assert found.records["sine2"].outliers == 3
     assert found.records["sine4"].missing == 400
     assert any("limit" in line for line in found.problems["sweep"])
-    assert set(found.problems) == {"sine2", "sine4", "sweep"}
+    assert set(found.problems) == {"sine4", "sweep"}  # three spikes are mended, and no problem
+    assert found.repaired == ["sine2: 3 output samples masked as spikes or dropouts"]
+    assert found.as_json()["records"]["sine2"]["problems"] == ["3 output samples masked as spikes or dropouts"]
     assert found.records["sine5"].begins == "rest"
 
 
@@ -180,3 +184,25 @@ def test_quick_problems_need_no_fit(good):
     assert line.startswith("flat: its drive never changes")
     (line,) = quick_problems(with_(good, "sine5", lambda r: moved(r, 1e3 * r.displacement)))
     assert "sine5: moves" in line and "unit" in line
+
+
+def test_zeros_are_compared_in_base_units(good):
+    """0.05 mm and 50 um are one zero; a record whose zero is another is told in the unit of the first."""
+    same = [moved(r, r.displacement + 5e-5) for r in good]
+    mixed = [replace(r, displacement_unit="um") if r.name == "sine3" else r for r in same]
+    assert not any("zero differs" in line for line in pitp.check(mixed).advice)
+    mixed = [moved(r, r.displacement + 4e-4) if r.name == "sine3" else r for r in mixed]
+    (line,) = [line for line in pitp.check(mixed).advice if "zero differs" in line]
+    low, high = map(float, re.findall(r"from (\S+) to (\S+) mm", line)[0])
+    assert low == pytest.approx(0.05, rel=0.02) and high == pytest.approx(0.45, rel=0.02)
+
+
+def test_one_line_for_every_kind_of_what_was_mended():
+    rows = [Remark("lost", f"r{k}", 1) for k in range(9)]
+    assert by_kind(rows) == ["9 records: 1 lost sample each, filled in, the output there missing (r0, r1, r2, ...)"]
+    assert by_kind(rows[:1]) == ["r0: 1 lost sample filled in, the output there missing"]
+    rows = [Remark("outliers", "a", 1), Remark("lost", "a", 2), Remark("outliers", "b", 3)]
+    assert by_kind(rows) == [
+        "2 records: 1 to 3 output samples each, masked as spikes or dropouts (a, b)",
+        "a: 2 lost samples filled in, the output there missing",
+    ]

@@ -70,7 +70,7 @@ def test_a_gap_longer_than_a_tenth_of_the_drives_period_splits_the_record(tmp_pa
     assert second.time[0] == pytest.approx(0.925)
     keep = np.setdiff1d(keep, np.arange(950, COUNT))
     (alone,) = read(write(tmp_path / "a.npz", TIME[keep]))
-    assert alone.samples == 900 and "25 samples of shorter" in alone.recognised["remarks"][-1]
+    assert alone.samples == 900 and "25 samples of stretches too short" in alone.recognised["remarks"][-1]
 
 
 def test_a_gap_of_years_takes_no_memory(tmp_path):
@@ -117,3 +117,18 @@ def test_dates_and_hours_count_as_time(tmp_path):
         (record,) = read(tmp_path / "a.csv")
         np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-6)
         assert "dates and hours" in record.recognised["time"]
+
+
+def test_a_row_that_stands_twice_is_left_out(tmp_path):
+    twice = np.sort(np.append(np.arange(COUNT), [500, 900]))
+    (record,) = read(write(tmp_path / "a.npz", TIME[twice]))
+    assert record.samples == COUNT and record.dt == pytest.approx(1e-3, rel=1e-9)
+    assert record.recognised["remarks"] == ["a: 2 rows equal to the row before, left out"]
+
+
+@pytest.mark.parametrize("rate", [700, 800, 900, 1500, 2000])
+def test_a_clock_in_whole_milliseconds_loses_no_rows(tmp_path, rate):
+    """At 700 Hz it steps by 1 and 2 ms, as a clock of 1 kHz does that loses rows."""
+    time = np.arange(COUNT) / rate
+    (record,) = read(write(tmp_path / "a.npz", time, np.floor(time * 1e3) / 1e3))
+    assert record.samples == COUNT and 1 / record.dt == pytest.approx(rate, rel=1e-4)

@@ -98,3 +98,43 @@ def test_three_samples_of_a_lost_laser(shared):
         assert spoilt.recognised["outliers"] == 3 and "999.9 mm" in spoilt.recognised["remarks"][0]
         seen = spoilt.observed
         np.testing.assert_array_equal(spoilt.displacement[seen], whole.displacement[seen])
+
+
+def held(x, length=60, every=800):
+    """The last value again and again, and where."""
+    x, at = x.copy(), np.zeros(len(x), bool)
+    for k in range(500, len(x) - length, every):
+        x[k : k + length] = x[k]
+        at[k + 1 : k + length] = True
+    return x, at
+
+
+def test_a_laser_that_holds_its_last_value_is_a_dropout_of_a_noisy_sensor_only():
+    x, at = held(MOTION)
+    seen = np.isnan(mask_faults(x, DRIVE).displacement)
+    assert seen[at].all() and seen.sum() <= at.sum() * 62 / 59
+    x, at = held(np.round(MOTION - NOISE, 6))  # without noise it may be stiction: kept, and told
+    masked = mask_faults(x, DRIVE)
+    assert not np.isnan(masked.displacement).any() and masked.held > at.sum() / 2
+    x, at = held(MOTION)
+    flat = np.where(np.append(at[1:], False) | at, 1000.0, DRIVE)  # in the plateaus of a drive
+    assert not np.isnan(mask_faults(x, flat).displacement[at]).any()
+
+
+def test_a_sensor_that_sees_nothing_for_most_of_the_record_is_told():
+    blind = np.random.default_rng(0).random(COUNT) < 0.6
+    masked = mask_faults(np.where(blind, 0.0999, MOTION), DRIVE)
+    assert masked.unseen == blind.sum() and masked.limit == 0.0999
+
+
+@pytest.mark.parametrize("fraction", [0.58, 0.67])
+@pytest.mark.parametrize("hz", [1, 5, 20])
+@pytest.mark.parametrize("quantum", [0.0, 1e-6])
+def test_a_sensor_at_its_limit_for_most_of_a_record_is_clipped(fraction, hz, quantum):
+    drive = 1 - np.cos(2 * np.pi * hz * TIME)
+    x = 5e-4 * drive + NOISE / 5
+    x = np.round(x / quantum) * quantum if quantum else x
+    limit = np.quantile(x, 1 - fraction)
+    masked = mask_faults(np.minimum(x, limit), drive)
+    assert masked.clipped == pytest.approx(fraction * COUNT, rel=0.05) and masked.outliers == 0
+    assert not mask_faults(np.round(x - NOISE / 5, 6), drive).clipped

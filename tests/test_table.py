@@ -513,3 +513,42 @@ def test_matrices_and_tables_of_one_dataset_have_columns(tmp_path):
     with h5py.File(tmp_path / "d.h5", "w") as file:
         file["rows"] = np.array([tuple(row) for row in values], [(name, "f8") for name in columns()])
     same(read(tmp_path / "d.h5")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_a_clock_whose_two_units_disagree_is_asked_about(tmp_path):
+    heads = ("Time (ms)", "U (V)", "x (mm)")
+    options = tried(refused(csv_of(tmp_path / "a.csv", heads, (TIME * 1e3, VOLTAGE, OUTPUT), below=["s,V,mm"])))
+    assert options == {"time_unit": "ms"}
+
+
+def test_an_empty_clock_asks_for_the_rate(tmp_path):
+    lines = [f",{u},{x}" for u, x in zip(VOLTAGE, OUTPUT, strict=True)]
+    path = csv_of(tmp_path / "a.csv", columns(), (), below=lines)
+    assert tried(refused(path)) == {"rate": "RATE"}
+    same(read(path, rate=1000)[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_names_broken_within_their_quotes(tmp_path):
+    rows = text(columns()).split("\n", 1)[1]
+    (tmp_path / "a.csv").write_text('"Time\n(s)","Voltage\n(V)","Laser\n(mm)"\n' + rows)
+    same(read(tmp_path / "a.csv")[0], VOLTAGE, OUTPUT * 1e-3)
+    (tmp_path / "a.csv").write_text('"Time\n(s)","Voltage\n(V)","Laser\n(mm)"\n' + rows + "x,1,2\n1,2,3\n")
+    assert f"(line {T + 5})" in refused(tmp_path / "a.csv")  # as an editor counts
+    (tmp_path / "a.csv").write_text('# a 5" pipe\n' + text(columns()))
+    same(read(tmp_path / "a.csv")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_structs_of_controldesk_and_simulink(tmp_path):
+    signals = [{"Name": "HV (V)", "Data": VOLTAGE}, {"Name": "Laser (mm)", "Data": OUTPUT}]
+    scipy.io.savemat(tmp_path / "a.mat", {"rec": {"X": {"Name": "Time (s)", "Data": TIME}, "Y": signals}})
+    same(read(tmp_path / "a.mat")[0], VOLTAGE, OUTPUT * 1e-3)
+    signals = np.array([(VOLTAGE, "HV (V)"), (OUTPUT, "Laser (mm)")], [("values", object), ("label", object)])
+    scipy.io.savemat(tmp_path / "b.mat", {"Scope": {"time": TIME, "signals": signals, "blockName": "rig/Scope"}})
+    same(read(tmp_path / "b.mat")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_patterns_that_the_shell_left_alone(tmp_path):
+    for name in ("a1.csv", "a2.csv", "b.csv"):
+        save_csv(tmp_path / name, columns())
+    assert [r.name for r in read(tmp_path / "a*.csv")] == ["a1", "a2"]
+    assert "no such file" in refused(tmp_path / "c*.csv")

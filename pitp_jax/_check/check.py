@@ -17,6 +17,7 @@ from .._model.model import Model, check_model
 from .._record.initial_state import Beginning
 from .._record.plausible import monitor_warning
 from .._record.record import Record
+from .._record.remarks import Remark, by_kind, counted
 from .._record.sets import RATE_TOLERANCE, check_records
 from .._shown import Shown
 from .._table.units import base_unit, from_base
@@ -44,6 +45,7 @@ class CheckedRecord:
         excitation: "sweep", "sine", "steps", "broadband" or "none".
         band_hz: of the drive.
         e_rms_percent: what the model given leaves.
+        repaired: what was mended and asks for nothing.
         problems: a sentence each.
     """
 
@@ -63,13 +65,15 @@ class CheckedRecord:
     excitation: str | None = None
     band_hz: tuple[float, float] | None = None
     e_rms_percent: float | None = None
+    repaired: tuple[Remark, ...] = ()
     problems: tuple[str, ...] = ()
 
     def as_json(self) -> dict:
         """The dict of docs/contract.md."""
-        told = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit")}
+        plain = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit", "repaired")}
         zero = {"value": self.zero, "stderr": self.zero_stderr, "unit": self.unit}
-        return told | {"zero": zero, "recognised": dict(self.recognised), "problems": list(self.problems)}
+        problems = [*map(str, self.repaired), *self.problems]
+        return plain | {"zero": zero, "recognised": dict(self.recognised), "problems": problems}
 
 
 @dataclass(frozen=True)
@@ -96,8 +100,13 @@ class Check(Shown):
 
     @property
     def problems(self) -> dict[str, tuple[str, ...]]:
-        """Records with problems."""
+        """Records with problems; what was mended is none."""
         return {name: row.problems for name, row in self.records.items() if row.problems}
+
+    @property
+    def repaired(self) -> list[str]:
+        """What was mended, one line for every kind."""
+        return by_kind([remark for row in self.records.values() for remark in row.repaired])
 
     def as_json(self) -> dict:
         """The dict of docs/contract.md."""
@@ -110,7 +119,7 @@ class Check(Shown):
         few = ", ".join(list(self.problems)[:3]) + (", ..." if len(self.problems) > 3 else "")
         at = "" if self.resonance_hz is None else f", resonance near {self.resonance_hz:.3g} Hz"
         named = f" ({few})" if few else ""
-        lines = [f"Check of {len(self.records)} record(s){at}: {len(self.problems)} with problems{named}"]
+        lines = [f"Check of {counted(len(self.records), 'record')}{at}: {len(self.problems)} with problems{named}"]
         return "\n".join(lines + [f"  {line}" for line in self.advice[:3]])
 
 
@@ -157,8 +166,8 @@ def checked(records: Sequence[Record], model: Model | None, refused: Mapping[str
     advice = set_advice(rows, used, cover, repeats, cycles(used), model is not None, fitted)
     monitor = monitor_warning(used) if used and input_map == "square" else None
     lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
-    told = ([monitor] if monitor else []) + advice
-    return Check(rows | lost, tuple(told), resonance, input_map, cover, tuple(repeats), tuple(records))
+    lines = ([monitor] if monitor else []) + advice
+    return Check(rows | lost, tuple(lines), resonance, input_map, cover, tuple(repeats), tuple(records))
 
 
 def _named(records: Sequence[Record]) -> list[Record]:
@@ -208,13 +217,13 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         problems += [beside.problem] if beside.problem else []
     shown = [from_base(v, unit, "displacement") for v in (begun.zero, begun.stderr)] if begun else [None, None]
     known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
-    told = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
+    seen = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
     return CheckedRecord(
-        samples=record.samples, rate_hz=1 / record.dt, recognised=told, begins=begun.begins if begun else None,
+        samples=record.samples, rate_hz=1 / record.dt, recognised=seen, begins=begun.begins if begun else None,
         zero=known[0], zero_stderr=known[1], unit=unit, direction=direction,
         noise=float(from_base(noise, unit, "displacement")), noise_colour=colour, missing=record.missing,
         outliers=own.outliers, jitter=own.jitter, excitation=own.excitation, band_hz=own.band_hz, e_rms_percent=e_rms,
-        problems=tuple(problems),
+        repaired=own.repaired, problems=tuple(problems),
     )  # fmt: skip
 
 

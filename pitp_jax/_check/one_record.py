@@ -15,8 +15,9 @@ from .._record.checks import TIME_TOLERANCE
 from .._record.excitation_kind import kind, loudest
 from .._record.initial_state import in_motion, noise_std
 from .._record.outliers import mask_faults
-from .._record.plausible import doubts
+from .._record.plausible import questions
 from .._record.record import Record
+from .._record.remarks import Remark
 from .._table.units import base_unit, from_base
 
 _TAIL = 0.01  # of the drive's energy that lies below and above its band
@@ -24,6 +25,7 @@ _FEW_PER_PERIOD = 8  # samples of the fastest drive's period, below which what h
 _ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; from there on the spectrum is the sensor's
 _COLOURED, _FEWEST_BANDS = 4.0, 8
 _UNIT = 300.0  # times: more than a resonance and its roll-off make of one actuator's reach
+_MANY = 0.01  # of the samples: more outliers are no longer a few spikes
 _MUCH = 0.05  # share of missing samples that is worth a word
 
 
@@ -35,8 +37,9 @@ class Facts:
         excitation: "sweep", "sine", "steps", "broadband", or "none" where the drive never changes.
         band_hz: lowest and highest frequency of the drive; None where it never changes.
         noise: standard deviation of white sensor noise, output's base unit.
-        outliers, clipped, lost: samples masked by the reader or found here.
+        outliers, clipped, lost: samples masked by the reader or here.
         jitter: largest distance of a time from the uniform grid, in samples.
+        repaired: what was mended and asks for nothing, a few spikes and lost samples among them.
         problems: one sentence each.
     """
 
@@ -47,6 +50,7 @@ class Facts:
     clipped: int
     lost: int
     jitter: float
+    repaired: tuple[Remark, ...]
     problems: tuple[str, ...]
 
 
@@ -67,19 +71,19 @@ def facts(record: Record) -> Facts:
     changes = bool(np.ptp(record.voltage) > 0)
     band = drive_band(record) if changes else None
     noise = noise_std(record.displacement)
+    values = {"outliers": outliers, "lost": lost, "jitter": jitter if jitter > TIME_TOLERANCE else 0}
+    repaired = tuple(Remark(kind, record.name, value) for kind, value in values.items() if value)
     problems = [
-        f"{count} {what}"
-        for count, what in (
-            (outliers, "outliers (spikes or dropouts) of its output are masked: look at the sensor"),
-            (clipped, "samples stand at the sensor's limit and are masked: move the sensor or widen its range"),
-            (lost, "lost samples are filled in, their output missing"),
+        f"{Remark(kind, record.name, count)}: {advice}"
+        for kind, count, advice in (
+            ("outliers", outliers if outliers > _MANY * record.samples else 0, "look at the sensor"),
+            ("clipped", clipped, "move the sensor or widen its range"),
         )
         if count
     ]
-    if jitter > TIME_TOLERANCE:
-        problems.append(f"its clock jitters by up to {jitter:.2g} of a sample")
-    problems += doubts(record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
-    return Facts(kind(record) if changes else "none", band, noise, outliers, clipped, lost, jitter, tuple(problems))
+    problems += questions(record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
+    excitation = kind(record) if changes else "none"
+    return Facts(excitation, band, noise, outliers, clipped, lost, jitter, repaired, tuple(problems))
 
 
 def drive_problems(record: Record, noise: float, band: tuple[float, float] | None) -> list[str]:

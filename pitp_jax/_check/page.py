@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .._record.record import Record
+from .._record.remarks import counted
 from .._report import html
 from .._report.html import tag
 from .._report.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
@@ -23,13 +24,15 @@ def page(found: Check) -> str:
         found: what `check` found.
     """
     many, wrong = len(found.records), len(found.problems)
-    title = f"{many} record{'s' if many != 1 else ''}, {wrong or 'none'} with problems"
+    title = f"{counted(many, 'record')}, {wrong or 'none'} with problems"
     parts = [
         tag("p", "Check: what was read, and whether it is enough", "soft"),
         tag("h1", title, "unknown" if wrong else "explained"),
         html.bullets(found.advice),
         tag("h2", "Problems of single records") if wrong else "",
         html.bullets([f"{name}: {line}" for name, lines in found.problems.items() for line in lines]),
+        tag("h2", "Mended as they were read") if found.repaired else "",
+        html.bullets(found.repaired),
         tag("h2", "Records"),
         *_table(found),
         *_coverage(found),

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._record.record import Record
-from .._table.units import OUTPUT_UNITS
+from .._table.units import from_base, to_base
 from .coverage import Coverage
 from .repeats import Repeat
 from .set_fit import SetFit
@@ -69,22 +69,23 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
     known = [r for r in used if rows[r.name].zero is not None and rows[r.name].zero_stderr is not None]
     if len(known) < 2:
         return []
-    resting = [rows[r.name].zero for r in known if rows[r.name].begins == "rest"]
-    zeros = np.array([rows[r.name].zero for r in known])
+    # Compared in base units: 0.05 mm and 50 um are one zero
+    zeros, errors = (
+        np.array([to_base(getattr(rows[r.name], field), r.displacement_unit) for r in known])
+        for field in ("zero", "zero_stderr")
+    )
+    resting = [zero for r, zero in zip(known, zeros, strict=True) if rows[r.name].begins == "rest"]
     middle, far = float(np.median(resting or zeros)), False
-    for r, zero in zip(known, zeros, strict=True):
-        row, y = rows[r.name], r.displacement[r.observed] * _per_base(r)
-        blur = fitted.records[r.name].left * y.std() if fitted is not None and row.begins != "rest" else 0.0
-        far = far or abs(zero - middle) > _STDERRS * row.zero_stderr + _SMALL * np.ptp(y) + blur
+    for r, zero, error in zip(known, zeros, errors, strict=True):
+        y = r.displacement[r.observed]
+        blur = fitted.records[r.name].left * y.std() if fitted is not None and rows[r.name].begins != "rest" else 0.0
+        far = far or abs(zero - middle) > _STDERRS * error + _SMALL * np.ptp(y) + blur
+    unit = known[0].displacement_unit
+    low, high, most = (from_base(float(v), unit) for v in (zeros.min(), zeros.max(), middle))
     return [
-        f"the sensor's zero differs between records, from {zeros.min():.3g} to {zeros.max():.3g} "
-        f"{known[0].displacement_unit} (most: {middle:.3g}): each record gets its own zero; no action needed"
+        f"the sensor's zero differs between records, from {low:.3g} to {high:.3g} {unit} (most: {most:.3g}): each "
+        "record gets its own zero; no action needed"
     ] if far else []  # fmt: skip
-
-
-def _per_base(record: Record) -> float:
-    """The record's own unit per base unit of its output."""
-    return 1 / OUTPUT_UNITS[record.displacement_unit]
 
 
 def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:

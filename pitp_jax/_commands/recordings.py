@@ -9,6 +9,7 @@ from .._model_file.model_file import load
 from .._record.plausible import monitor_warning
 from .._record.reading import read
 from .._record.record import Record
+from .._record.remarks import Remark, by_kind
 from .compatibility import check_suits
 from .console import say
 
@@ -57,18 +58,18 @@ def warn(records: Sequence[Record]) -> None:
 
 
 def recognised(records: Sequence[Record]) -> list[str]:
-    """A line for every kind of file among the records, then the remarks on single ones."""
+    """A line for every kind of file among the records, then one for every kind of remark."""
     kinds: dict[str, list[str]] = {}
-    remarks: list[str] = []
+    remarks: list[Remark] = []
     for record in records:
         seen = record.recognised
         if seen:
             kind = f"{seen['file']}; time {seen['time']}, input {seen['input']}, output {seen['output']}"
             kinds.setdefault(kind, []).append(record.name)
-            remarks += seen["remarks"]
+            remarks += seen["findings"]
     count = [f"{len(names)} record{'s' if len(names) > 1 else ''}" for names in kinds.values()]
     lines = [f"read {many} ({_some(names)}): {kind}" for many, (kind, names) in zip(count, kinds.items(), strict=True)]
-    return lines + remarks
+    return lines + by_kind(remarks)
 
 
 def _some(names: Sequence[str]) -> str:

@@ -18,6 +18,7 @@ from .checks import MIN_SAMPLES, TIME_TOLERANCE, refuse_time
 from .preprocess import force_band
 
 _HALF, _ROUNDING = 0.55, 1e-6  # of a sample: a half, and what the line may be off that was fitted to such times
+_ROUNDED = 0.02  # of the rows: more of them lost, evenly spread, are no losses but a clock with few digits
 _GAP = 0.1  # of a period of the fastest drive
 
 
@@ -43,12 +44,14 @@ class Gridded:
     Attributes:
         pieces: in order, one where no gap is too long.
         jitter: largest distance of a time from the grid, in samples.
-        dropped: samples of pieces too short to use.
+        dropped: samples of pieces too short to use, or without any output.
+        doubled: rows that stood twice.
     """
 
     pieces: tuple[Piece, ...]
     jitter: float
     dropped: int = 0
+    doubled: int = 0
 
 
 def on_grid(
@@ -72,10 +75,14 @@ def on_grid(
     Raises:
         BadInput: time decreases, or is no grid with lost samples.
     """
+    kept = _once(time, voltage, displacement)
+    doubled = len(time) - int(kept.sum())
+    if doubled:
+        time, voltage, displacement = time[kept], voltage[kept], displacement[kept]
     index, start, dt, jitter = _grid(time, source, column, place)
     lost = np.diff(index) - 1
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
-        return Gridded((Piece(time, voltage, displacement),), jitter)
+        return Gridded((Piece(time, voltage, displacement),), jitter, doubled=doubled)
     cuts = np.flatnonzero(lost > _longest_gap(voltage, index, dt)) + 1
     pieces, dropped = [], 0
     for begin, end in zip((0, *cuts.tolist()), (*cuts.tolist(), len(time)), strict=True):
@@ -91,7 +98,18 @@ def on_grid(
             f"{source}: column {column!r}: split at its {len(cuts)} gaps no stretch of {MIN_SAMPLES} samples is left; "
             "record without gaps"
         )
-    return Gridded(tuple(pieces), jitter, dropped)
+    return Gridded(tuple(pieces), jitter, dropped, doubled)
+
+
+def _once(time: np.ndarray, voltage: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """False for rows that repeat the row before in all cells, shape (T,).
+
+    Only where no time repeats without them: a clock that is rounded repeats in other rows too.
+    """
+    same = [np.diff(time) == 0, np.diff(voltage) == 0]
+    same.append((np.diff(displacement) == 0) | (np.isnan(displacement[1:]) & np.isnan(displacement[:-1])))
+    kept = np.append(True, ~np.all(same, axis=0))
+    return kept if (np.diff(time[kept]) > 0).all() else np.ones(len(time), bool)
 
 
 def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]:
@@ -111,7 +129,10 @@ def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]
     fits = [line for line in lines if line[3].max() <= _HALF + _ROUNDING]
     if not fits or np.mean(fits[0][3] ** 2) > np.mean(lines[0][3] ** 2):  # then one time that is wrong shifted the rest
         return refuse_time(time, source, column, place)
-    index, start, dt, off = min(fits, key=lambda line: float(np.mean(line[3] ** 2)))
+    best = min(fits, key=lambda line: float(np.mean(line[3] ** 2)))
+    if best[0][-1] - index[-1] > _ROUNDED * len(time) and lines[0][3].max() * lines[0][2] <= (_HALF + 0.1) * usual:
+        best = lines[0]  # a clock in whole ms at 700 Hz: steps of 1 and 2, each within half a ms of a straight line
+    index, start, dt, off = best
     return index, start, dt, float(off.max())
 
 

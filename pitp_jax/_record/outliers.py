@@ -17,9 +17,10 @@ import scipy
 from .initial_state import noise_std
 
 _FAR, _LONGEST_SPIKE = 10.0, 3
-_SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; share of the drive's range it must move by in them
+_SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; fraction of the drive's range it must move by in them
 _NOISY = 0.05  # of a step is the noise at least, and of neighbouring samples are equal at most, to tell a limit
 _NOISE_OF_STEP = 0.002  # noise of a good laser beside the steps of its motion; rounding to six digits is below
+_NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; odds of a run by chance in a record
 _JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the drive, and of its range: from there on it steps
 _FEWEST_VALUES = 32  # distinct ones, below which a record is no measured motion (two levels, a counter)
 
@@ -33,7 +34,10 @@ class Masked:
         outliers: samples masked as spikes or dropouts.
         clipped: samples masked at a limit value.
         largest: the value farthest off among the outliers, in the output's unit; nan where there is none.
-        limit: the value it was clipped at; nan where it was not.
+        limit: the value it was clipped at, or that `unseen` samples have; nan where there is none.
+        unseen: samples off scale that are kept, since they are more than half.
+        held: samples that repeat one value while the drive moves, then jump, of a sensor that repeats values elsewhere:
+            kept, since it may be stiction.
     """
 
     displacement: np.ndarray
@@ -41,6 +45,8 @@ class Masked:
     clipped: int = 0
     largest: float = np.nan
     limit: float = np.nan
+    unseen: int = 0
+    held: int = 0
 
 
 def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
@@ -60,18 +66,20 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     drive = voltage[seen]
     off_scale, jumps = _off_scale(y), _jumps(drive)
     bad = off_scale | (_spikes(y, step) & ~jumps)
-    if noise_std(y) > _NOISY * step:  # else a stop, a rest or a step stands as still as a limit
-        bad |= _stuck(y, step, drive) & ~jumps
+    certain, held = _stuck(y, step, drive)
+    bad |= certain & ~jumps
     clipped = _clipped(np.where(bad, np.nan, y), drive)
+    held = int((held & ~jumps & ~bad & ~clipped).sum())
     if 2 * bad.sum() > len(y):
-        return Masked(displacement)
+        far = float(y[off_scale][0]) if off_scale.any() else np.nan
+        return Masked(displacement, limit=far, unseen=int(off_scale.sum()))
     if not bad.any() and not clipped.any():
-        return Masked(displacement)
+        return Masked(displacement, held=held)
     kept, off = displacement.copy(), y[bad]
     kept[seen[bad | clipped]] = np.nan
     largest = off[np.argmax(np.abs(off - np.median(y)))] if bad.any() else np.nan
     limit = y[clipped][0] if clipped.any() else np.nan
-    return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit))
+    return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit), held=held)
 
 
 def _jumps(drive: np.ndarray) -> np.ndarray:
@@ -127,42 +135,65 @@ def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
     return [(int(edges[k]), int(edges[k + 1])) for k in long]
 
 
-def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> np.ndarray:
-    """Runs of one value that are entered and left by a jump while the drive moves, up to a tenth of the record.
+def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:
+    """Whether a sensor has no noise beside its steps (those that are not zero), or none that changes its last digit."""
+    noise = noise_std(y)
+    return noise <= _NOISE_OF_STEP * float(np.median(steps)) or noise < _NOISE_OF_QUANTUM * float(steps.min())
 
-    Of a sensor whose neighbouring samples differ everywhere else: else a held value may be stiction.
+
+def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Runs of one value while the drive moves, up to a tenth of the record: dropouts, and those that may be stiction.
+
+    A dropout is entered and left by jumps, or lasts for many samples, of a sensor whose neighbouring samples differ
+    everywhere else, at rest too. Of any other sensor a value that is held and then left by a jump may be stiction.
+
+    Returns:
+        dropouts, possible stiction: True at their samples, shape (T,).
     """
-    bad, runs = np.zeros(len(y), dtype=bool), _runs(y, _LONGEST_SPIKE + 1)
-    held = np.zeros(len(y) - 1, dtype=bool)
+    bad, kept, swing = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool), np.ptp(drive)
+    runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if np.ptp(drive[b:e]) > 0]
+    inside = np.zeros(len(y) - 1, dtype=bool)
     for begin, end in runs:
-        held[begin : end - 1] = True
-    if held.all() or np.mean((y[1:] == y[:-1])[~held]) >= _NOISY:
-        return bad
+        inside[begin : end - 1] = True
+    if inside.all():
+        return bad, kept
+    repeats = float(np.mean((y[1:] == y[:-1])[~inside])) >= _NOISY
+    quiet = _is_quiet(np.where(np.append(inside, False), np.nan, y), np.abs(np.diff(y))[np.diff(y) != 0])
+    low, high = y.min(), y.max()
     for begin, end in runs:
-        if np.ptp(drive[begin:end]) == 0:
-            continue
-        if begin < 3 or end > len(y) - 3 or end - begin > len(y) // 10:
+        if begin < 3 or end > len(y) - 3 or end - begin > len(y) // 10 or y[begin] in (low, high):
             continue
         before, after = y[begin - 3 : begin], y[end : end + 3]
         local = max(np.abs(np.diff(before)).max(), np.abs(np.diff(after)).max(), step)
         near, far = sorted((abs(before[-1] - y[begin]), abs(after[0] - y[begin])))
-        bad[begin:end] |= far > _FAR * local and near > _FAR / 2 * local
-    return bad
+        long = end - begin >= _SHORTEST_CLIP and np.ptp(drive[begin:end]) > _MOVES * swing
+        if repeats or quiet:
+            kept[begin:end] = long and far > _FAR * local
+        else:
+            bad[begin:end] = long or (far > _FAR * local and near > _FAR / 2 * local)
+    return bad, kept
 
 
 def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
-    """Runs of the extreme value while the drive moves, of a sensor that is noisy elsewhere.
+    """Runs of the extreme value while the drive moves, of a sensor whose noise would have ended them.
 
-    Noise counts only away from these runs: a record at its limit for most of the time has a median step of zero.
+    p is how often neighbours are equal away from these runs (a record at its limit for most of the time has a median
+    step of zero); a run of n has a chance of p^(n - 1), and counts where that is below 1e-6 in the record.
     """
     bad = np.zeros(len(y), dtype=bool)
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)
-    for begin, end in _runs(y, _SHORTEST_CLIP):
-        if y[begin] in (low, high) and np.ptp(voltage[begin:end]) > _MOVES * swing:
-            bad[begin:end] = True
+    runs = [(b, e) for b, e in _runs(y, _SHORTEST_CLIP // 2) if y[b] in (low, high)]
+    runs = [(b, e) for b, e in runs if np.ptp(voltage[b:e]) > _MOVES * swing]
+    for begin, end in runs:
+        bad[begin:end] = True
     steps = np.abs(np.diff(y))[~(bad[1:] & bad[:-1])]
     moving = steps[steps > 0]
-    if not bad.any() or not len(moving) or np.mean(steps == 0) >= _NOISY:
+    if not bad.any() or not len(moving):
         return np.zeros_like(bad)
-    quiet = noise_std(np.where(bad, np.nan, y)) <= _NOISE_OF_STEP * float(np.median(moving))
-    return np.zeros_like(bad) if quiet else bad  # without any noise it is a stop
+    p = float(np.mean(steps == 0))
+    if p > 0.5 or _is_quiet(np.where(bad, np.nan, y), moving):
+        return np.zeros_like(bad)  # without any noise it is a stop, or a slow motion
+    least = 1 + np.log(_CHANCE / len(y)) / np.log(max(p, 1e-4))
+    for begin, end in runs:
+        bad[begin:end] = end - begin >= least
+    return bad

@@ -45,7 +45,7 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
         raise BadInput(f"{source}: {'; '.join(problems)}")
 
 
-def doubts(displacement: np.ndarray, unit: str) -> list[str]:
+def questions(displacement: np.ndarray, unit: str) -> list[str]:
     """What to ask about an output that may be meant.
 
     Args:

@@ -8,8 +8,9 @@ folders go in front (`clean/sine0`). What every file lacks is told in one messag
 
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,9 @@ from .._table.units import base_unit, from_base
 from .checks import TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
 from .outliers import Masked, mask_faults
-from .plausible import doubts, refuse_implausible
+from .plausible import questions, refuse_implausible
 from .record import Record
+from .remarks import Remark
 from .sets import check_set
 
 _NOTES = ("readme", "notes", "note", "license", "licence", "info")
@@ -213,6 +215,14 @@ def _existing(path: str | os.PathLike) -> Path:
     return made
 
 
+def _unfolded(paths: Sequence[str | os.PathLike]) -> Iterator[str | os.PathLike]:
+    """Paths with `*` and `?` spelt out, which the shells of Windows leave to the program."""
+    for path in paths:
+        pattern = isinstance(path, (str, os.PathLike)) and not os.path.exists(path) and str(path)
+        found = sorted(glob(pattern)) if pattern and set("*?") & set(pattern) else []
+        yield from found or [path]
+
+
 def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
     """The record files behind files and folders, in order.
 
@@ -222,7 +232,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
     if not paths:
         raise BadInput("no records given; name at least one file or folder")
     files: list[Path] = []
-    for path in map(_existing, paths):
+    for path in map(_existing, _unfolded(paths)):
         if not path.is_dir() or is_bag(path):
             files.append(path)
             continue
@@ -310,7 +320,7 @@ def _records(path: Path, name: str, one: Loaded) -> list[Record]:
     masked = mask_faults(displacement, voltage)
     put = gridded(one, masked.displacement)
     lost, many = sum(piece.lost for piece in put.pieces), len(put.pieces) > 1
-    remarks = [f"{name}: {line}" for line in _remarks(masked, put, unit)]
+    remarks = _remarks(name, masked, put, unit)
     seen = {
         "file": one.table.form,
         **{OPTIONS[quantity]: one.words(quantity) for quantity in _QUANTITIES},
@@ -318,40 +328,34 @@ def _records(path: Path, name: str, one: Loaded) -> list[Record]:
         "lost": lost,
         "outliers": masked.outliers,
         "clipped": masked.clipped,
-        "remarks": remarks,
+        "remarks": [f"{remark.record}: {remark}" for remark in remarks],
+        "findings": remarks,
         "options": one.options.said(),
     }
     return [
         Record(
             f"{name}.{k}" if many else name, piece.time, piece.voltage, piece.displacement, drive, unit,
-            os.fspath(path), {**seen, "lost": piece.lost, "remarks": remarks if k == 1 else []},
+            os.fspath(path), {**seen, "lost": piece.lost, **({} if k == 1 else {"remarks": [], "findings": []})},
         )
         for k, piece in enumerate(put.pieces, 1)
     ]  # fmt: skip
 
 
-def _remarks(masked: Masked, put: Gridded, unit: str) -> list[str]:
-    """What was done to a record, in words."""
-    lines, lost = [], sum(piece.lost for piece in put.pieces)
-    if masked.outliers:
-        far = from_base(masked.largest, unit)
-        lines.append(
-            f"{counted(masked.outliers, 'output sample')} far from the neighbours (such as {far:.4g} {unit}) masked"
-        )
-    if masked.clipped:
-        limit = from_base(masked.limit, unit)
-        lines.append(f"{counted(masked.clipped, 'output sample')} at {limit:.4g} {unit} (clipped?), masked")
-    lines += doubts(masked.displacement, base_unit(unit))
-    if put.jitter > TIME_TOLERANCE:
-        lines.append(f"time jitters by up to {put.jitter:.2g} of a sample, put on a uniform grid")
-    if lost:
-        lines.append(f"{counted(lost, 'lost sample')} filled in, their output missing")
-    if len(put.pieces) > 1 or put.dropped:
-        short = f", {counted(put.dropped, 'sample')} of stretches too short to use left out" if put.dropped else ""
-        lines.append(f"split at its gaps into {counted(len(put.pieces), 'record')}{short}")
-    return lines
-
-
-def counted(count: int, what: str) -> str:
-    """A count with its noun, singular or plural."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
+def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]:
+    """What was done to a record."""
+    far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
+    lost, jitter = sum(piece.lost for piece in put.pieces), put.jitter if put.jitter > TIME_TOLERANCE else 0
+    notes = questions(masked.displacement, base_unit(unit))
+    if len(put.pieces) > 1:
+        notes.append(f"split at its gaps into {len(put.pieces)} records")
+    seen = [
+        Remark("outliers", name, masked.outliers, f"such as {far}"),
+        Remark("clipped", name, masked.clipped, limit),
+        Remark("unseen", name, masked.unseen, limit),
+        Remark("held", name, masked.held),
+        Remark("jitter", name, jitter),
+        Remark("lost", name, lost),
+        Remark("doubled", name, put.doubled),
+        Remark("dropped", name, put.dropped),
+    ]
+    return [remark for remark in seen if remark.value] + [Remark("note", name, detail=note) for note in notes]

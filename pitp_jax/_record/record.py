@@ -40,7 +40,7 @@ class Record(Shown):
         displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
         source: where it came from, for messages.
         recognised: what the reader saw in the file and did to it: `file`, `time`, `input`, `output` in words, counts
-            `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user.
+            `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user (`findings` as values).
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, non-uniform time, missing input, no finite output.

@@ -17,7 +17,8 @@ from .._table.table import Table
 from .._table.units import base_unit, from_base
 from .checks import TIME_TOLERANCE, check_samples
 from .plausible import refuse_implausible
-from .reading import counted, files_of, gridded, names_of, options_of
+from .reading import files_of, gridded, names_of, options_of
+from .remarks import Remark, counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def _read_one(path: Path, name: str, options: ReadOptions) -> Sequence[Drive]:
         if (output := _output(one.table, one.options)) is not None:
             remarks.append(f"{label}: column {output!r} is a measurement and ignored")
         if put.jitter > TIME_TOLERANCE:
-            remarks.append(f"{label}: time jitters by up to {put.jitter:.2g} of a sample, put on a uniform grid")
+            remarks.append(f"{label}: {Remark('jitter', label, put.jitter)}")
         if lost := sum(piece.lost for piece in put.pieces):
             remarks.append(f"{label}: {counted(lost, 'lost sample')} of the voltage filled in")
         many = len(put.pieces) > 1

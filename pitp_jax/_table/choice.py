@@ -233,7 +233,7 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
     counting = [s for s in named if s.column.form != "stamp"]  # beside dates, which are often coarser
     if counting or named:
         return counting or named
-    bare = [s for s in seen if s not in clocks and s.role == "time" and s.unit is None]
+    bare = [s for s in seen if s not in clocks and s.role == "time" and (s.unit is None or s.conflict)]
     return clocks + [s for s in bare if not (clocks and s.unknown)]
 
 

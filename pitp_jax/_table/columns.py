@@ -228,6 +228,8 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
     if rate is not None and still:
         loaded["time"] = np.arange(count) / rate
         return Choice(None, "--rate", "s", f"the clock {name!r} {'is empty' if len(seen) < 2 else 'repeats'}")
+    if choice.clock is None and not len(seen):
+        raise Refused(source, f"the clock {name!r} is empty; give --rate HZ", [*options.words(), "--rate", "RATE"])
     if choice.clock is not None or not len(steps):
         return choice
     step = float(np.median(steps))

@@ -11,7 +11,7 @@
 import io
 import re
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, time, timedelta
 from itertools import islice
 from pathlib import Path
@@ -205,23 +205,38 @@ def mat(path: Path, options: ReadOptions) -> Parts:
     source = cleaned(path)
     stored = {n: v for n, v in scipy.io.loadmat(flat(file_bytes(path), source)).items() if not n.startswith("__")}
     objects = [n for n, v in stored.items() if type(v).__name__ == "MatlabOpaque"]
-    structs = {n: v.reshape(-1)[0] for n, v in stored.items() if v.dtype.names and v.size == 1 and n not in objects}
-    groups = {n: {f: np.asarray(s[f]) for f in s.dtype.names} for n, s in structs.items()}
-    groups = {n: fields for n, fields in groups.items() if _vectors(fields)}
     plain = {n: v for n, v in stored.items() if not v.dtype.names and n not in objects}
+    groups = {n: dict(_fields(v)) for n, v in stored.items() if v.dtype.names and n not in objects}
+    groups = {n: fields for n, fields in groups.items() if _vectors(fields)}
     if objects and not groups and not _vectors(plain):
         raise BadInput(
             f"{source}: holds a MATLAB object (string, table, timetable, datetime), which no other program reads; save "
             "vectors, or S = table2struct(T, 'ToScalar', true)"
         )
-    nested = [f for fields in groups.values() for f, v in fields.items() if v.dtype.names]
-    if nested and sum(map(len, map(_vectors, groups.values()))) < 2:
-        raise BadInput(f"{source}: {cleaned(nested[0])!r} is a struct within a struct; save its vectors by themselves")
     if options.split_by == "group" and groups:
         return [[_variables(path, fields, ", fields of a struct", n)] for n, fields in groups.items()]
     if len(groups) == 1:
         return [[_variables(path, plain | next(iter(groups.values())), ", fields of a struct")]]
     return [[_variables(path, plain | {f"{n}/{f}": v for n, fields in groups.items() for f, v in fields.items()}, "")]]
+
+
+def _fields(structs: np.ndarray, place: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Fields of structs by their places; of ControlDesk and Simulink, the data by the name that stands beside them."""
+    for k, one in enumerate(structs.reshape(-1)):
+        fields = {f: np.asarray(one[f]) for f in structs.dtype.names or ()}
+        data = next((v for f, v in fields.items() if f.lower() in ("data", "values") and v.dtype.kind in "fiu"), None)
+        names = [v for f, v in fields.items() if f.lower() in ("name", "label") and v.dtype.kind == "U" and v.size == 1]
+        if data is not None and names:
+            yield str(names[0].reshape(-1)[0]) or f"{place}[{k + 1}]", data
+            continue
+        for f, v in fields.items():
+            cells = v.reshape(-1) if v.dtype.kind == "O" else [v]  # structs in a cell, one by one
+            for inner in cells:
+                name = f if structs.size == 1 and not place else f"{place}.{f}".lstrip(".")
+                if isinstance(inner, np.ndarray) and inner.dtype.names:
+                    yield from _fields(inner, name)
+                elif len(cells) == 1 and isinstance(inner, np.ndarray):
+                    yield name, inner
 
 
 def _vectors(variables: dict[str, np.ndarray]) -> list[str]:

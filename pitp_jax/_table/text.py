@@ -33,6 +33,7 @@ _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are no comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
+_BROKEN = 50  # lines looked through for names that are broken within their quotes
 _FOOTER = 50  # lines below the rows of numbers that may be a summary
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
@@ -108,10 +109,28 @@ def _text(path: Path, source: str) -> bytes:
     data = data.removeprefix(codecs.BOM_UTF8)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    data = data.rstrip(b"\x1a\x00")  # the end of a DOS file
+    data = _unbroken(data.rstrip(b"\x1a\x00"))  # the end of a DOS file
     if len(data.translate(None, _CONTROL)) != len(data):
         bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
         raise BadInput(f"{source}: line {bad}: not UTF-8 text as its suffix says (control characters); save it as CSV")
+    return data
+
+
+def _unbroken(data: bytes) -> bytes:
+    """The text with line breaks within quoted names as blanks; the numbers of later lines stay as they are."""
+    begin = 0
+    for _ in range(_BROKEN):
+        end = data.find(b"\n", begin)
+        if end < 0 or end - begin > _LONGEST:
+            break
+        if data.count(b'"', begin, end) % 2:
+            close = data.find(b'"\n', end)
+            row = data[begin : close + 1]
+            if not 0 < close - begin < _LONGEST or row.count(b"\n") > _BROKEN or row.count(b'"') % 2:
+                break  # a lone quote is an inch
+            data = data[:begin] + row.replace(b"\n", b" ") + b"\n" * row.count(b"\n") + data[close + 1 :]
+            end = begin + len(row)
+        begin = end + 1
     return data
 
 

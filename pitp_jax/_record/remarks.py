@@ -1,0 +1,71 @@
+"""What was done to records as they were read: findings as values, in words only at the end.
+
+kind, record, count -> one sentence for a record, one line of a set for every kind: `9 records: 1 lost sample each, ...`
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+_COUNTED = {  # kind: what is counted, what became of it
+    "outliers": ("output sample", "masked as spikes or dropouts"),
+    "clipped": ("output sample", "masked at the sensor's limit"),
+    "unseen": ("output sample", "off scale and kept, since they are most: does the sensor see?"),
+    "held": ("output sample", "of one value while the drive moves, then a jump; kept: a blind sensor, or stiction?"),
+    "lost": ("lost sample", "filled in, the output there missing"),
+    "doubled": ("row", "equal to the row before, left out"),
+    "dropped": ("sample", "of stretches too short, or without output, left out"),
+}
+_MEASURED = {"jitter": "time jitters by up to {:.2g} of a sample, put on a uniform grid"}
+REPAIRED = ("outliers", "lost", "doubled", "jitter")  # of these kinds nothing is left to do for the user
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One finding on one record.
+
+    Attributes:
+        kind: one of those above, or "note", of which `detail` is all.
+        record: its name.
+        value: how many, or how much.
+        detail: an example, for the sentence on this record alone.
+    """
+
+    kind: str
+    record: str
+    value: float = np.nan
+    detail: str = ""
+
+    def __str__(self) -> str:
+        """The sentence, without the record."""
+        if self.kind in _MEASURED:
+            return _MEASURED[self.kind].format(self.value)
+        if self.kind not in _COUNTED:
+            return self.detail
+        what, how = _COUNTED[self.kind]
+        return f"{counted(int(self.value), what)} {how}{f' ({self.detail})' if self.detail else ''}"
+
+
+def counted(count: int, what: str) -> str:
+    """A count with its noun, singular or plural."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def by_kind(remarks: Sequence[Remark]) -> list[str]:
+    """One line for every kind, in the order in which they come; notes one by one."""
+    lines = []
+    for kind in dict.fromkeys(remark.kind for remark in remarks):
+        same = [remark for remark in remarks if remark.kind == kind]
+        if len(same) == 1 or kind not in (*_COUNTED, *_MEASURED):
+            lines += [f"{remark.record}: {remark}" for remark in same]
+            continue
+        low, high = (float(f([remark.value for remark in same])) for f in (min, max))
+        names = ", ".join(remark.record for remark in same[:3]) + (", ..." if len(same) > 3 else "")
+        if kind in _MEASURED:
+            lines.append(f"{len(same)} records: {_MEASURED[kind].format(high)} ({names})")
+        else:
+            what, how = _COUNTED[kind]
+            each = counted(int(high), what) if low == high else f"{low:.0f} to {high:.0f} {what}s"
+            lines.append(f"{len(same)} records: {each} each, {how} ({names})")
+    return lines
