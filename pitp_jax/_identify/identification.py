@@ -11,8 +11,10 @@ How records begin (`beginnings`), what they show without a model (`frequency_res
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 
 import numpy as np
+from scipy.signal import StateSpace
 from threadpoolctl import threadpool_limits
 
 from .._effects import effect
@@ -37,6 +39,7 @@ from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_r
 from .heldout import Candidate, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, least_squares, solve
+from .residual_test import ResidualTest, residual_test
 
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
 _BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wrong one costs little
@@ -55,6 +58,7 @@ class Identification(Shown):
         beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
         response: what the records show without a model.
         out_of_fold: what fits that did not see them leave of these records, by band; in the model's origin too.
+        residuals: whether what is left is white, and whether the drive still shows in it.
         remarks: what the records leave open, a sentence each.
     """
 
@@ -64,6 +68,7 @@ class Identification(Shown):
     beginnings: dict[str, Beginning]
     response: FrequencyResponse
     out_of_fold: OutOfFold
+    residuals: ResidualTest
     remarks: tuple[str, ...] = ()
 
     def _rows(self) -> list[dict]:
@@ -83,6 +88,33 @@ class Identification(Shown):
     def rest(self) -> dict[str, bool]:
         """Which records begin at rest."""
         return {name: b.begins == "rest" for name, b in self.beginnings.items()}
+
+    def to_scipy(self) -> StateSpace:
+        """The model as SciPy's state space: states x, x', ... x^(n-1); from force (V^2 or V) to displacement (m).
+
+            x^(n) = (F - a_0 x - ... - a_{n-1} x^(n-1)) / a_n,    y = polarity x
+
+        Without the delay, which is no finite number of states (`chosen.delay`), and without the sensor's zero.
+        """
+        c = self.chosen
+        a = np.eye(c.order, k=1)
+        a[-1] = -c.coefficients[:-1] / c.coefficients[-1]
+        b, out = np.zeros((c.order, 1)), np.zeros((1, c.order))
+        b[-1, 0], out[0, 0] = 1 / c.coefficients[-1], c.polarity
+        return StateSpace(a, b, out, np.zeros((1, 1)))
+
+    def to_control(self):
+        """The same as python-control's `StateSpace`, for `bode_plot`, `lqr` and the like.
+
+        Raises:
+            BadInput: python-control is not installed.
+        """
+        try:
+            control = import_module("control")
+        except ImportError as error:
+            raise BadInput("python-control is not installed: pip install control, or use to_scipy()") from error
+        system = self.to_scipy()
+        return control.ss(system.A, system.B, system.C, system.D)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # products of ten columns: threads cost five times what they save
@@ -165,11 +197,11 @@ def identify(
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
     begun = _fitted(begun, chosen, whole)
-    own = out_of_fold(chosen.heldout, small)
+    own, tested = out_of_fold(chosen.heldout, small), residual_test(chosen.params, chosen.structure, whole)
     said = tuple(remarks(fit, whole))
     model = descended(_to_model(fit, records, begun, input_map, own, said), "identify", records)
     names = [r.name for r in records]
-    return Identification(model, fit, orders, dict(zip(names, begun, strict=True)), response, own, said)
+    return Identification(model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tested, said)
 
 
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
