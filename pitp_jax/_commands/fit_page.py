@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from .._model.fitted import Fitted
 from .._model.memory import FadingMemory, RingingMemory
+from .._model.model import Model
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
 from .._report import html
@@ -106,7 +107,7 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
     ]  # fmt: skip
 
 
-def memory_times(model: Fitted, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
+def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
     """Every time constant with its standard error, as these records determine them when all else is held.
 
     J_k = dx / d ln tau_k,   covariance of ln tau = s^2 (J'J)^-1 (samples / independent ones)
