@@ -3,8 +3,9 @@
     a_0 X + a_1 X' + a_2 X'' = F,   y = lag or filter of X        (orders three and four: the slower two poles, then a
                                                                    lag or a filter of the output for the others)
 
-Records are averaged over stretches of k samples, so that the fastest mode or drive that matters keeps some 50 samples a
-period; below 10 the simulator's own error earns names. Zero and direction of every record are taken out.
+Every k-th sample is kept, drive (as a force) and motion averaged over the k samples around it by the same weights, so
+that a linear plant's run on the averaged drive is the averaged run. k leaves the fastest mode or drive that matters some
+50 samples a period; below 10 the simulator's own error earns names. Zero and direction of every record are taken out.
 """
 
 from collections.abc import Sequence
@@ -124,20 +125,20 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
     for r, b in zip(turned, begun, strict=True):
-        size = r.samples // k * k
-        volts = r.voltage[:size].reshape(-1, k)
-        volts = _root(np.mean(volts * np.abs(volts), 1)) if square else volts.mean(1)
-        x = model.output.to_model(r.displacement[:size]).reshape(-1, k) / scale
-        seen = np.asarray(np.isfinite(x).any(1))
-        x = np.where(seen, np.nansum(x, 1) / np.maximum(np.isfinite(x).sum(1), 1), np.nan)
+        rest, held = b.begins == "rest", model.hold == "zoh"
+        force = r.voltage * np.abs(r.voltage) if square else r.voltage.copy()
+        if rest and k > 1 and not held:  # a ramp ends at its sample: of the first one only the half after the jump is there
+            force[0] /= 2
+        force = averaged(force, k, rest, 0.0)
+        volts = _root(force) if square else force
+        x = averaged(model.output.to_model(r.displacement) / scale, k, rest)
+        seen = np.asarray(np.isfinite(x))
         age = model.provenance.age(r.time[0]) if known else 0.0
+        age = max(age + r.dt * (k // 2 - _before(k, rest)), 0.0)
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
-        rest = b.begins == "rest"
-        if rest and k > 1:  # a mean over k samples stands in their middle: the rest before it is a sample of its own
-            volts, x = np.append(0.0, volts), np.append(np.nan, x)
-            seen = np.asarray(np.isfinite(x))
         starts.append((0.0, 0.0) if rest else (first, 0.0))
-        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None))
+        jump = -r.dt / 2 if held else 0.0
+        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     dt = records[0].dt * k
@@ -146,6 +147,23 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     simulator = Simulator(tuple(drives), square, float(model.scales.force), substeps, tuple(devices))
     case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
     return _beside(case, records) if foreign else case
+
+
+def _before(k: int, rest: bool) -> int:
+    """Samples of rest put before a record, so that its first average is of rest alone."""
+    return k + k // 2 if rest and k > 1 else 0
+
+
+def averaged(series: np.ndarray, k: int, rest: bool, ahead: float = np.nan) -> np.ndarray:
+    """Every k-th sample as the mean of the k around it, `ahead` standing for the rest before a record; nan is no part."""
+    if k == 1:
+        return series
+    weights = np.ones(k) if k % 2 else np.r_[0.5, np.ones(k - 1), 0.5]
+    whole = np.concatenate([np.full(_before(k, rest), ahead), series])
+    there = np.isfinite(whole)
+    sums = np.convolve(np.where(there, whole, 0.0), weights, "valid")[::k]
+    share = np.convolve(there, weights, "valid")[::k] / k
+    return np.where(share > 0.5, sums / k / np.maximum(share, 0.5), np.nan)
 
 
 def _root(force: np.ndarray) -> np.ndarray:
@@ -190,8 +208,7 @@ def _beside(case: Case, records) -> Case:
     series = []
     for s, run, p in zip(case.series, runs, predict(model, records), strict=True):
         own = p.direction * (p.displacement - p.zero) / scale
-        own = own[: len(own) // case.thinned * case.thinned].reshape(-1, case.thinned).mean(1)
-        own = np.append(np.full(len(run) - len(own), np.nan), own)
+        own = averaged(own, case.thinned, s.begins == "rest")
         series.append(replace(s, output=s.output - np.nan_to_num(own - run), counts=s.counts & np.isfinite(own - run)))
     return replace(case, series=tuple(series))
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .data import Case
+from .data import Case, averaged
 from .search import Hypothesis, Scale
 from .simulator import Drive
 
@@ -73,7 +73,7 @@ def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tupl
     for size in _SIZES:
         tried = excitations(*limits, size)
         k = case.thinned
-        drives = tuple(Drive(u[: len(u) // k * k].reshape(-1, k).mean(1), dt * k, (0.0, 0.0)) for u in tried.values())
+        drives = tuple(Drive(averaged(u, k, False), dt * k, (0.0, 0.0)) for u in tried.values())
         imagined = replace(case.simulator, drives=drives)
         places, starts = list(range(len(drives))), np.zeros((len(drives), 2))
         runs = [imagined.run(np.tile(h.fit.slots, (len(drives), 1)), places, starts) for h in (a, b)]

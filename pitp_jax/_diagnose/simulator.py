@@ -78,6 +78,7 @@ class Drive:
         start: scaled (x, v) at the first sample, as the data show it.
         age: of the session, s.
         before: V, what was played before the first sample; None: the same as there.
+        jump: s, when the drive goes from there to its first sample: 0, or half a sample earlier where it holds.
     """
 
     voltage: np.ndarray
@@ -85,6 +86,7 @@ class Drive:
     start: tuple[float, float]
     age: float = 0.0
     before: float | None = None
+    jump: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -157,10 +159,22 @@ class Simulator:
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
             drive = self.drives[int(record)]
-            columns.append(
-                np.interp(place - delay / drive.dt, np.arange(len(drive.voltage)), drive.voltage, left=drive.before)
-            )
+            column = np.interp(place - delay / drive.dt, np.arange(len(drive.voltage)), drive.voltage)
+            columns.append(column if drive.before is None else self._jumped(column, drive, delay))
         return np.ascontiguousarray(np.stack(columns, 1)[:, which.ravel()])
+
+    def _jumped(self, column: np.ndarray, drive: Drive, delay: float) -> np.ndarray:
+        """A delayed input with what was played before its first sample.
+
+        Every step's end has the mean over half a step on either side (over one, at the first), so that the area under
+        the force does not depend on where within a step the jump falls.
+        """
+        steps = max((delay + drive.jump) / drive.dt * self.substeps, 0.0)
+        place = np.arange(len(column)) - steps
+        share = np.clip(place + 0.5, 0.0, 1.0)
+        share[0] = np.clip(1 - 2 * steps, 0.0, 1.0)
+        before = float(drive.before or 0.0)
+        return before + (column - before) * (np.sqrt(share) if self.square and not before else share)
 
     def _constants(self, slots: np.ndarray, records: np.ndarray) -> np.ndarray:
         s = dict(zip(NAMES, slots.T, strict=True))
