@@ -21,7 +21,7 @@ from .._record.record import Record
 from .._record.sets import session_clock
 from .._simulate.prediction import at_rate, begin, predict
 from .library import slots_of
-from .simulator import INDEX, Drive, Simulator
+from .simulator import INDEX, Drive, Film, Simulator, root
 
 PERIOD, COARSEST, BUDGET = 40.0, 16.0, 12_000  # samples a period of the fastest mode or drive; fewer where all exceed
 STEPS = 24  # steps a period of the nominal's own mode, at least
@@ -126,19 +126,20 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     drives, series, starts = [], [], []
     for r, b in zip(turned, begun, strict=True):
         rest, held = b.begins == "rest", model.hold == "zoh"
-        force = r.voltage * np.abs(r.voltage) if square else r.voltage.copy()
-        if rest and k > 1 and not held:  # a ramp ends at its sample: of the first one only the half after the jump is there
-            force[0] /= 2
-        force = averaged(force, k, rest, 0.0)
-        volts = _root(force) if square else force
+        first_node = r.dt * (k // 2 - _before(k, rest))  # s after the first sample
+        film = _film(r.voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
+        force = ramped(r.voltage, held) if square else r.voltage
+        if film is not None:
+            force = film.force(np.arange((r.samples + _before(k, rest) - k // 2 * 2 - k % 2) // k + 1) * r.dt * k)
+        volts = root(force) if square else force
         x = averaged(model.output.to_model(r.displacement) / scale, k, rest)
         seen = np.asarray(np.isfinite(x))
         age = model.provenance.age(r.time[0]) if known else 0.0
-        age = max(age + r.dt * (k // 2 - _before(k, rest)), 0.0)
+        age = max(age + first_node, 0.0)
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         starts.append((0.0, 0.0) if rest else (first, 0.0))
         jump = -r.dt / 2 if held else 0.0
-        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump))
+        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     dt = records[0].dt * k
@@ -154,20 +155,42 @@ def _before(k: int, rest: bool) -> int:
     return k + k // 2 if rest and k > 1 else 0
 
 
-def averaged(series: np.ndarray, k: int, rest: bool, ahead: float = np.nan) -> np.ndarray:
-    """Every k-th sample as the mean of the k around it, `ahead` standing for the rest before a record; nan is no part."""
+def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
+    """The force's integral, exact for a voltage that holds, or runs straight from sample to sample."""
+    a, b = voltage[:-1], voltage[1:]
+    force = voltage * np.abs(voltage) if square else voltage
+    ramp = np.sign(a + b) * (a * a + a * b + b * b) / 3 if square else (a + b) / 2
+    impulse = np.append(0.0, np.cumsum(force[:-1] if held else ramp) * dt)
+    late = dt / 2 if held else 0.0  # a held drive's half sample stands in the nominal's delay
+    return Film(impulse, dt, -first - late, k * dt, (0.0 if rest else float(force[0]), float(force[-1])))
+
+
+def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
+    """V|V| at every sample, such that straight lines between them have the area of the squared ramps of V.
+
+    A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more. It
+    is taken off the larger end. A step inside a record would come a sixth of a sample early without it.
+    """
+    force = voltage * np.abs(voltage)
+    if held:
+        return force
+    rise, larger = np.diff(voltage) ** 2 / 6, np.abs(voltage[1:]) >= np.abs(voltage[:-1])
+    size = np.abs(force)
+    size[1:] -= rise * larger
+    size[:-1] -= rise * ~larger
+    return np.sign(force) * np.maximum(size, 0.0)
+
+
+def averaged(series: np.ndarray, k: int, rest: bool) -> np.ndarray:
+    """Every k-th sample as the mean of the k around it, from the rest before a record on; nan is no part."""
     if k == 1:
         return series
     weights = np.ones(k) if k % 2 else np.r_[0.5, np.ones(k - 1), 0.5]
-    whole = np.concatenate([np.full(_before(k, rest), ahead), series])
+    whole = np.concatenate([np.full(_before(k, rest), np.nan), series])
     there = np.isfinite(whole)
     sums = np.convolve(np.where(there, whole, 0.0), weights, "valid")[::k]
     share = np.convolve(there, weights, "valid")[::k] / k
     return np.where(share > 0.5, sums / k / np.maximum(share, 0.5), np.nan)
-
-
-def _root(force: np.ndarray) -> np.ndarray:
-    return np.sign(force) * np.sqrt(np.abs(force))
 
 
 def _omega(slots: np.ndarray) -> float:
@@ -217,7 +240,7 @@ def excitations(case: Case) -> int:
     """How many distinct excitations there are: sixths of records that differ by 15 % in spread or centre frequency."""
     rows = []
     for d in case.simulator.drives:
-        for part in np.array_split(d.voltage[1:], 6):  # the first sample may be the rest before a jump
+        for part in np.array_split(d.voltage[2:], 6):  # the first two may be the rest before a jump
             w = part * part if case.simulator.square else part
             spread, speed = np.std(w), np.std(np.diff(w)) / d.dt
             rows.append((spread, speed / (spread + 1e-300)))

@@ -218,7 +218,7 @@ def own_error(case: Case, search: Search) -> tuple[float, str]:
     """
     source, scale = case.model.provenance, float(case.model.scales.state[0])
     if not np.isfinite(source.misfit):
-        return 0.0, "unknown: the nominal carries no error of its own"
+        return _thinned(case, 0.0), "the sensor's noise: the nominal carries no error of its own"
     first = json.loads(source.notes).get("identification", {}).get("noise_std")
     noise = float(first) / scale if first else _noise(case)
     return _thinned(case, noise * np.sqrt(source.misfit**2 - 1)), "what the nominal leaves where nothing is wrong"

@@ -24,6 +24,7 @@ import numpy as np
 WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # lanes a block, steps a call, blocks at a time
 FAR = 1e4  # scaled displacement from which a run has diverged
 _NEVER = 1e30
+_RINGS = 0.5  # damping of a second mode, at most: an overdamped one is a relaxation or a delay by another name
 # slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
 _COSTLY = (
     "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc"
@@ -69,6 +70,35 @@ _PLAYS, _DRIVE_PLAYS = (0.15, 0.4, 1.0, 2.2), (0.08, 0.25, 0.5, 0.8)
 
 
 @dataclass(frozen=True)
+class Film:
+    """The force of a record before it was thinned, for its mean around any instant.
+
+    Attributes:
+        impulse: its integral up to every sample, V^2 s or V s, shape (samples,).
+        dt, first: s, between samples; of the first one after the first thinned one.
+        window: s, over which it is averaged.
+        edges: the force before and after the record.
+    """
+
+    impulse: np.ndarray
+    dt: float
+    first: float
+    window: float
+    edges: tuple[float, float]
+
+    def force(self, time: np.ndarray) -> np.ndarray:
+        """Mean force around instants (s after the first thinned sample), shape (T,)."""
+        low, high = (self._until(time + half) for half in (-self.window / 2, self.window / 2))
+        return (high - low) / self.window
+
+    def _until(self, time: np.ndarray) -> np.ndarray:
+        place, last = (time - self.first) / self.dt, len(self.impulse) - 1
+        inside = np.interp(place, np.arange(last + 1), self.impulse)
+        early, late = np.minimum(place, 0.0), np.maximum(place - last, 0.0)
+        return inside + self.dt * (self.edges[0] * early + self.edges[1] * late)
+
+
+@dataclass(frozen=True)
 class Drive:
     """What a simulation reads of one record: inputs at every sample (V), step (s), and how it begins.
 
@@ -79,6 +109,7 @@ class Drive:
         age: of the session, s.
         before: V, what was played before the first sample; None: the same as there.
         jump: s, when the drive goes from there to its first sample: 0, or half a sample earlier where it holds.
+        film: the drive before it was thinned; None: these samples are all there is.
     """
 
     voltage: np.ndarray
@@ -87,6 +118,7 @@ class Drive:
     age: float = 0.0
     before: float | None = None
     jump: float = 0.0
+    film: Film | None = None
 
 
 @dataclass(frozen=True)
@@ -154,12 +186,18 @@ class Simulator:
         return [y[: sizes[k], k] for k in range(lanes)]
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
-        """Delayed input at every step's ends, shape (steps + 1, lanes); beyond its ends it stays."""
+        """Delayed input at every step's ends, shape (steps + 1, lanes), its force on straight lines; at the ends it stays."""
         pairs, which = np.unique(np.stack([records, slots[:, INDEX["delay"]]], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
             drive = self.drives[int(record)]
-            column = np.interp(place - delay / drive.dt, np.arange(len(drive.voltage)), drive.voltage)
+            if drive.film is not None:
+                force = drive.film.force(place * drive.dt - delay)
+                columns.append(root(force) if self.square else force)
+                continue
+            force = drive.voltage * np.abs(drive.voltage) if self.square else drive.voltage
+            column = np.interp(place - delay / drive.dt, np.arange(len(force)), force)
+            column = root(column) if self.square else column
             columns.append(column if drive.before is None else self._jumped(column, drive, delay))
         return np.ascontiguousarray(np.stack(columns, 1)[:, which.ravel()])
 
@@ -196,7 +234,7 @@ class Simulator:
             c[f"{name}_keep"], c[f"{name}_ramp"] = _lag(tau, h)
         c["z_half"], c["y_half"] = (-np.expm1(-h / 2 / s[k]) for k in ("branch_tau", "branch2_tau"))
         for name, w, zeta in (
-            ("m", s["mode_w"], s["mode_zeta"]),
+            ("m", s["mode_w"], np.minimum(s["mode_zeta"], _RINGS)),
             ("n", 1 / np.maximum(s["filter"], 1e-9), s["filter_zeta"]),
         ):
             e, b, d = step_response(np.ones_like(h), 2 * zeta / w, 1 / w**2, h)
@@ -205,6 +243,11 @@ class Simulator:
         c["lagged"], c["filtered"] = s["lag"] > 0, s["filter"] > 0
         c["gamma"] = 1.5 * np.tanh(s["gamma"] / 1.5)  # unbounded it is a saturating spring of any shape
         return np.stack([np.asarray(c[name], float) for name in _CONSTANTS])
+
+
+def root(force: np.ndarray) -> np.ndarray:
+    """V of V|V|."""
+    return np.sign(force) * np.sqrt(np.abs(force))
 
 
 def _lag(tau: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -58,7 +58,9 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
     bar = min(bars, key=lambda e: e.score)
     above = reference(case, chosen, floors) if chosen.names else bar
-    more = probability(above, chosen.evidence, 1 - rules.GAIN)
+    # what a flexible model adds counts where it is worth GAIN of the gap's energy, not of what little is left
+    worth = 1 - rules.GAIN * (base.rms / chosen.rms) ** 2
+    more = probability(above, chosen.evidence, np.sqrt(worth)) if worth > 0 else 0.0
     settled = chosen.rms <= rules.OWN * max(own, noise)
 
     def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
