@@ -4,8 +4,8 @@
                                                                    lag or a filter of the output for the others)
 
 Every k-th sample is kept, drive (as a force) and motion averaged over the k samples around it by the same weights, so
-that a linear plant's run on the averaged drive is the averaged run. k leaves the fastest mode or drive that matters some
-50 samples a period; below 10 the simulator's own error earns names. Zero and direction of every record are taken out.
+that a linear plant's run on the averaged drive is the averaged run. k leaves the fastest mode or drive that matters
+some 50 samples a period; below 10 the simulator's own error earns names. Zero and direction of every record are taken out.
 """
 
 from collections.abc import Sequence
@@ -168,8 +168,8 @@ def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest
 def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
     """V|V| at every sample, such that straight lines between them have the area of the squared ramps of V.
 
-    A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more. It
-    is taken off the larger end. A step inside a record would come a sixth of a sample early without it.
+    A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more.
+    It is taken off the larger end. A step inside a record would come a sixth of a sample early without it.
     """
     force = voltage * np.abs(voltage)
     if held:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .data import Case
-from .simulator import INDEX, LOGARITHM
+from .simulator import HIGHEST, INDEX, LOGARITHM
 
 _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
@@ -80,6 +80,8 @@ def at(fit: Fit, z: np.ndarray) -> np.ndarray:
     slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
     log = LOGARITHM[places]
     slots[places] = np.where(log, np.exp(np.clip(z, -70, 70)), z)
+    for name, most in HIGHEST.items():
+        slots[INDEX[name]] = min(slots[INDEX[name]], most)
     return slots
 
 

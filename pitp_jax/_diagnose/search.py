@@ -316,13 +316,17 @@ class Search:
         return best
 
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
-        """The best of a level; one moved number instead of all of them, unless all are surely better."""
-        best = level[0]
-        if best.names != (PARAMETERS,):
+        """The best of a level; one that moves the nominal's own numbers instead of a name, unless the best is surely
+        better; and one moved number instead of all of them."""
+        best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
+        return self._plainer(level, best, lambda h: h.names[0] in LONE) if best.names == (PARAMETERS,) else best
+
+    @staticmethod
+    def _plainer(level: list[Hypothesis], best: Hypothesis, plain: Callable[[Hypothesis], bool]) -> Hypothesis:
+        if plain(best):
             return best
-        lone = [h for h in level if h.names[0] in LONE]
-        as_good = [h for h in lone if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
-        return as_good[0] if as_good else best
+        doubts = (h for h in level if plain(h))
+        return next((h for h in doubts if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE), best)
 
     def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
         """Sets from the base to the chosen one, the best step first."""

@@ -24,7 +24,6 @@ import numpy as np
 WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # lanes a block, steps a call, blocks at a time
 FAR = 1e4  # scaled displacement from which a run has diverged
 _NEVER = 1e30
-_RINGS = 0.5  # damping of a second mode, at most: an overdamped one is a relaxation or a delay by another name
 # slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
 _COSTLY = (
     "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc"
@@ -54,6 +53,8 @@ NAMES = tuple(SLOTS)
 INDEX = {name: k for k, name in enumerate(NAMES)}
 OFF = np.array([off for off, _ in SLOTS.values()])
 LOGARITHM = np.array([log for _, log in SLOTS.values()])
+
+HIGHEST = {"mode_zeta": 0.5}  # an overdamped second mode is a relaxation or a delay by another name
 
 _CONSTANTS = (
     "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp "
@@ -186,7 +187,7 @@ class Simulator:
         return [y[: sizes[k], k] for k in range(lanes)]
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
-        """Delayed input at every step's ends, shape (steps + 1, lanes), its force on straight lines; at the ends it stays."""
+        """Delayed input at every step's ends, shape (steps + 1, lanes); its force runs straight between nodes."""
         pairs, which = np.unique(np.stack([records, slots[:, INDEX["delay"]]], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
@@ -234,7 +235,7 @@ class Simulator:
             c[f"{name}_keep"], c[f"{name}_ramp"] = _lag(tau, h)
         c["z_half"], c["y_half"] = (-np.expm1(-h / 2 / s[k]) for k in ("branch_tau", "branch2_tau"))
         for name, w, zeta in (
-            ("m", s["mode_w"], np.minimum(s["mode_zeta"], _RINGS)),
+            ("m", s["mode_w"], s["mode_zeta"]),
             ("n", 1 / np.maximum(s["filter"], 1e-9), s["filter_zeta"]),
         ):
             e, b, d = step_response(np.ones_like(h), 2 * zeta / w, 1 / w**2, h)
