@@ -5,7 +5,7 @@
 
 Every k-th sample is kept, drive (as a force) and motion averaged over the k samples around it by the same weights, so
 that a linear plant's run on the averaged drive is the averaged run. k leaves the fastest mode or drive that matters
-some 50 samples a period; below 10 the simulator's own error earns names. Zero and direction of every record are taken out.
+some 50 samples a period; below 10 the simulator's own error earns names. Zero and direction of a record are taken out.
 """
 
 from collections.abc import Sequence

@@ -316,8 +316,7 @@ class Search:
         return best
 
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
-        """The best of a level; one that moves the nominal's own numbers instead of a name, unless the best is surely
-        better; and one moved number instead of all of them."""
+        """The best of a level, or one as good that has moved coefficients for a name, or one number for all of them."""
         best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
         return self._plainer(level, best, lambda h: h.names[0] in LONE) if best.names == (PARAMETERS,) else best
 
