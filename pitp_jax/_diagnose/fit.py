@@ -21,7 +21,7 @@ _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
 _LONGEST = 1.5  # largest change of a logarithm in one step, or of a number in units of itself and its start
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
-_WIDEST = 25.0
+SCREEN = -1  # the fold of first steps: some records only
 
 
 @dataclass
@@ -130,7 +130,7 @@ class Fitter:
     def __init__(self, case: Case):
         self.case = case
         self.runs = 0
-        self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))}
+        self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {SCREEN: case.screened()}
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
     def _simulate(self, jobs: Sequence[tuple[np.ndarray, int, np.ndarray]]) -> list[np.ndarray]:
@@ -246,7 +246,7 @@ class Fitter:
         probes = []
         for fit, front in zip(fits, fronts, strict=True):
             free = tuple(k for k in fit.free if k not in front.free)
-            probes.append(fit.again(free=free, unit=np.zeros(0), residuals=[], jacobian=None, cost=np.inf))
+            probes.append(fit.again(free=free, unit=np.zeros(0), fold=SCREEN, residuals=[], jacobian=None, cost=np.inf))
             probes[-1].__post_init__()
         self.fit(probes, 0)
         there = [p for p in probes if np.isfinite(p.cost)]
@@ -255,8 +255,10 @@ class Fitter:
 
     def _stepped(self, probe: Fit, front: Fit) -> float:
         assert probe.jacobian is not None
-        old = front.jacobian if front.free and front.jacobian is not None else [j[:, :0] for j in probe.jacobian]
-        both = [np.concatenate([a, b], 1) for a, b in zip(old, probe.jacobian, strict=True)]
+        seen, both = self._seen(SCREEN), list(probe.jacobian)
+        if front.free and front.jacobian is not None:
+            for k in seen:
+                both[k] = np.concatenate([front.jacobian[k], both[k]], 1)
         whole = replace(probe, free=(*front.free, *probe.free), unit=np.zeros(0), jacobian=both)
         h, g = self.normal(whole)
         d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
@@ -264,8 +266,10 @@ class Fitter:
         log, z = LOGARITHM[[INDEX[k] for k in whole.free]], coordinates(whole)
         most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(z), whole.unit))
         move = np.clip(move, -most, most)
-        after = [np.where(np.isfinite(r), r + j @ move, np.nan) for r, j in zip(whole.residuals, both, strict=True)]
-        return min(probe.cost, self._cost(after, None))
+        after = list(whole.residuals)
+        for k in seen:
+            after[k] = np.where(np.isfinite(after[k]), after[k] + both[k] @ move, np.nan)
+        return min(probe.cost, self._cost(after, SCREEN))
 
     def _trial(self, fit: Fit) -> np.ndarray:
         h, g = self.normal(fit)

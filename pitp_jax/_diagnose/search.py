@@ -14,7 +14,7 @@ from . import rules
 from .budget import Budget
 from .data import Case
 from .evidence import Evidence, evidence, probability
-from .fit import Fit, Fitter
+from .fit import SCREEN, Fit, Fitter
 from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
@@ -184,12 +184,21 @@ class Search:
                 groups.setdefault(key, []).append(start := self._started(front.fit, form))
                 below[id(start)] = front.fit
         groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
-        self.fitter.fit([f for g in groups.values() for f in g], _FIRST_STEPS)
+        for f in (starts := [f for g in groups.values() for f in g]):
+            f.fold = SCREEN
+        self.fitter.fit(starts, _FIRST_STEPS)
+        groups = {
+            key: [
+                f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
+                for f in _distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost))[:2]
+            ]
+            for key, g in groups.items()
+        }
+        self.fitter.fit([f for g in groups.values() for f in g], 0)
         going = []
         for key, group in groups.items():
-            ranked = sorted((f for f in group if np.isfinite(f.cost)), key=lambda f: f.cost)
-            least = self.every[key - {group[0].names[-1]}].fit.cost - 2 * rules.GAIN * self.samples
-            groups[key] = [f for f in _distinct(ranked)[:2] if f.cost < least]
+            least = [self.every[key - {f.names[-1]}].fit.cost - 2 * rules.GAIN * self.samples for f in group]
+            groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
             going += groups[key]
         self.fitter.fit(going, _STEPS)
         chosen = [min(g, key=lambda f: f.cost) for g in groups.values() if g]

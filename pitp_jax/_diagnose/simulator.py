@@ -41,7 +41,7 @@ SLOTS: dict[str, tuple[float, bool]] = {
     "low_stop": (0.0, True), "low_stop_at": (-1.0, False), "mullins": (0.0, False), "mullins_length": (1.0, True),
     "drift": (0.0, False), "drift_time": (1.0, True), "branch": (0.0, False), "branch_tau": (1.0, True),
     "branch2": (0.0, False), "branch2_tau": (1.0, True), "bouc": (0.0, False), "yield": (1.0, True),
-    "gamma": (0.0, False), "plays": (0.0, True), "plays_width": (1.0, True), "drag": (0.0, False), "dry": (0.0, True),
+    "gamma": (0.0, False), "plays": (0.0, True), "plays_width": (1.0, True), "drag": (0.0, True), "dry": (0.0, True),
     "dry_speed": (0.0, True), "drive_bouc": (0.0, False), "drive_yield": (1.0, True), "rise": (0.0, True),
     "rise_speed": (1.0, True), "dry_load": (0.0, True), "place_damping": (0.0, False), "place_damping2": (0.0, False),
     "field_damping": (0.0, False), "slack": (0.0, True), "mode_gain": (0.0, False), "mode_force": (0.0, True),
