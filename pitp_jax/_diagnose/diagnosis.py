@@ -20,7 +20,7 @@ from .._simulate.prediction import predict
 from . import rules
 from .budget import Budget
 from .data import Case, build_case, excitations
-from .evidence import evidence, probability
+from .evidence import probability
 from .library import FREE, model_of
 from .next_experiment import Experiment, separate
 from .result import (
@@ -163,10 +163,10 @@ def diagnose(
     model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
     case = build_case(model, records, tuple(mesh.devices.flat) if mesh is not None else ())
     limit = Budget(seconds)
-    search = Search(case, refit_nominal, exclude, limit, progress)
-    own, source = own_error(case, search) if not refit_nominal else (0.0, "unknown in a refit")
+    misfit, source = own_misfit(case) if not refit_nominal else (0.0, "unknown in a refit")
     noise = _thinned(case, 0.0)
-    search.own = max(own, noise)  # nothing is fitted below the sensor's white noise
+    own = _thinned(case, misfit) if not refit_nominal else 0.0
+    search = Search(case, refit_nominal, exclude, limit, progress, max(own, noise), misfit)
     if not search.given.rms <= rules.OWN * own:
         search.run()
     distinct = excitations(case)
@@ -208,20 +208,20 @@ def diagnose(
     )
 
 
-def own_error(case: Case, search: Search) -> tuple[float, str]:
-    """The nominal's own error beside the records it was identified on, as these thinned records would show it.
+def own_misfit(case: Case) -> tuple[float, str]:
+    """What the nominal leaves beyond the noise of the records it was identified on (scaled), and where that is from.
 
-    own^2 = M^2 + noise^2,   M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2   of the identification's records
+    M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
 
-    What a nominal lacks does not grow with the noise of other records: a simulator without noise has a misfit of
-    thousands, and its robot's noise times that hid any gap.
+    It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
+    robot's noise times that hid any gap.
     """
     source, scale = case.model.provenance, float(case.model.scales.state[0])
     if not np.isfinite(source.misfit):
-        return _thinned(case, 0.0), "the sensor's noise: the nominal carries no error of its own"
+        return 0.0, "the sensor's noise: the nominal carries no error of its own"
     first = json.loads(source.notes).get("identification", {}).get("noise_std")
     noise = float(first) / scale if first else _noise(case)
-    return _thinned(case, noise * np.sqrt(source.misfit**2 - 1)), "what the nominal leaves where nothing is wrong"
+    return float(noise * np.sqrt(max(source.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
 
 
 def _noise(case: Case) -> float:
@@ -266,7 +266,7 @@ def _raw(search: Search):
     for run, s, left in zip(runs, case.series, search.given.residuals, strict=True):
         e = np.where(s.counts & np.isfinite(run), run - s.output, np.nan)
         rows.append(np.where(np.isfinite(left), np.where(np.isfinite(e), e, left), np.nan))
-    return evidence(rows, np.sqrt(search.floors))
+    return search.weigh(rows)
 
 
 def hand_back(search: Search, decision: Decision, model: Model, records) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
@@ -275,17 +275,18 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
     Returns:
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
-    given = search.given
-    deeper = sorted((h for h in search.every.values() if h.rms < decision.chosen.rms), key=lambda h: h.rms)
+    given, error = search.given.evidence.bare, _error
+    deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
     if not decision.said:
-        sure = [h for h in deeper if probability(h.evidence, decision.chosen.evidence) >= rules.SURE]
+        chosen = decision.chosen.evidence.bare
+        sure = [h for h in deeper if probability(h.evidence.bare, chosen) >= rules.SURE]
         tried = [*sure[:3], *tried]
     tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
     before = _package_error(model, records)
     omega = 1 / search.scale.tau
     for h in tried:
-        if not h.fit.free or probability(h.evidence, given.evidence) < rules.SURE:
+        if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
             continue
         made, added, missing = model_of(search.case.nominal, h.fit.slots, model, omega)
         if missing:
@@ -297,7 +298,11 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
             parts += ["term"] if FREE in h.names else []
             parts += ["parameters"] if set(h.fit.free) & {"a0", "a1", "a2"} else []
             return h, (made, added), tuple(dict.fromkeys(parts))
-    return given, (model, []), ()
+    return search.given, (model, []), ()
+
+
+def _error(h: Hypothesis) -> float:
+    return h.evidence.bare.rms
 
 
 def _package_error(model: Model, records: Sequence[Record]) -> float:

@@ -7,7 +7,7 @@ One large record decides pooled squares, and blocks alone gave 0.99 to second ef
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,19 +21,24 @@ class Evidence:
     Attributes:
         squares, sizes: sum of squares and samples of every block.
         records: which record it is of.
+        floor: mean square of every record that is added to all of them: below it an error is no evidence.
+        least: mean square that is the least of every record: the square of what the nominal leaves where nothing is
+            wrong, which no name may claim to explain.
     """
 
     squares: np.ndarray
     sizes: np.ndarray
     records: np.ndarray
     floor: np.ndarray
+    least: float = 0.0
 
     @property
     def mse(self) -> np.ndarray:
         """Mean square of every record."""
         count = self.floor.size
         total = np.bincount(self.records, self.squares, count)
-        return total / np.maximum(np.bincount(self.records, self.sizes, count), 1) + self.floor
+        mean = total / np.maximum(np.bincount(self.records, self.sizes, count), 1) + self.floor
+        return np.maximum(mean, self.least)
 
     @property
     def score(self) -> float:
@@ -42,13 +47,18 @@ class Evidence:
         return float(np.sum(weight * np.log(self.mse)) / weight.sum())
 
     @property
+    def bare(self) -> "Evidence":
+        """Without a least: how good a model is, where no name is asked for."""
+        return replace(self, least=0.0)
+
+    @property
     def rms(self) -> float:
         """Geometric mean over records of the error."""
         return float(np.exp(self.score / 2))
 
 
-def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray) -> Evidence:
-    """Blocks of the samples that are there: about thirty in all, at least six a record."""
+def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float = 0.0) -> Evidence:
+    """Blocks of the samples that are there: about thirty in all, at least six a record; `floors`, `least` as errors."""
     total = sum(int(np.isfinite(r).sum()) for r in residuals)
     squares, sizes, records = [], [], []
     for k, r in enumerate(residuals):
@@ -59,7 +69,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray) -> Evidence:
             squares.append(float(np.sum(block**2)))
             sizes.append(len(block))
             records.append(k)
-    return Evidence(np.array(squares), np.array(sizes), np.array(records), np.array(floors) ** 2 + 1e-300)
+    return Evidence(np.array(squares), np.array(sizes), np.array(records), np.array(floors) ** 2 + 1e-300, least**2)
 
 
 def draws(sets: Sequence[Evidence]) -> np.ndarray:
@@ -80,7 +90,7 @@ def draws(sets: Sequence[Evidence]) -> np.ndarray:
         pick = place[rng.integers(0, len(place), (_DRAWS, len(place)))]
         count = first.sizes[pick].sum(1)
         for k, s in enumerate(sets):
-            found[k] += weight[:, j] * np.log(s.squares[pick].sum(1) / count + s.floor[r])
+            found[k] += weight[:, j] * np.log(np.maximum(s.squares[pick].sum(1) / count + s.floor[r], s.least))
     return found
 
 

@@ -11,6 +11,7 @@ cost a run a number and need no program of their own. A run that diverges is a r
 import cmath
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Fit:
         unit: size of every free number at its start.
         starts: (x, v) at the first samples, shape (records, 2).
         fold: left out of the fit; None: nothing.
-        residuals: per record y - y_measured less its own zero and start, nan where nothing counts.
+        residuals: per record y - y_measured less its own zero and start, nan where nothing counts; None: not run.
         cost: L over the samples it may see.
     """
 
@@ -45,7 +46,7 @@ class Fit:
     starts: np.ndarray
     unit: np.ndarray = field(default_factory=lambda: np.zeros(0))
     fold: int | None = None
-    residuals: list[np.ndarray] = field(default_factory=list)
+    residuals: list[Any] = field(default_factory=list)
     jacobian: list[np.ndarray] | None = None
     cost: float = np.inf
     damping: float = 1e-2
@@ -90,12 +91,11 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     size = len(case.series[record].output)
     if case.series[record].begins == "rest":
         return np.ones((size, 1)), np.zeros((1, 2))
-    a0, a1, a2 = (slots[INDEX[k]] for k in ("a0", "a1", "a2"))
+    a0, a1, a2 = (float(slots[INDEX[k]]) for k in ("a0", "a1", "a2"))
     time = np.arange(size) * case.dt
     columns, begins = [np.ones(size)], [(0.0, 0.0)]
-    if a2 <= 0:
-        poles = [complex(-a0 / a1)]
-    else:
+    poles: list[complex] = [complex(-a0 / a1)]
+    if a2 > 0:
         root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
         poles = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
     for pole in poles if not poles[0].imag else poles[:1]:

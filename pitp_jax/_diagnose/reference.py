@@ -117,4 +117,5 @@ def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndar
                     z = (columns[k] - columns[k][tested].mean(0)) / size
                     e = h.residuals[k] - np.clip(z, 1.5 * low - 1e-9, 1.5 * high + 1e-9) @ w
                     rows[i][k][tested] = e[tested] - (0.0 if case.blocks else np.nanmean(e[tested]))
-    return [evidence(r, np.sqrt(floors)) for r in rows]
+    least = np.sqrt(h.evidence.least)
+    return [evidence(r, np.sqrt(floors), least) for r in rows]

@@ -89,14 +89,14 @@ class Search:
 
     def __init__(
         self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None,
-        progress: Callable[[str], None] = lambda line: None,
+        progress: Callable[[str], None] = lambda line: None, own: float = 0.0, misfit: float = 0.0,
     ):  # fmt: skip
         self.case, self.refit, self.exclude = case, refit, set(exclude)
+        self.own, self.misfit = own, misfit  # the nominal's own error with the sensor's noise, and beyond it
         self.fitter, self.budget, self.progress = Fitter(case), budget or Budget(), progress
         self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
-        self.own = 0.0  # the nominal's own error, set by who knows it
         self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
@@ -125,6 +125,10 @@ class Search:
                 self.every[frozenset([PARAMETERS])] = moved
                 self.library += [Form(PARAMETERS, {})]
 
+    def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
+        """Evidence of out-of-fold residuals."""
+        return evidence(rows, np.sqrt(self.floors), rules.OWN * self.misfit)
+
     # -- fits ----------------------------------------------------------------------------------------------------------
 
     def _judged(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
@@ -133,7 +137,7 @@ class Search:
             labels = tuple(
                 "parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names
             )
-            found.append(Hypothesis(fit, labels, rows, evidence(rows, np.sqrt(self.floors))))
+            found.append(Hypothesis(fit, labels, rows, self.weigh(rows)))
         return found
 
     def _linear(self) -> Hypothesis:

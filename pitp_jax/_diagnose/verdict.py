@@ -79,7 +79,9 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     for name, label in zip(chosen.names, chosen.labels, strict=True):
         rivals[name] = _rival(search, chosen, {name})
-        p[label] = probability(chosen.evidence, rivals[name].evidence)
+        p[label] = _needed(chosen, rivals[name])
+    if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
+        p["parameter_change"] = probability(chosen.evidence, search.given.evidence)
     told: dict[str, Any] = {"p": p, "fractions": fractions}
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
@@ -112,13 +114,18 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     return answer(verdict, said, tied, **told)
 
 
+def _needed(chosen: Hypothesis, rival: Hypothesis) -> float:
+    """P that the rival leaves more, by GAIN at least: what is less hangs on the simulator's own error."""
+    return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
+
+
 def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bool:
     """Whether every name of the set is also sure in a larger one that leaves far less: a name is judged at the end."""
     for name in chosen.names:
         if name not in deepest.names:
             return False
         rival = _rival(search, deepest, {name})
-        if probability(deepest.evidence, rival.evidence) < rules.SURE:
+        if _needed(deepest, rival) < rules.SURE:
             return False
     return True
 
@@ -156,7 +163,7 @@ def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str
     group, labels = {name}, []
     while len(group) < rules.TIED + 1:
         rival = _rival(search, chosen, group)
-        if probability(chosen.evidence, rival.evidence) >= rules.SURE:
+        if _needed(chosen, rival) >= rules.SURE:
             return tuple(labels)
         new = set(rival.names) - set(chosen.names)
         if len(new) != 1 or len(group) == rules.TIED:
