@@ -98,7 +98,7 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     if a2 > 0:
         root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
         poles = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
-    for pole in poles if not poles[0].imag else poles[:1]:
+    for pole in map(complex, poles if not poles[0].imag else poles[:1]):
         if abs(pole) * time[-1] < 1e-3 and a2 > 0:  # no spring: the zero stands for x(0)
             continue
         wave = np.exp(np.clip(pole.real * time, -700, 50)) * np.exp(1j * pole.imag * time)
