@@ -141,40 +141,54 @@ class Search:
         return found
 
     def _linear(self) -> Hypothesis:
-        """The linear model refitted: the nominal's own structure, or one with a delay, a mass or a lag more.
+        """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
 
-        A structure with more numbers counts only beside a refit, where it is better by FURTHER.
+        Of several structures that with the fewest numbers counts which no other surely beats by a twentieth: effects act
+        on a core of order two at most, and a lag behind it that need not be there hides them.
         """
-        slots, tau = self.case.nominal, self.case.dt
-        a0, a1, a2 = (slots[INDEX[k]] for k in ("a0", "a1", "a2"))
-        tau = max(tau, a1 / a0 if a0 > 0 else 0.0)
-        extras: list[dict[str, float]] = [{}]
+        fits = [self._structure(self.core, {})]
         if self.refit:
-            extras += [] if slots[INDEX["delay"]] > 0 else [{"delay": self.case.dt}]
-            extras += [] if a2 > 0 else [{"a2": f * tau * a1} for f in (0.05, 0.5)]
-            extras += (
-                [{"lag": 0.3 * tau}, {"filter": 0.2 * tau, "filter_zeta": 0.3}] if not slots[INDEX["filter"]] else []
-            )
-        starts, fits = [1.0] if not self.refit else [1.0, 0.5, 2.0], []
-        for extra in extras:
-            for faster in starts if not extra else [1.0]:
-                p = slots.copy()
-                p[INDEX["a1"]] *= faster
-                p[INDEX["a2"]] *= faster**2
-                for k, v in extra.items():
-                    p[INDEX[k]] = v
-                free = tuple(dict.fromkeys((*self.core, *extra)))
-                fits.append(Fit((), free, p, self.case.starts.copy()))
+            fits += self._structures()
         self.fitter.fit(fits, 25)
-        fits = [f for f in fits if np.isfinite(f.cost)] or fits[:1]
-        own = [f for f in fits if set(f.free) == set(self.core)] or fits
-        tried = self._judged([min(own, key=lambda f: f.cost), *(f for f in fits if set(f.free) != set(self.core))], 4)
-        best = tried[0]
-        for h in sorted(tried[1:], key=lambda h: h.rms):
-            if h.rms < 0.95 * best.rms and probability(h.evidence, best.evidence) >= rules.SURE:
-                best = h
-        self.linears = tried
-        return best
+        best: dict[tuple[str, ...], Fit] = {}
+        for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
+            best.setdefault(f.free, f)
+        tried = self._judged([*best.values()] or fits[:1], 4)
+        self.linears = sorted(tried, key=lambda h: len(h.fit.free))
+        least = min(tried, key=lambda h: h.rms)
+        return next(h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
+
+    def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
+        slots = self.case.nominal.copy()
+        for k in ("delay", "lag", "filter", "a2"):
+            slots[INDEX[k]] *= k in free
+        for k, v in values.items():
+            slots[INDEX[k]] = v
+        return Fit((), free, slots, self.case.starts.copy())
+
+    def _structures(self) -> list[Fit]:
+        """Orders one to four: a core with and without a mass, a delay, a lag or a second-order filter behind it."""
+        v = {k: self.case.nominal[INDEX[k]] for k in ("a0", "a1", "a2", "lag", "filter", "filter_zeta")}
+        dt, late = self.case.dt, self.case.nominal[INDEX["delay"]]
+        own, core = self.core, tuple(k for k in self.core if k not in ("lag", "filter"))
+        # the nominal's whole lateness at slow drives as one time constant, of a plant with a spring
+        tau = max(v["a1"] / v["a0"] + v["lag"] + 2 * v["filter_zeta"] * v["filter"], dt) if v["a0"] > 0 else 0.0
+        found = []
+        for faster in (0.5, 2.0):
+            found.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
+        if not late:
+            found.append(self._structure((*own, "delay"), {"delay": dt}))
+        if tau and ("a2" not in core or core != own):
+            for share in (0.03, 0.3):
+                numbers = {"a1": v["a0"] * tau, "a2": share * v["a0"] * tau**2}
+                found.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
+        if tau and own != ("a0", "a1"):
+            found.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
+            found.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
+        if "lag" not in own and "filter" not in own:
+            numbers = {"lag": 0.3 * max(tau, dt)}, {"filter": 0.2 * max(tau, dt), "filter_zeta": 0.3}
+            found += [self._structure((*own, *extra), extra) for extra in numbers]
+        return found
 
     def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> list[Hypothesis]:
         """Names beside every front, each by its best form."""
