@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from pitp_jax._effects.spec import Surroundings
 from pitp_jax._model.model import Model
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -16,10 +15,9 @@ from pitp_jax._simulate.decoder import rest_state, rollout
 
 @dataclass(frozen=True)
 class Beside:
-    """A nominal, what starts of effects are taken from, and its runs: voltage, age, run, span of every drive."""
+    """A nominal and its runs: voltage, age, run, span of every drive."""
 
     model: Model
-    surroundings: Surroundings
     series: tuple[SimpleNamespace, ...]
 
 
@@ -29,20 +27,8 @@ def beside(model, voltages, dt, apart=10.0) -> Beside:
     for k, u in enumerate(voltages):
         states = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), dt, rest_state(model)), float)
         x = states[:, 0]
-        series.append(SimpleNamespace(voltage=u, age=apart * k, run=x, span=float(np.ptp(x)), speed=states[:, 1]))
-    a, x = np.asarray(model.coefficients, float), np.concatenate([s.run for s in series])
-    speed = np.concatenate([s.speed for s in series])
-    fastest = max(float(np.quantile(np.abs(np.gradient(s.speed, dt)), 0.999)) for s in series)
-    around = Surroundings(
-        omega=model.natural_frequency, dt=dt, duration=max(len(u) for u in voltages) * dt,
-        session=apart * (len(series) - 1) + len(voltages[-1]) * dt, top=float(x.max()), bottom=float(x.min()),
-        speed=float(np.sqrt(np.mean(speed**2))),
-        acceleration=fastest / float(model.scales.rates[1]),
-        voltage=max(float(np.abs(u).max()) for u in voltages),
-        slew=max(float(np.abs(np.diff(u)).max()) for u in voltages) / dt,
-        stiffness=float(a[0]), inertia=float(a[2]), damping=float(a[1]),
-    )  # fmt: skip
-    return Beside(model, around, tuple(series))
+        series.append(SimpleNamespace(voltage=u, age=apart * k, run=x, span=float(np.ptp(x))))
+    return Beside(model, tuple(series))
 
 
 class Composite:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from beside import Composite, beside
+from effect_numbers import NUMBERS
 
 import pitp_jax as pitp
 from pitp_jax._effects import CATALOGUE, effect
@@ -33,10 +34,9 @@ def case(linear):
     return beside(model, voltages(), DT)
 
 
-def active(form, case):
-    """The form's first start, and the bounds that go with it."""
-    start = form.start(case.surroundings)[0]
-    return start.values, start
+def active(form):
+    """The form's numbers, where it acts."""
+    return NUMBERS[form.key]
 
 
 # what no inverse knows, or no open loop can hold: a friction that falls with speed, a play that has to be crossed at
@@ -52,7 +52,7 @@ UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and f.key not in
 @pytest.mark.parametrize("form", UNDONE, ids=lambda f: f.key)
 def test_what_a_form_makes_of_a_slow_signal_is_undone_without_shooting(case, form):
     """Small and slow enough for every limit; all but pure limits move it by more than it is undone to."""
-    part = form(*active(form, case)[0])
+    part = form(*active(form))
     signal = jnp.asarray(1 - np.cos(np.pi * TIME[:501]), jnp.float32) * {"IN": 380.0, "SQ": 0.4, "OUT": 1.0}[form.port]
     if form.port == "SQ":
         made = part.apply(signal, 0.7)
@@ -74,32 +74,6 @@ def test_what_a_form_makes_of_a_slow_signal_is_undone_without_shooting(case, for
     assert (np.abs(made - signal).max() > 1e-3 * np.ptp(signal)) == (form.key not in LIMITS)
 
 
-# numbers that are taken from 1 (or added to it): at their bounds, nothing may vanish or turn round
-SHARES = {
-    "sensor_gain: share": 1, "added_mass: share": 1, "stiffness_drift: settling": -1, "second_mode: come loose": -1,
-    "creep: loss of stiffness": -1, "relaxation: loss of stiffness": -1, "hysteresis: Bouc-Wen": -1,
-    "charge_leak: one trap": -1,
-}  # fmt: skip
-
-
-@FORMS
-def test_starts_are_within_bounds_that_leave_the_actuator_what_it_is(case, form):
-    for start in form.start(case.surroundings):
-        for p, value, low, high in zip(form.parameters, start.values, start.low, start.high, strict=True):
-            assert low <= value <= high and (low > 0 or not p.positive), p.name
-        if form.name == "stretch_coupling":
-            assert 0.0 < form(start.low[0]).apply(1.0, case.surroundings.reach) < 1.0
-
-
-@pytest.mark.parametrize("name", SHARES)
-def test_nothing_vanishes_or_turns_round_at_the_bounds_of_a_share(case, name):
-    (form,) = [form for form in CATALOGUE if form.key == name]
-    starts = form.start(case.surroundings)
-    assert starts
-    for start in starts:
-        assert min(1 + SHARES[name] * end for end in (start.low[0], start.high[0])) > 0.05
-
-
 @pytest.fixture(scope="module")
 def composite(case):
     """All forms in one program."""
@@ -109,7 +83,7 @@ def composite(case):
 @pytest.fixture(scope="module")
 def runs(case, composite):
     """Every form's readings on every record at its first start."""
-    return {f: composite.runs(f, active(f, case)[0]) for f in CATALOGUE}
+    return {f: composite.runs(f, active(f)) for f in CATALOGUE}
 
 
 @pytest.mark.slow
@@ -128,7 +102,7 @@ def test_an_active_form_acts_and_stays_bounded(case, runs, form):
 @FORMS
 def test_half_the_step_changes_little(case, runs, form):
     """The frozen step is fine enough: half of it moves the reading by less than 3 % of what the effect does."""
-    values, _ = active(form, case)
+    values = active(form)
     finer = replace(case.model, effects=(form(*values),), substeps=2 * case.model.substeps)
     k = int(np.argmax([np.abs(y - s.run).max() for y, s in zip(runs[form], case.series, strict=True)]))
     s = case.series[k]
@@ -140,7 +114,7 @@ def test_half_the_step_changes_little(case, runs, form):
 
 def planned(case, form):
     """The model with an active form, a smooth target, and the feedforward for it."""
-    model = replace(case.model, effects=(form(*active(form, case)[0]),))
+    model = replace(case.model, effects=(form(*active(form)),))
     x = 4e-4 * (1 - np.exp(-((5 * TIME) ** 3))) * (1 + 0.5 * np.sin(2 * np.pi * 2 * TIME))
     return model, x, pitp.feedforward(model, pitp.Target(TIME, x))
 
@@ -164,7 +138,7 @@ def test_feedforward_of_a_hard_form_is_better_than_without_it(case, form):
 
 @FORMS
 def test_a_file_keeps_it(case, form, tmp_path):
-    values, _ = active(form, case)
+    values = active(form)
     model = replace(case.model, effects=(form(*values),))
     pitp.save(tmp_path / "m.pitp", model)
     back = pitp.load(tmp_path / "m.pitp").effects[0]

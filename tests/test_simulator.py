@@ -74,7 +74,9 @@ STARTS = {
     "rc": 0.02, "slew": 20000.0, "clip": 900.0, "offset": 60.0, "dead": 80.0, "delay": 0.0073, "charge": 0.2,
     "charge_tau": 0.5, "saturation": 0.5, "stretch": 0.2, "stretch_exp": -0.3, "gent": 0.4, "tanh": 0.6, "expo":
     0.4, "sine": 0.9, "stop": 4.0, "stop_at": 0.5, "low_stop": 4.0, "low_stop_at": -0.05, "mullins": 0.2,
-    "mullins_length": 0.4, "bouc": 0.4, "yield": 0.2, "plays": 0.5, "plays_width": 0.1, "drag": 0.002, "dry":
+    "mullins_length": 0.4, "bouc": 0.4, "yield": 0.2, "play1": 0.1, "play2": 0.2, "play3": -0.05, "play4": 0.1,
+    "play_range": 500.0,
+    "drive_bouc": 80.0, "drive_yield": 30.0, "plays": 0.5, "plays_width": 0.1, "drag": 0.002, "dry":
     0.05, "rise": 0.5, "dry_speed": 0.5, "dry_load": 0.1, "rise_speed": 5.0, "slack": 0.0011, "mode_force": 0.2,
     "mode_gain": 0.3, "mode_w": 55.0, "mode_zeta": 0.05, "backlash": 0.1, "lag": 0.01, "filter": 0.008,
     "filter_zeta": 0.7, "gain": 0.1, "s2": 0.1, "s3": 0.03,

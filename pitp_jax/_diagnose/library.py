@@ -98,11 +98,14 @@ def forms(s: Scale) -> list[Form]:
     for width in (0.1, 0.5):
         add("hysteresis", {"bouc": 0.3, "yield": width * x}, {"bouc": 0.5, "yield": width * x, "gamma": -0.5})
         add("hysteresis", {"plays": 0.4, "plays_width": 0.6 * width * x})
-    add("hysteresis", *({"drive_bouc": c * pull, "drive_yield": f * s.area} for c in (0.5, -0.5) for f in (0.1, 0.5)))
+    add(
+        "hysteresis",
+        *({"drive_bouc": c * s.voltage, "drive_yield": f * s.area} for c in (0.5, -0.5) for f in (0.1, 0.5)),
+    )
     add("hysteresis", {"bouc": 0.5, "yield": 0.5 * x, "gamma": 0.5})
     add(
         "hysteresis",
-        *({"play1": 0.1, "play2": 0.1, "play3": 0.1, "play4": 0.1, "play_range": f * pull} for f in (0.5, 1.5)),
+        *({"play1": 0.1, "play2": 0.1, "play3": 0.1, "play4": 0.1, "play_range": f * s.voltage} for f in (0.5, 1.5)),
     )
     add(
         "coulomb_friction",
@@ -213,6 +216,8 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
     ("stiffness_drift", "settling"): ("drift", "drift_time"),
     ("hysteresis", "Dahl"): ("bouc", "yield"),
     ("hysteresis", "plays"): ("plays", "plays_width"),
+    ("hysteresis", "plays of the drive"): ("play1", "play2", "play3", "play4", "play_range"),
+    ("hysteresis", "Dahl of the command's integral"): ("drive_bouc", "drive_yield"),
     ("drag", "quadratic"): ("drag",),
     ("coulomb_friction", "Coulomb"): ("dry",),
     ("coulomb_friction", "loaded by the spring"): ("dry", "dry_load"),

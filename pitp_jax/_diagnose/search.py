@@ -20,6 +20,7 @@ from .simulator import INDEX, OFF
 
 BEAM, DEPTH, NAMES = 2, 4, 8  # fronts, names of a set, names that are fitted beside each front
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 3, 4, 14, 2
+_AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
 
@@ -65,8 +66,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
     drives = case.simulator.drives
     volts = np.concatenate([d.voltage for d in drives])
     force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
-    parts = [(d.voltage**2 if case.simulator.square else d.voltage) / case.simulator.force_scale for d in drives]
-    area = float(max(np.std(np.cumsum(f - f.mean()) * d.dt) for f, d in zip(parts, drives, strict=True))) + 1e-12
+    area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
     return Scale(
@@ -143,8 +143,8 @@ class Search:
     def _linear(self) -> Hypothesis:
         """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
 
-        Of several structures that with the fewest numbers counts which no other surely beats by a twentieth: effects act
-        on a core of order two at most, and a lag behind it that need not be there hides them.
+        Of several structures that with the fewest numbers counts which no other surely beats by a twentieth: effects
+        act on a core of order two at most, and a lag behind it that need not be there hides them.
         """
         fits = [self._structure(self.core, {})]
         if self.refit:
@@ -202,6 +202,19 @@ class Search:
                 groups.setdefault(key, []).append(start := self._started(front.fit, form))
                 below[id(start)] = front.fit
         groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
+        keys = list(groups)
+        # what promises most first; without a limit of time all of them side by side
+        size, found = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, []
+        for first in range(0, len(keys), max(size, 1)):
+            some = {key: groups[key] for key in keys[first : first + size]}
+            names = " and ".join("+".join(sorted(key)) for key in some)
+            if first and not self.budget.allows(names):
+                continue
+            found += self._climbed(some)
+        return found
+
+    def _climbed(self, groups: dict[frozenset, list[Fit]]) -> list[Hypothesis]:
+        """The optimum of every set that helps, judged out of fold."""
         for f in (starts := [f for g in groups.values() for f in g]):
             f.fold = SCREEN
         self.fitter.fit(starts, _FIRST_STEPS)
@@ -213,12 +226,10 @@ class Search:
             for key, g in groups.items()
         }
         self.fitter.fit([f for g in groups.values() for f in g], 0)
-        going = []
         for key, group in groups.items():
             least = [self.every[key - {f.names[-1]}].fit.cost - 2 * rules.GAIN * self.samples for f in group]
             groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
-            going += groups[key]
-        self.fitter.fit(going, _STEPS)
+        self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
         chosen = [min(g, key=lambda f: f.cost) for g in groups.values() if g]
         found = [h for h in self._judged(chosen) if not self.exclude & set(h.labels)]
         for h in found:

@@ -67,7 +67,7 @@ _CONSTANTS = (
 ).split()
 _PLACE = {name: k for k, name in enumerate(_CONSTANTS)}
 _STATES = "x v vm zd rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play lag fy fv".split()
-_PLAYS, _DRIVE_PLAYS = (0.15, 0.4, 1.0, 2.2), (0.08, 0.25, 0.5, 0.8)
+_PLAYS, _DRIVE_PLAYS = (0.15, 0.4, 1.0, 2.2), (0.04, 0.125, 0.25, 0.4)
 
 
 @dataclass(frozen=True)
@@ -319,7 +319,6 @@ def _begin(square, constants, volts, first, start):
     film = jnp.where(c["rc_ramp"] > 0, volts, first)
     slewed = jnp.where(c["slew"] < _NEVER, volts, film)
     q = jnp.where(c["charge"] > 0, jnp.abs(volts), volts)
-    force = _film(square, c, volts, volts, q, volts)
     zero = jnp.zeros_like(x)
     settled = {
         "x": x,
@@ -333,7 +332,7 @@ def _begin(square, constants, volts, first, start):
         "mv": zero,
         "fv": zero,
     }
-    settled |= {f"p{k}": force for k in (1, 2, 3, 4)} | {"most": jnp.abs(x)}
+    settled |= {f"p{k}": volts for k in (1, 2, 3, 4)} | {"most": jnp.abs(x)}
     return tuple(settled.get(k, x) for k in _STATES)
 
 
@@ -401,16 +400,16 @@ def _advance(square, costly, constants, state, volts, clock):
         n["slewed"] = s["slewed"] + jnp.clip(n["rc"] - s["slewed"], -most, most)
         held = [jnp.where(c["charge"] > 0, jnp.abs(u), u) for u in (before, after)]
         n["q"] = _follow(c["q_keep"], c["q_ramp"], s["q"], *held)
-        f0 = _film(square, c, s["rc"], s["slewed"], s["q"], before)
-        f1 = _film(square, c, n["rc"], n["slewed"], n["q"], after)
-        p0, p1 = f0, f1
+        v0, v1 = u0, u1 = s["slewed"], n["slewed"]
         for k, (w, width) in enumerate(zip(weights, _DRIVE_PLAYS, strict=True) if costly else ()):
-            half = width * 0.5 * c["play_range"]
-            n[f"p{k + 1}"] = jnp.clip(s[f"p{k + 1}"], f1 - half, f1 + half)
-            p0, p1 = p0 + w * (s[f"p{k + 1}"] - f0), p1 + w * (n[f"p{k + 1}"] - f1)
+            half = width * c["play_range"]
+            n[f"p{k + 1}"] = jnp.clip(s[f"p{k + 1}"], u1 - half, u1 + half)
+            v0, v1 = v0 + w * (s[f"p{k + 1}"] - u0), v1 + w * (n[f"p{k + 1}"] - u1)
         if costly:
-            n["zd"] = _bouc(s["zd"], h * (f0 + f1) / 2, c["drive_yield"], 0.0)
-            p0, p1 = (p + c["drive_bouc"] * z / c["drive_yield"] for p, z in ((p0, s["zd"]), (p1, n["zd"])))
+            n["zd"] = _bouc(s["zd"], h * (u0 + u1) / 2, c["drive_yield"], 0.0)
+            v0, v1 = (v + c["drive_bouc"] * z / c["drive_yield"] for v, z in ((v0, s["zd"]), (v1, n["zd"])))
+        p0 = _film(square, c, s["rc"], v0, s["q"], before)
+        p1 = _film(square, c, n["rc"], v1, n["q"], after)
         ahead = s["x"] + h / 2 * s["vm"]
         couple = jnp.maximum(1 + c["stretch"] * ahead, 0.05)
         couple = couple * jnp.exp(jnp.clip(c["stretch_exp"] * ahead, -8.0, 8.0)) if costly else couple
