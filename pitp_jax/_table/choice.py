@@ -27,7 +27,7 @@ _WORD = {
     "displacement": "output (displacement_mm, output_deg, ...)",
 }
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
-_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence".split())
+_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
 _SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are no seconds for certain
 _MONITOR = 10.0  # V: the range of a DAQ
 
@@ -271,8 +271,8 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
         raise _Ask(f"the {_WORD[quantity]} is missing")
     if len(pool) > 1:
         names = [s.column.name for s in pool]
-        by = "NUMBER, from 1" if len(set(names)) < len(names) else "NAME"
-        remedy = f"choose one with --{stem}-column {by}"
+        twice = len(set(names)) < len(names)
+        remedy = f"{'rename or delete one, or ' * twice}choose one with --{stem}-column {'NUMBER' if twice else 'NAME'}"
         raise _Ask(
             f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} matches for the {_WORD[quantity]}; {remedy}"
         )
