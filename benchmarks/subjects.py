@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax import Model
+from pitp_jax._model.domain import Domain
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
-from pitp_jax._model.model import Output, Provenance, linear_model
+from pitp_jax._model.model import Output, linear_model
 
 from .sizes import size
 
@@ -33,7 +34,7 @@ def nominal(order: int = 2) -> Model:
         poly = np.convolve(poly, [1.0, 2 / omega])
     return linear_model(
         _STIFFNESS * poly, input_map=SquareInput(), state_scale=_TRAVEL * omega ** np.arange(order + 1),
-        force_scale=1e6, output=Output(), hold="foh", substeps=1, provenance=Provenance(DT),
+        force_scale=1e6, output=Output(), hold="foh", substeps=1, domain=Domain(DT),
     )  # fmt: skip
 
 

@@ -23,8 +23,9 @@ from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._effects.spec import EffectSpec
+from pitp_jax._model.domain import Domain
 from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, Provenance, linear_model
+from pitp_jax._model.model import Output, linear_model
 from pitp_jax._report.lines import ERROR, MEASURED
 from pitp_jax._simulate.decoder import rest_state, rollout
 
@@ -66,10 +67,10 @@ def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str
     """
     omega = 2 * np.pi * HZ
     a = STIFFNESS * np.array([1.0, 2 * ZETA / omega, 1 / omega**2])
-    known = Provenance(DT, "m", "V", (-1000.0, 1000.0), 1e6)
+    known = Domain(DT, (-1000.0, 1000.0), 1e6)
     model = linear_model(
         a, input_map=SquareInput(), state_scale=1e-3 * omega ** np.arange(3), force_scale=1e6, output=Output(),
-        hold="foh", substeps=1, provenance=known,
+        hold="foh", substeps=1, domain=known,
     )  # fmt: skip
     played = list(drives().values())
     records = []

@@ -407,10 +407,11 @@ def _models(folder: Path) -> None:
 
     from pitp_jax import save
     from pitp_jax._effects import CATALOGUE
+    from pitp_jax._model.domain import Domain
     from pitp_jax._model.encoder import CompactEncoder, ConstantEncoder
     from pitp_jax._model.input_map import SquareInput
     from pitp_jax._model.memory import FadingMemory, NoMemory
-    from pitp_jax._model.model import Model, Output, Provenance, Scales
+    from pitp_jax._model.model import Model, Output, Scales
 
     folder.mkdir()
     for name, encoder, memory, effects in (
@@ -418,11 +419,11 @@ def _models(folder: Path) -> None:
         ("effects", ConstantEncoder(4), NoMemory(), tuple(effect.neutral() for effect in CATALOGUE[:3])),
         ("trained", CompactEncoder(2, 2, width=4, key=jax.random.key(0)), FadingMemory(jnp.arange(2.0)), ()),
     ):
-        known = Provenance(1e-3, "mm", "V", (0.0, 3e3), 1e5, ((-1.0, 1.0),) * 2)
+        shown = Domain(1e-3, (0.0, 3e3), 1e5, ((-1.0, 1.0),) * 2)
         scales = Scales((1e-3, 3e-2, 1.0), 1e6)
         save(
             folder / name,
-            Model(jnp.ones(3), SquareInput(), encoder, memory, Output(), scales, provenance=known, effects=effects),
+            Model(jnp.ones(3), SquareInput(), encoder, memory, Output(), scales, domain=shown, effects=effects),
         )
 
 

@@ -75,9 +75,9 @@ def worst(model, voltage: np.ndarray, dt: float, span: float) -> tuple[int, floa
 
 def check(name: str, model, randoms: int, ascents: int, samples: int, steps: int) -> dict:
     """Print and return one model's figures."""
-    dt, (low, high) = model.provenance.dt, model.provenance.voltage_range
+    dt, (low, high) = model.dt, model.domain.voltage_range
     low = max(low, 0.0) if model.input_map.infeasible(jnp.asarray(-1.0)) else low
-    first = model.provenance.region[0] if model.provenance.region else (0.0, 1.0)
+    first = model.domain.region[0] if len(model.domain.region) else (0.0, 1.0)
     span = first[1] - first[0]
     rng = np.random.default_rng(0)
     some = worst(model, random_voltages(rng, randoms, samples, low, high), dt, span)

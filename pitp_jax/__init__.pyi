@@ -30,6 +30,7 @@ from ._metrics import e_rms_percent as e_rms_percent
 from ._metrics import nrmse_percent as nrmse_percent
 from ._metrics import rmhe_percent as rmhe_percent
 from ._metrics import rmse as rmse
+from ._model import Fitted as Fitted
 from ._model import Model as Model
 from ._model_file import load as load
 from ._model_file import save as save

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from ._errors import BadInput
 from ._invert.equation import invert_path
+from ._model.fitted import Fitted, model_of
 from ._model.model import Model
 from ._model.programs import jit
 from ._numerics.spline_derivative import fast_derivatives
@@ -96,7 +97,7 @@ class _Inverse(eqx.Module):
 
 
 def sharded_rollout(
-    model: Model,
+    model: Model | Fitted,
     voltage: Float[np.ndarray, "records time"],
     dt: float,
     start: Float[np.ndarray, "records state"],
@@ -119,13 +120,14 @@ def sharded_rollout(
         >>> pitp.sharded_rollout(model, np.zeros((1, 64)), 1e-3, np.asarray(start), mesh).shape
         (1, 64, 2)
     """
+    model = model_of(model)
     dtype = model.coefficients.dtype
     batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
     return local_rows(over_records(_Rollout(float(dt)), mesh, model, batch), len(voltage))
 
 
 def sharded_inverse(
-    model: Model, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
+    model: Model | Fitted, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
 ) -> Float[np.ndarray, "records time"]:
     """Invert this process's displacements from rest (model coordinates, m) by eq. 13: drive voltages before limits (V).
 
@@ -143,6 +145,7 @@ def sharded_inverse(
         >>> pitp.sharded_inverse(model, np.full((1, 64), 1e-3), 1e-3, mesh).shape
         (1, 64)
     """
+    model = model_of(model)
     rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
     batch = spread((rows.astype(model.coefficients.dtype),), mesh)
     return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

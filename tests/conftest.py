@@ -22,10 +22,11 @@ with install_import_hook("pitp_jax", "typecheck.check"):
     import equinox as eqx
 
     import pitp_jax
+    from pitp_jax._model.domain import Domain
     from pitp_jax._model.encoder import CompactEncoder
     from pitp_jax._model.input_map import SquareInput
     from pitp_jax._model.memory import FadingMemory, RingingMemory
-    from pitp_jax._model.model import Hold, Output, Provenance, linear_model
+    from pitp_jax._model.model import Hold, Output, linear_model
 
     for _module in pkgutil.walk_packages(pitp_jax.__path__, "pitp_jax."):
         if not _module.name.endswith("__main__"):
@@ -93,7 +94,7 @@ def linear(coefficients):
         a = (coefficients(order, hz, damping) * scale / 1e6).astype(np.float32).astype(np.float64) * 1e6 / scale
         return linear_model(
             a, input_map=input_map or SquareInput(), state_scale=scale, force_scale=1e6, output=Output(**output),
-            hold=hold, substeps=substeps, provenance=Provenance(dt),
+            hold=hold, substeps=substeps, domain=Domain(dt),
         )  # fmt: skip
 
     return make
@@ -151,8 +152,7 @@ def bounded():
     """fn(model, voltage range, slew, region): the model as if trained within those limits."""
 
     def make(model, low=0.0, high=2000.0, slew=5e4, region=()):
-        known = model.provenance.with_(voltage_range=(low, high), slew=slew, region=region)
-        return replace(model, provenance=known)
+        return replace(model, domain=replace(model.domain, voltage_range=(low, high), slew=slew, region=region))
 
     return make
 

@@ -8,6 +8,7 @@ from pitp_jax._diagnose.diagnosis import Diagnosis
 from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._diagnose.result import Gap, Ranked, Trace
 from pitp_jax._effects import effect
+from pitp_jax._model import Fitted, Origin
 
 T = np.arange(2000) / 500.0
 NAMES = ("sweep<1>", "sine2", "sine&4")
@@ -57,8 +58,7 @@ def candidate(effect, form, parameters, closed, **options):
 
 def explained(actuator):
     """An `explained` diagnosis by an electrode's lag, in mm."""
-    known = actuator.provenance.with_(displacement_unit="mm")
-    model = replace(actuator, provenance=known, effects=(effect("electrode_rc", tau=0.012345),))
+    model = replace(actuator, effects=(effect("electrode_rc", tau=0.012345),))
     return Diagnosis(
         verdict="explained", effects=("electrode_rc",), equivalent=(), added=(),
         gap=Gap(8.0, 0.41, 8.0, 0.4, "a <band>", 0.995, (0.98, 1.0)),
@@ -69,7 +69,7 @@ def explained(actuator):
             candidate("drag", "quadratic", {"c": (4.2e7, "V^2 s^2/m^2", None)}, -0.4, screened=True),
         ),
         where=where(), next_experiment=None, fitted=NAMES[:1], heldout=NAMES[1:], shift=np.ones(3), traces=traces(),
-        model=model,
+        model=Fitted(model, Origin(displacement_unit="mm")),
     )  # fmt: skip
 
 

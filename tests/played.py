@@ -20,7 +20,7 @@ FEW = sorted({c.name for c in CATALOGUE} - set(KEPT))  # excluded where these wi
 def nominal_of(linear):
     """Of one mode, with the limits of a rig."""
     model = linear(hz=HZ, dt=DT)
-    return replace(model, provenance=model.provenance.with_(voltage_range=(0.0, 1e3), slew=1e6))
+    return replace(model, domain=replace(model.domain, voltage_range=(0.0, 1e3), slew=1e6))
 
 
 def drives():

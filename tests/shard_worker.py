@@ -12,10 +12,11 @@ from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
 from pitp_jax._diagnose.case import build_case
 from pitp_jax._effects import lookup
 from pitp_jax._invert.equation import invert_path
+from pitp_jax._model.domain import Domain
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.input_map import SquareInput
 from pitp_jax._model.memory import FadingMemory
-from pitp_jax._model.model import Output, Provenance, linear_model
+from pitp_jax._model.model import Output, linear_model
 from pitp_jax._numerics.spline_derivative import derivatives
 from pitp_jax._record.record import Record
 from pitp_jax._sharding import local_rows, over_records, records_mesh, sharded_inverse, sharded_rollout, spread
@@ -31,7 +32,7 @@ def make_model():
     scale = 1e-3 * 31.4 ** np.arange(3)
     model = linear_model(
         np.array([1e9, 6e6, 1e6]), input_map=SquareInput(), state_scale=scale, force_scale=1e6, output=Output(),
-        hold="foh", substeps=1, provenance=Provenance(DT),
+        hold="foh", substeps=1, domain=Domain(DT),
     )  # fmt: skip
     rng = np.random.default_rng(0)
     fresh = eqx.filter_jit(lambda key: CompactEncoder(2, 2, width=2, key=key))(jax.random.key(0))

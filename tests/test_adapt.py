@@ -1,6 +1,5 @@
 """Adapt: planted factors come back within their intervals; what is the sensor's, or nobody's, changes nothing."""
 
-import json
 from dataclasses import replace
 
 import equinox as eqx
@@ -13,8 +12,10 @@ from scipy.signal import lfilter
 import pitp_jax as pitp
 from pitp_jax._adapt.evidence import covariance, directions, select, subsets
 from pitp_jax._adapt.factors import adapted, factors_of
+from pitp_jax._model import Fitted, Origin
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AdaptedEncoder, CompactEncoder
+from pitp_jax._model.fitted import model_of
 from pitp_jax._model.memory import FadingMemory
 from pitp_jax._record.waveforms import smooth_step
 from pitp_jax._simulate.batched_rollout import fast_rollout
@@ -33,6 +34,7 @@ def measured(model, u=U, *, noise=2e-6, zero=0.0, direction=1.0, seed=0, start=N
 
 def with_factors(model, **by):
     """The model with its numbers moved."""
+    model = model_of(model)
     factors = factors_of(model, 4.0, 0.0)
     z = np.array([np.log(by[n]) if n in by else 0.0 for n in factors.names])
     return adapted(model, factors, z, 1e-3)
@@ -46,8 +48,7 @@ def creeping(actuator):
     encoder = eqx.tree_at(lambda e: (e.fading, e.spring_poly), encoder, (jnp.zeros((2, 3)).at[:, 0].set(-0.15), poly))
     model = eqx.tree_at(lambda m: m.encoder, actuator, encoder)
     model = replace(model, memory=FadingMemory(jnp.log(jnp.asarray([0.1, 0.6]))))
-    notes = json.dumps({"training": {"history": [{"stage": "free runs", "error": 0.01}]}})
-    return replace(model, provenance=model.provenance.with_(notes=notes))
+    return Fitted(model, Origin(level=0.1))
 
 
 def test_a_planted_factor_comes_back_within_its_interval(actuator):
@@ -74,7 +75,7 @@ def test_all_coefficients_alike_are_a_gain_and_each_on_its_own_is_not(actuator):
 @pytest.mark.parametrize("sensor", [{}, {"zero": 3e-4}, {"direction": -1.0}, {"zero": -2e-4, "direction": -1.0}])
 def test_the_same_actuator_is_unchanged_whatever_the_sensor_shows(actuator, sensor):
     found = pitp.adapt(actuator, measured(actuator, **sensor))
-    assert found.verdict == "unchanged" and found.model is actuator and not found.changed
+    assert found.verdict == "unchanged" and found.model.model is actuator and not found.changed
 
 
 def test_the_same_actuator_from_a_held_start_is_unchanged_and_a_softer_one_is_not(actuator):

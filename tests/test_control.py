@@ -15,8 +15,9 @@ from exported import COMPILERS, Exported
 import pitp_jax as pitp
 from pitp_jax import BadInput
 from pitp_jax._effects import effect
+from pitp_jax._model.domain import Domain
 from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, Provenance, linear_model
+from pitp_jax._model.model import Output, linear_model
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 TOP, HZ, ZETA, STROKE, DT = 3000.0, 7.0, 0.08, 1e-3, 1e-3
@@ -29,10 +30,10 @@ def actuator(order=2, *, dt=DT, hz=HZ, zeta=ZETA, slew=1e6, region=(), **output)
     w, stiffness = 2 * np.pi * hz, TOP**2 / STROKE
     a = np.array([1, 2 * zeta / w, 1 / w**2])
     a = stiffness * (np.convolve(a, [1, 1 / (6 * w)]) if order == 3 else a)
-    known = Provenance(dt=dt, voltage_range=(0.0, TOP), slew=slew, region=region)
+    known = Domain(dt=dt, voltage_range=(0.0, TOP), slew=slew, region=region)
     return linear_model(
         a, input_map=SquareInput(), state_scale=STROKE * w ** np.arange(order + 1), force_scale=TOP**2,
-        output=Output(**output), hold="foh", substeps=4 if order == 3 else 1, provenance=known,
+        output=Output(**output), hold="foh", substeps=4 if order == 3 else 1, domain=known,
     )  # fmt: skip
 
 

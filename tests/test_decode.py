@@ -211,7 +211,7 @@ def test_share_outside_training(linear):
     model = linear(2)
     features = np.stack([np.linspace(0.0, 2.0, 2001), np.zeros(2001)], -1)
     assert outside_fraction(model, features) == 0.0  # never trained: no region
-    trained = replace(model, provenance=model.provenance.with_(region=((0.0, 1.0), (-1.0, 1.0))))
+    trained = replace(model, domain=replace(model.domain, region=((0.0, 1.0), (-1.0, 1.0))))
     assert outside_fraction(trained, features) == pytest.approx((2.0 - 1.05) / 2.0, abs=1e-3)
     features[:, 1] = 1.2  # beyond 1 + 5 % of 2
     assert outside_fraction(trained, features) == 1.0
@@ -224,7 +224,7 @@ def test_share_outside_training(linear):
 
 def test_a_memory_outside_its_training_is_named_by_its_time(linear):
     model = replace(linear(2), memory=FadingMemory(jnp.log(jnp.array([0.01, 80.0]))))
-    model = replace(model, provenance=model.provenance.with_(region=((0.0, 1.0),) * 4))
+    model = replace(model, domain=replace(model.domain, region=((0.0, 1.0),) * 4))
     features = np.full((10, 4), 0.5)
     features[4:, 3] = 1.3
     assert outside_words(model, features, np.arange(10)) == (
@@ -246,6 +246,6 @@ def test_predictions_carry_the_share(linear, coefficients):
     model, record = linear(2), measured(coefficients(2))
     top = np.ptp(record.displacement) / 1e-3
     box = ((0.0, top / 2), (-1e3, 1e3))
-    (found,) = predict(replace(model, provenance=model.provenance.with_(region=box)), [record])
+    (found,) = predict(replace(model, domain=replace(model.domain, region=box)), [record])
     truth = (np.abs(record.displacement / 1e-3 - top / 4) > top / 4 * 1.1).mean()
     assert found.outside_training_share == pytest.approx(truth, abs=0.01)

@@ -40,7 +40,7 @@ def test_a_planted_spring_is_named_with_its_number(nominal, hardened):
 def test_the_augmented_model_predicts_what_was_not_fitted(nominal, hardened):
     planted = replace(nominal, effects=(effect("stiffening", form="limited chain", curvature=0.25),))
     records = play(planted, noise=0.0, seed=4)
-    assert hardened.model.provenance.voltage_range[1] >= max(r.voltage.max() for r in records)
+    assert hardened.model.domain.voltage_range[1] >= max(r.voltage.max() for r in records)
     for old, new, r in zip(pitp.predict(nominal, records), pitp.predict(hardened.model, records), records, strict=True):
         before, after = (pitp.e_rms_percent(p.displacement, r.displacement) for p in (old, new))
         assert after < 0.1 * before

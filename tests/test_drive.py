@@ -129,8 +129,8 @@ def test_a_rollout_sees_the_film(linear, start):
 @pytest.mark.slow
 def test_a_feedforward_leads_the_lag(linear):
     """u = V + tau V' is all but right before shooting; without the lead the target is missed twentyfold."""
-    known = linear(2).provenance.with_(voltage_range=(0.0, 3e3), slew=1e9)
-    model = eqx.tree_at(lambda m: m.drive, replace(linear(2), provenance=known), lag(8e-3))
+    known = replace(linear(2).domain, voltage_range=(0.0, 3e3), slew=1e9)
+    model = eqx.tree_at(lambda m: m.drive, replace(linear(2), domain=known), lag(8e-3))
     time = np.arange(800) * DT
     target = Target(time, 1e-3 + 4e-4 * np.sin(2 * np.pi * 3 * time))
     found = feedforward(model, target)

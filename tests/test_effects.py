@@ -32,7 +32,7 @@ def voltages():
 @pytest.fixture(scope="module")
 def case(linear):
     """A nominal of 5 Hz beside its own runs, with a session clock; noise of 0.01 % of range."""
-    model = replace(linear(hz=HZ, dt=DT), provenance=linear(dt=DT).provenance.with_(voltage_range=(0.0, 1e3), slew=1e6))
+    model = replace(linear(hz=HZ, dt=DT), domain=replace(linear(dt=DT).domain, voltage_range=(0.0, 1e3), slew=1e6))
     records = []
     for k, u in enumerate(voltages()):
         x = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0], float) * 1e-3

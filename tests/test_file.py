@@ -12,36 +12,46 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from origins import assert_same_origin
 
 from pitp_jax._effects import lookup
 from pitp_jax._effects.effect import Effect
 from pitp_jax._errors import BadInput
+from pitp_jax._model import Fitted, Origin
+from pitp_jax._model.domain import Domain
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput, SquareInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
-from pitp_jax._model.model import Model, Output, Provenance, Scales
+from pitp_jax._model.model import Model, Output, Scales
+from pitp_jax._model.origin import OutOfFold
 from pitp_jax._model_file import model_file, parts
+from pitp_jax._record.long_record import LongRecord
 
 KEY = jax.random.key(3)
 SECTIONS = (1.5, 0.1, 20.0, 3e-7, 1 / 3, 1e12)
 BOUNDS = np.array([[-0.5, -2.0], [1.5, 3.0]])
-NOTES = json.dumps({"identification": {"order": 2, "stderr": [0.1, float("inf")]}, "name": "Zürich"})
-PROVENANCE = Provenance(
-    1e-3, "mm", "kV", (0.0, 6e3), region=((-1.0, 1.0), (-0.5, float("inf"))), notes=NOTES
-)  # the slew stays infinite
+DOMAIN = Domain(1e-3, (0.0, 6e3), region=((-1.0, 1.0), (-0.5, float("inf"))), clock=3.0)  # the slew stays infinite
+LONG = LongRecord(1e-3, 2, True, np.arange(70, dtype="<f4"), np.full(70, np.nan, "<f4"))
+STEP = {"step": "fit", "versions": {"jax": "1"}, "parent": None, "records": [{"name": "Zürich", "sha256": "0"}]}
+ORIGIN = Origin(
+    "mm", "kV", np.diag([1.0, 2.0, 1 / 3]), (0.1, float("inf")), 1.5, 2e-6, 0.25,
+    OutOfFold((1.0, 2.0, 4.0), (1e-6, 2e-6), (0.1, 0.2)), ("a0 is open",), ("sweep", "Zürich"), LONG,
+    {"history": [{"error": float("inf")}]}, ({"records": ["a"], "changed": {}},), (STEP, STEP),
+)  # fmt: skip
 
 
-def model(order=2, encoder=None, memory=None, dtype=jnp.float32, **changes):
-    return Model(
+def model(order=2, encoder=None, memory=None, dtype=jnp.float32, origin=ORIGIN, **changes):
+    made = Model(
         coefficients=jnp.asarray(np.arange(1.0, order + 2) / 3, dtype),
         input_map=changes.pop("input_map", SquareInput()),
         encoder=encoder or ConstantEncoder(order + 2),
         memory=memory or NoMemory(),
         output=Output(1.25e-5, -1.0),
         scales=Scales(tuple(0.1**i for i in range(order + 1)), 3.6e7, SECTIONS[:order] if order > 2 else ()),
-        **{"hold": "zoh", "substeps": 3, "provenance": PROVENANCE, **changes},
+        **{"hold": "zoh", "substeps": 3, "domain": DOMAIN, **changes},
     )
+    return Fitted(made, origin)
 
 
 def noisy(part):
@@ -81,15 +91,12 @@ CASES = {
     "electrode lag, order 4, compact": lambda: model(
         4, drive=noisy(ElectrodeLag(jnp.float32(-6.25))), encoder=noisy(CompactEncoder(4, 0, width=4, key=KEY))
     ),
-    "no notes": lambda: model(provenance=Provenance(1.0)),
-    "odd notes": lambda: model(provenance=PROVENANCE.with_(notes='{"a":1}  ')),
-    "notes of text": lambda: model(provenance=PROVENANCE.with_(notes="not json\n")),
-    "notes that look like an infinity": lambda: model(provenance=PROVENANCE.with_(notes='{"x": {"float": "inf"}}')),
+    "no origin": lambda: model(origin=Origin(), domain=Domain(1.0)),
 }
 
 
 def assert_same(left, right):
-    assert jax.tree.structure(left) == jax.tree.structure(right)  # static fields, provenance included
+    assert jax.tree.structure(left) == jax.tree.structure(right)  # static fields
     for a, b in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
         assert np.asarray(a).dtype == np.asarray(b).dtype
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
@@ -102,7 +109,7 @@ def test_round_trip_is_exact(tmp_path, case):
     model_file.save(path, saved)
     loaded = model_file.load(path)
     assert_same(saved, loaded)
-    assert loaded.provenance == saved.provenance
+    assert_same_origin(loaded.origin, saved.origin)
     model_file.save(tmp_path / "again", loaded)
     assert (tmp_path / "again").read_bytes() == path.read_bytes()
 
@@ -120,14 +127,15 @@ def test_dtype_is_kept_whatever_the_session_uses(tmp_path, dtype):
 def test_header_is_readable_json_without_infinities(tmp_path):
     model_file.save(tmp_path / "m", model())
     magic, digest, rest = (tmp_path / "m").read_bytes().split(b"\n", 2)
-    assert magic == b"pitp_jax model 1"
+    assert magic == b"pitp_jax model 2"
     assert digest.startswith(b"sha256 ")
 
     def refuse(name):
         raise AssertionError(name)
 
     header = json.JSONDecoder(parse_constant=refuse).raw_decode(rest.decode("latin-1"))[0]
-    assert header["notes"]["identification"]["order"] == 2
+    assert header["origin"]["identified_on"] == ["sweep", "Zürich"]
+    assert header["domain"]["slew"] == {"float": "inf"}
     assert header["leaves"] == [[".coefficients", "float32", [3]]]
 
 
@@ -197,7 +205,7 @@ class Bomb:
         b"pitp_jax model one\n",
         b"pitp_jax model 1",
         b"pitp_jax model 1\n",
-        b"pitp_jax model 1\n" + pickle.dumps(Bomb()),
+        b"pitp_jax model 2\n" + pickle.dumps(Bomb()),
     ],
 )
 def test_foreign_files_are_refused(stored, content):
@@ -206,8 +214,8 @@ def test_foreign_files_are_refused(stored, content):
 
 def test_newer_version_says_so(stored):
     path, content = stored
-    assert "version 2" in refused(path, content.replace(b"model 1\n", b"model 2\n", 1))
-    assert "version 12" in refused(path, content.replace(b"model 1\n", b"model 12\n", 1))
+    assert "version 3" in refused(path, content.replace(b"model 2\n", b"model 3\n", 1))
+    assert "version 12" in refused(path, content.replace(b"model 2\n", b"model 12\n", 1))
 
 
 def resealed(content, change):

@@ -1,7 +1,5 @@
 """Planted linear systems come back from noisy sweeps, within their own standard errors."""
 
-import json
-
 import numpy as np
 import pytest
 from effort import calls
@@ -212,7 +210,7 @@ def test_what_is_left_out_of_fold_by_band(coefficients):
     assert np.sqrt(np.sum(np.square(own.error))) == pytest.approx(noise, rel=0.1)
     width = np.diff(own.edges_hz)[6:-1] * 2 * DT
     assert np.square(own.error)[6:-1] / noise**2 == pytest.approx(width, rel=0.5)
-    assert json.loads(found.model.provenance.notes)["identification"]["out_of_fold"]["error"] == list(own.error)
+    assert found.model.origin.out_of_fold == own
 
 
 def test_what_a_search_costs(coefficients):

@@ -120,7 +120,7 @@ def test_other_units_give_the_same_model(clean, sweep, write, study, columns, un
     values = {name: factor * v for (name, factor), v in zip(columns.items(), (TIME, u, y), strict=True)}
     (record,), found, (run,) = study(write(**values))
     assert (record.voltage_unit, record.displacement_unit) == units
-    assert (found.model.provenance.voltage_unit, found.model.provenance.displacement_unit) == units
+    assert (found.model.origin.voltage_unit, found.model.origin.displacement_unit) == units
     np.testing.assert_allclose(found.model.physical_coefficients, clean[1].model.physical_coefficients, rtol=1e-6)
     np.testing.assert_allclose(run.displacement, clean[2][0].displacement, atol=1e-8)
 

@@ -15,6 +15,7 @@ from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._diagnose.hold import settled
 from pitp_jax._diagnose.parameter_uncertainty import doubted
 from pitp_jax._effects import CATALOGUE, effect, lookup
+from pitp_jax._model import Fitted, Origin
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +26,9 @@ def nominal(linear):
 @pytest.mark.slow
 def test_the_nominals_own_doubt_widens_an_effects_interval(nominal):
     """All coefficients off by one common 1 % are a gain off by 1 %: that much the sensor's gain is not known."""
-    told = nominal.provenance.with_(covariance=((1e-4,) * 3,) * 3)
+    told = Fitted(nominal, Origin(covariance=np.full((3, 3), 1e-4)))
     records = play(replace(nominal, effects=(effect("sensor_gain", d=0.3),)))
-    sure, unsure = (
-        pitp.diagnose(m, records, exclude=FEW).added[0].parameters["d"]
-        for m in (nominal, replace(nominal, provenance=told))
-    )
+    sure, unsure = (pitp.diagnose(m, records, exclude=FEW).added[0].parameters["d"] for m in (nominal, told))
     assert sure["stderr"] < 1e-3 and unsure["value"] == sure["value"]
     assert unsure["stderr"] == pytest.approx(0.01 * 1.3, rel=0.02)
 

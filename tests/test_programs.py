@@ -4,14 +4,17 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from origins import assert_same_origin
 
 import pitp_jax as pitp
 from pitp_jax._invert.equation import invert_path, scaled_equation
-from pitp_jax._model.model import Output, Provenance, Scales
-from pitp_jax._model.programs import bare, jit
+from pitp_jax._model import Fitted, Origin
+from pitp_jax._model.domain import Domain
+from pitp_jax._model.model import Output, Scales, linear_model
 from pitp_jax._model.sections import sections_of
 from pitp_jax._record.record import Record
 from pitp_jax._simulate import decoder, prediction
@@ -38,17 +41,16 @@ def held_out(model):
 
 
 def another(model, seed=1):
-    """Same structure; other weights, scales, output and origin."""
+    """Same structure; other weights, scales, output and domain."""
     rng = np.random.default_rng(seed)
     changed = model.changed(rng.uniform(0.9, 1.1, model.order + 1))
     scales = Scales(model.scales.state * rng.uniform(0.5, 2, model.order + 1), 2.5e6)
     if model.order > 2:  # the sections are those of the coefficients
         physical = replace(changed, scales=scales).physical_coefficients
         scales = replace(scales, sections=sections_of(physical))
-    region, notes = ((-1.0, 1.0),) * (model.order + model.memory.size), json.dumps({"training": {"seconds": seed}})
-    made = Provenance(DT, "mm", "kV", (0.0, 900.0), 3e4, region, notes)
+    shown = Domain(DT, (0.0, 900.0 * seed), 3e4, ((-1.0, seed),) * (model.order + model.memory.size))
     output = Output(1e-3 * seed, -1.0)
-    return replace(changed, scales=scales, output=output, provenance=made)
+    return replace(changed, scales=scales, output=output, domain=shown)
 
 
 @pytest.fixture
@@ -91,7 +93,7 @@ def test_models_of_one_structure_share_their_programs(order, nonlinear, traces):
     for found in (first, second):
         np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-5)
     assert not np.allclose(first[1], second[1], atol=1e-2)
-    traced = [np.asarray(a) for a in everything(replace(two, substeps=1, provenance=Provenance(DT)))[:3]]
+    traced = [np.asarray(a) for a in everything(replace(two, substeps=1))[:3]]
     for a, b in zip(second[:3], traced, strict=True):
         np.testing.assert_array_equal(np.asarray(a), b)
 
@@ -110,14 +112,46 @@ def test_shared_programs_read_the_models_own_numbers(nonlinear):
     np.testing.assert_allclose(shared, np.stack(plain), rtol=0, atol=1e-6)
 
 
-def test_provenance_is_not_there_to_be_read_under_jit(actuator):
-    read = jit(lambda model: model.coefficients * model.provenance.dt)
-    with pytest.raises(RuntimeError, match="provenance.dt is not there under jit"):
-        read(actuator)
-    back = jit(lambda model: model)(actuator)
-    with pytest.raises(RuntimeError, match="put it back with replace"):
-        _ = back.provenance.notes
-    assert bare(actuator).scales == actuator.scales and actuator.provenance.dt == 1e-3
+def test_no_program_sees_an_origin(actuator):
+    """A fitted model is its model under a transformation, so that those of any origin share one program."""
+    count = []
+
+    @jax.jit
+    def twice(fitted):
+        count.append(fitted.origin.displacement_unit)
+        return jax.tree.map(lambda a: 2 * a, fitted)
+
+    for unit in ("mm", "um"):
+        back = twice(Fitted(actuator, Origin(displacement_unit=unit)))
+    assert count == ["m"]
+    assert back.origin.displacement_unit == "m"
+    np.testing.assert_array_equal(back.coefficients, 2 * actuator.coefficients)
+
+
+def test_what_is_read_off_a_fitted_model_is_the_models(actuator):
+    fitted = Fitted(actuator, Origin(displacement_unit="mm"))
+    assert fitted.order == actuator.order and replace(fitted, substeps=3).substeps == 3
+    assert replace(fitted, substeps=3).origin is fitted.origin and fitted.changed(np.ones(3)).origin is fitted.origin
+    assert isinstance(fitted, pitp.Model) and not isinstance(fitted.origin, pitp.Model)
+    with pytest.raises(AttributeError, match="notes"):
+        _ = fitted.notes
+
+
+def test_the_deprecated_provenance_reads_and_replaces_both_halves(actuator):
+    """As code written before there was an origin does it."""
+    fitted = Fitted(actuator, Origin(displacement_unit="mm", identified_on=("sweep",), noise=2e-6))
+    known = fitted.provenance
+    assert (known.dt, known.displacement_unit, known.region) == (actuator.dt, "mm", [])
+    assert json.loads(known.notes)["identification"]["noise_std"] == 2e-6
+    moved = replace(fitted, provenance=known.with_(clock=5.0, misfit=2.0, covariance=((1.0, 0.0), (0.0, 4.0))))
+    assert moved.domain.clock == 5.0 and moved.origin.misfit == 2.0 and moved.origin.noise == 2e-6
+    np.testing.assert_array_equal(moved.origin.covariance, np.diag([1.0, 4.0]))
+    assert actuator.provenance.displacement_unit == "m" and actuator.provenance.notes == "{}"
+    linear = linear_model(
+        np.arange(1.0, 4.0), input_map=actuator.input_map, state_scale=np.ones(3), force_scale=1.0,
+        output=actuator.output, hold="foh", substeps=1, provenance=moved.provenance,
+    )  # fmt: skip
+    assert isinstance(linear, Fitted) and linear.domain.clock == 5.0 and linear.origin is moved.origin
 
 
 def test_scales_and_output_are_exact_numbers_and_not_trained(nonlinear):
@@ -139,18 +173,22 @@ def test_files_written_before_load_and_predict_the_same(name, tmp_path, monkeypa
     np.testing.assert_allclose(found.displacement[::75], WRITTEN[name], rtol=0, atol=2e-9)
     pitp.save(tmp_path / "again", model)
     again = pitp.load(tmp_path / "again")
-    assert again.provenance == model.provenance and again.scales == model.scales and again.output == model.output
+    assert again.domain == model.domain and again.scales == model.scales and again.output == model.output
+    assert_same_origin(again.origin, model.origin)
 
 
-def test_the_covariance_of_files_written_before_is_read_off_their_notes():
-    """A trained model has an encoder beside its nominal: nothing is known of that."""
-    known = pitp.load(FILES / "identified_508a6f1.model").provenance
-    told = json.loads(known.notes)["identification"]
+def test_what_files_of_version_1_have_in_their_notes_has_fields_of_its_own():
+    """A trained model has an encoder beside its nominal: no covariance is known of that."""
+    path = FILES / "identified_508a6f1.model"
+    known = pitp.load(path).origin
+    header, _ = json.JSONDecoder().raw_decode(path.read_bytes().split(b"\n", 2)[2].decode("latin-1"))
+    told = header["notes"]["identification"]
     (row,) = told["orders"]
-    share = np.asarray(row["stderr"]) / np.asarray(row["coefficients"])
-    np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)), share, rtol=1e-9)
-    assert (
-        1 <= known.misfit < 1e3 and known.misfit >= row["rms"] / json.loads(known.notes)["identification"]["noise_std"]
-    )
-    trained = pitp.load(FILES / "trained_508a6f1.model").provenance
-    assert trained.covariance == () and trained.misfit == np.inf
+    relative = np.asarray(row["stderr"]) / np.asarray(row["coefficients"])
+    np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)), relative, rtol=1e-9)
+    assert known.stderr == tuple(row["stderr"]) and known.identified_on == ("sweep",)
+    assert 1 <= known.misfit < 1e3 and known.misfit >= row["rms"] / told["noise_std"]
+    trained = pitp.load(FILES / "trained_508a6f1.model").origin
+    assert trained.covariance.size == 0 and trained.misfit == np.inf
+    assert trained.training is not None and trained.training["records"] == ["1.5 Hz", "3.0 Hz"]
+    assert trained.level == pytest.approx(np.sqrt(43.01), rel=1e-3)

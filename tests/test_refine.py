@@ -102,7 +102,7 @@ def test_only_trained_numbers_move(start, refined):
     before, after = start[0], refined[0][-1][0]
     np.testing.assert_array_equal(after.encoder.bounds, before.encoder.bounds)
     np.testing.assert_array_equal(after.coefficients, before.coefficients)
-    assert after.scales == before.scales and after.provenance == before.provenance
+    assert after.scales == before.scales and after.domain == before.domain
     for part in (lambda m: m.encoder.spring_poly, lambda m: m.memory.log_tau, lambda m: m.drive.log_tau):
         assert float(jnp.abs(part(after) - part(before)).max()) > 1e-4
 

@@ -12,6 +12,7 @@ from typed import of_kind, some
 from pitp_jax._diagnose.report import figures, formatting, gap_figure
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._effects import CATALOGUE
+from pitp_jax._model import Origin
 from pitp_jax._report import numbers
 
 
@@ -53,8 +54,7 @@ def test_the_gap_is_drawn_where_it_is_largest_in_the_users_unit(explained):
 
 
 def test_an_electronic_output_is_told_in_volts(explained):
-    known = explained.model.provenance.with_(displacement_unit="mV")
-    electronic = replace(explained, model=replace(explained.model, provenance=known))
+    electronic = replace(explained, model=replace(explained.model, origin=Origin(displacement_unit="mV")))
     assert gap_figure.gap(electronic)[0].get_ylabel() == "output (mV)"
     text = report(electronic)
     assert "displacements of 1.1 to 1.2 mV" in text and "range (mV)" in text and "In mV, rms" in text

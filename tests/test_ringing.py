@@ -101,5 +101,5 @@ def test_a_free_run_is_better_for_it(ringing):
 @pytest.mark.slow
 def test_it_is_only_looked_for_where_asked(ringing):
     nominal = identify(ringing, order=2).model
-    kinds = [type(memory_of(Settings(ringing=r), nominal, None, motion(ringing))) for r in (True, False)]
+    kinds = [type(memory_of(Settings(ringing=r), nominal.model, None, motion(ringing))) for r in (True, False)]
     assert kinds == [RingingMemory, FadingMemory]

@@ -78,7 +78,7 @@ def test_drift_is_the_same_by_either_clock(linear):
     session = [record(f"{k}", begins=60.0 * k) for k in range(4)]
     dated = [replace(r, time=r.time + EPOCH) for r in session]
     model = replace(linear(2, dt=DT), effects=(drift,))
-    told = replace(model, provenance=model.provenance.with_(clock=clock_start(dated)))
+    told = replace(model, domain=replace(model.domain, clock=clock_start(dated)))
     own, absolute = pitp.predict(model, session), pitp.predict(told, dated)
     for a, b in zip(own, absolute, strict=True):
         np.testing.assert_allclose(a.displacement, b.displacement, rtol=0, atol=1e-6 * np.ptp(a.displacement))

@@ -1,9 +1,8 @@
 """Creep beyond the training records: the kept record, its balance's slopes, and a creep of minutes that is learned."""
 
-import base64
 import hashlib
-import json
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +24,7 @@ from pitp_jax._train.parameters import parameters, with_parameters
 from pitp_jax._train.settings import PRESETS, with_encoder
 from pitp_jax._train.training import _prepared, train
 
+FILES = Path(__file__).parent / "files"
 DT, OMEGA, TAU, SHARE = 0.02, 2 * np.pi, 15.0, 0.5  # s, rad/s, s; creep's share of the stiffness
 
 
@@ -72,9 +72,7 @@ def test_the_longest_record_is_kept_as_it_was(sweep):
     kept = some(thinned(fine, voltage**2, True))
     back = kept.record()
     assert kept.step > 1 and back.samples - fine.samples < kept.step
-    assert kept.seconds == pytest.approx(120, abs=kept.step * DT) and hash(kept) == hash(
-        thinned(fine, voltage**2, True)
-    )
+    assert kept.seconds == pytest.approx(120, abs=kept.step * DT)
     inside = slice(50, fine.samples - 50)
     assert np.std((back.voltage[: fine.samples] - voltage)[inside]) < 1e-3 * np.ptp(voltage)
     missing = ~back.observed[: fine.samples]
@@ -109,21 +107,18 @@ def test_of_a_record_too_long_to_follow_its_beginning_is_kept(sweep, monkeypatch
 
 def test_a_nominal_keeps_it_on_file(nominal, tmp_path):
     save(tmp_path / "m", nominal)
-    assert load(tmp_path / "m").provenance.long_record == nominal.provenance.long_record
-    assert nominal.provenance.long_record is not None
+    stored, known = load(tmp_path / "m").origin.long_record, nominal.origin.long_record
+    np.testing.assert_equal(vars(some(stored)), vars(some(known)))
 
 
-def test_a_file_without_one_is_still_read(nominal, tmp_path):
-    """As older files are: the line is not there."""
-    save(tmp_path / "m", nominal)
-    magic, _, rest = (tmp_path / "m").read_bytes().split(b"\n", 2)
-    first = rest.index(b'"long_record"')
-    last = rest.index(b"\n", first) + 1
-    assert base64.b64decode(json.loads(b"{" + rest[first : last - 2] + b"}")["long_record"]["voltage"])
-    rest = rest[:first] + rest[last:]
+def test_a_file_without_one_is_still_read(tmp_path):
+    """As the first files were: the line is not there."""
+    magic, _, rest = (FILES / "identified_508a6f1.model").read_bytes().split(b"\n", 2)
+    first = rest.find(b'"long_record"')
+    rest = rest if first < 0 else rest[:first] + rest[rest.index(b"\n", first) + 1 :]
     digest = hashlib.sha256(rest).hexdigest().encode()
     (tmp_path / "old").write_bytes(magic + b"\nsha256 " + digest + b"\n" + rest)
-    assert load(tmp_path / "old").provenance == replace(nominal.provenance, long_record=None)
+    assert load(tmp_path / "old").origin.long_record is None
 
 
 def cost(balance, model, vector):
@@ -135,10 +130,10 @@ def cost(balance, model, vector):
 def test_slopes_are_those_of_the_residuals(nominal, records, double):
     """Central differences along random directions, in float64."""
     memory = FadingMemory(jnp.log(jnp.asarray([0.3, 5.0, 30.0], jnp.float32)))
-    data = build_dataset(nominal, records, scaling="rms", difference="stencil", memory=lambda states: memory)
+    data = build_dataset(nominal.model, records, scaling="rms", difference="stencil", memory=lambda states: memory)
     settings = replace(PRESETS["default"], memories=3, width=4)
     model = with_encoder(data, settings, jax.random.key(1))
-    balance = some(creep_balance.slow_balance(data.model, some(nominal.provenance.long_record), data.region))
+    balance = some(creep_balance.slow_balance(data.model, some(nominal.origin.long_record), data.region))
     rng = np.random.default_rng(0)
     start = parameters(model)[0]
     start = start + 0.1 * rng.standard_normal(len(start))
@@ -158,9 +153,9 @@ def test_slopes_are_those_of_the_residuals(nominal, records, double):
 
 def test_a_spring_that_is_off_shows_beside_a_mean_that_is_not(nominal, records):
     """1 % too stiff leaves r = 0.01 x: in a window 0.01 mean x, and, below the resonance, 3 times 0.01 std x."""
-    data = build_dataset(nominal, records, scaling="rms", difference="stencil",
+    data = build_dataset(nominal.model, records, scaling="rms", difference="stencil",
                          memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
-    balance = some(creep_balance.slow_balance(data.model, some(nominal.provenance.long_record), [(-1e3, 1e3)] * 3))
+    balance = some(creep_balance.slow_balance(data.model, some(nominal.origin.long_record), [(-1e3, 1e3)] * 3))
     stiffer = replace(data.model, coefficients=data.model.coefficients * jnp.asarray([1.01, 1.0, 1.0], jnp.float32))
     more = np.asarray(
         creep_balance._moments(stiffer, balance.series) - creep_balance._moments(data.model, balance.series), np.float64
@@ -178,9 +173,9 @@ def test_a_spring_that_is_off_shows_beside_a_mean_that_is_not(nominal, records):
 
 def test_what_training_covers_counts_and_nothing_else(nominal, records):
     """The sweep meets the resonance, which the two slowest records do not."""
-    data = build_dataset(nominal, records[:2], scaling="rms", difference="stencil",
+    data = build_dataset(nominal.model, records[:2], scaling="rms", difference="stencil",
                          memory=lambda states: FadingMemory(jnp.zeros(1)))  # fmt: skip
-    long = some(nominal.provenance.long_record)
+    long = some(nominal.origin.long_record)
     everything = some(creep_balance.slow_balance(data.model, long, [(-1e3, 1e3)] * 3))
     covered = some(creep_balance.slow_balance(data.model, long, data.region))
     assert np.count_nonzero(covered.scale) < 95 <= np.count_nonzero(everything.scale)
@@ -193,8 +188,10 @@ def test_what_training_covers_counts_and_nothing_else(nominal, records):
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", [{"memory": "none"}, {"memory": "elapsed"}, {"refine_steps": 0}])
 def test_other_memories_take_no_notice(nominal, records, changes):
-    assert _prepared(nominal, records, replace(PRESETS["default"], **changes))[1] is None
-    assert _prepared(nominal, records, PRESETS["default"])[1] is not None
+    assert (
+        _prepared(nominal.model, nominal.origin.long_record, records, replace(PRESETS["default"], **changes))[1] is None
+    )
+    assert _prepared(nominal.model, nominal.origin.long_record, records, PRESETS["default"])[1] is not None
 
 
 @pytest.mark.slow

@@ -141,7 +141,7 @@ def test_the_inverse_solves_for_the_force_that_is_in_the_term(driven):
 @pytest.mark.slow
 def test_its_inverse_is_exported(driven, tmp_path):
     export_c(driven, tmp_path / "c")
-    library, dt = Exported(tmp_path / "c", 2), driven.provenance.dt
+    library, dt = Exported(tmp_path / "c", 2), driven.dt
     target = 1e-3 * np.stack([0.3 - 0.2 * np.cos(9 * TIME), 1.8 * np.sin(9 * TIME), 16.2 * np.cos(9 * TIME)], 1)[:200]
     with jax.enable_x64(True):
         states, after, out = truth(steps.inverse(driven, dt), target)

@@ -91,9 +91,9 @@ def test_few_records_behind_a_square_get_a_frugal_encoder(plant, first):
     linear_input = replace(nominal, input_map=LinearInput())
     straight = train(linear_input, records, settings=replace(TINY, epochs=1), key=KEY).model
     assert [of_kind(CompactEncoder, m.encoder).frugal for m in (first.model, enough, straight)] == [True, False, False]
-    assert [firmness_of(TINY, m, 3) for m in (first.model, enough, straight)] == [0.02, 1e-4, 1e-3]
-    assert firmness_of(TINY, first.model, 2) == 0.03
-    assert firmness_of(replace(TINY, firmness=0.5), first.model, 3) == 0.5
+    assert [firmness_of(TINY, m.model, 3) for m in (first.model, enough, straight)] == [0.02, 1e-4, 1e-3]
+    assert firmness_of(TINY, first.model.model, 2) == 0.03
+    assert firmness_of(replace(TINY, firmness=0.5), first.model.model, 3) == 0.5
 
 
 @pytest.mark.exhaustive
@@ -164,7 +164,7 @@ def test_the_nominal_and_the_records_stay(plant, first):
     assert again.model.order == nominal.order and again.model.hold == nominal.hold
     for model in (again.model, first.model):
         np.testing.assert_allclose(model.physical_coefficients, nominal.physical_coefficients, rtol=1e-6)
-    region = np.asarray(first.model.provenance.region)
+    region = np.asarray(first.model.domain.region)
     assert region.shape == (4, 2)
     top = np.max([r.displacement.max() for r in records]) / first.model.scales.state[0]
     assert region[0, 1] == pytest.approx(top, rel=0.02)
@@ -174,11 +174,11 @@ def test_the_nominal_and_the_records_stay(plant, first):
 def test_limits_and_rate_are_those_of_what_was_seen(plant):
     """A sweep at half the voltage bounds nothing that training went beyond; its rate is not that of the records."""
     nominal, records, _ = plant
-    swept = nominal.provenance.with_(voltage_range=(-5.0, 1000.0), slew=10.0, dt=DT / 2)
+    swept = replace(nominal.domain, voltage_range=(-5.0, 1000.0), slew=10.0, dt=DT / 2)
     settings = replace(TINY, epochs=1, stages=1)
-    found = train(replace(nominal, provenance=swept), records, settings=settings, key=KEY).model.provenance
+    found = train(replace(nominal, domain=swept), records, settings=settings, key=KEY).model.domain
     assert found.dt == pytest.approx(DT)
-    assert found.voltage_range == (-5.0, max(r.voltage.max() for r in records))
+    assert tuple(found.voltage_range) == (-5.0, max(r.voltage.max() for r in records))
     assert found.slew == pytest.approx(2000 * np.pi * 3.2, rel=1e-2)  # of 2000 V (1 - cos) / 2 at 3.2 Hz
 
 
@@ -248,8 +248,8 @@ def test_records_coarser_than_the_nominals_get_substeps(plant):
     nominal, records, _ = plant
     coarse = [Record(r.name, r.time[::4], r.voltage[::4], r.displacement[::4]) for r in records]
     found = train(nominal, coarse, settings=replace(TINY, epochs=1, stages=1), key=KEY).model
-    assert found.substeps == 4 * nominal.substeps and found.provenance.dt == pytest.approx(4 * DT)
-    assert at_rate(found, 4 * DT).substeps == found.substeps
+    assert found.substeps == 4 * nominal.substeps and found.dt == pytest.approx(4 * DT)
+    assert at_rate(found.model, 4 * DT).substeps == found.substeps
 
 
 def test_nothing_left_to_train_on(plant):
@@ -298,7 +298,7 @@ def test_oversampled_records_train_on_block_means(plant, monkeypatch):
     found = train(nominal, records, settings=replace(QUICK, refine_steps=15), key=KEY)
     assert found.notes["trained_at_hz"] == pytest.approx(1 / (2 * DT))
     assert (found.model.substeps, found.model.hold) == (nominal.substeps, nominal.hold)
-    assert found.model.provenance.dt == pytest.approx(DT)
+    assert found.model.dt == pytest.approx(DT)
     assert (errors(found.model, held_out) * 5 < errors(nominal, held_out)).all()
 
 

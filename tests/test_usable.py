@@ -127,7 +127,7 @@ def test_the_next_experiment_is_one_that_the_amplifier_can_play(nominal):
 
 def test_a_rig_of_negative_voltage_is_inverted(nominal):
     """Squared, the sign is the amplifier's affair: limits come from the largest voltage of either sign."""
-    mirrored = replace(nominal, provenance=nominal.provenance.with_(voltage_range=(-1e3, 0.0)))
+    mirrored = replace(nominal, domain=replace(nominal.domain, voltage_range=(-1e3, 0.0)))
     target = pitp.Target(TIME, 2e-4 * (1 - np.cos(2 * np.pi * TIME)) ** 2)
     plain, found = (pitp.feedforward(m, target) for m in (nominal, mirrored))
     np.testing.assert_array_equal(found.voltage, plain.voltage)

@@ -7,7 +7,6 @@
 `retrain`: what is left stands far above that level, so something changed that no factor on a part can say.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -15,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from .._model.encoder import ConstantEncoder, plain
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.sections import sections_of
 from .._model_file.lineage import descended
@@ -64,7 +64,7 @@ class Adaptation(Shown):
         advice: what to record where it has to be trained anew; else empty.
     """
 
-    model: Model
+    model: Fitted
     verdict: Verdict
     changed: dict[str, Changed]
     before: float
@@ -83,7 +83,7 @@ class Adaptation(Shown):
         return {**values, "heldout": self.heldout}
 
 
-def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
+def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptation:
     """Test whether a model still holds for what was recorded, and find which of its numbers moved.
 
     Args:
@@ -94,7 +94,7 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
         BadInput: no record, none that moves, several sampling rates, or a model that diverges on one.
 
     Returns:
-        the verdict, what changed by how much, and the model to go on with.
+        the verdict, what changed by how much, and the model (a `Fitted`) to go on with.
 
     Examples:
         >>> pitp.adapt(model, records[0]).verdict
@@ -103,20 +103,21 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
     records = [records] if isinstance(records, Record) else list(records)
     check_set(records)
     records, _ = in_motion(records)
-    here = at_rate(model, records[0].dt)
+    fitted = fitted_of(model)
+    here = at_rate(fitted.model, records[0].dt)
     noise = [noise_std(r.displacement) for r in records]
     seen = session(here, records, *begin(here, records), noise)
     middle = float(seen.target[seen.weight > 0].mean())
     factors = factors_of(here, max(r.samples for r in records) * records[0].dt, middle)
     # the sensor of the day may be another one: its noise is no change of the actuator
-    level = float(np.hypot(known_level(model), np.sqrt(np.mean(seen.noise**2))))
+    level = float(np.hypot(np.nan_to_num(fitted.origin.level, nan=_UNKNOWN), np.sqrt(np.mean(seen.noise**2))))
     problem, whole = Problem(here, factors, seen, level), np.ones_like(seen.half)
     given = problem.at(np.zeros(len(factors.names)), whole)
     full = problem.fit(np.eye(len(factors.names)), whole, factors.prior, first=problem.guess())
     spread = covariance(full.residual, full.jacobian, _model_error(full, seen, level))
     names = select(full.z, spread, factors)
     if not names:
-        return _verdict(model, None, {}, e_rms(given, whole, seen), None, False, level)
+        return _verdict(fitted, None, {}, e_rms(given, whole, seen), None, False, level)
     moves, prior = directions(factors, names), prior_of(factors, names)
     first = combined(moves, full.z, spread)
     best = problem.fit(moves, whole, prior, first=first)
@@ -128,8 +129,8 @@ def adapt(model: Model, records: Sequence[Record] | Record) -> Adaptation:
     else:
         before, after = e_rms(given, whole, seen), e_rms(best, whole, seen)
     changed = _changed(factors, names, moves, best, spread)
-    new = _made(model, factors, best.z, records, changed)
-    return _verdict(model, new, changed, before, after, heldout, level)
+    new = _made(fitted, factors, best.z, records, changed)
+    return _verdict(fitted, new, changed, before, after, heldout, level)
 
 
 def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
@@ -149,24 +150,6 @@ _ADVICE = (
     "no factor on a part of the model explains this recording; record a sweep through the resonance and a few sines "
     "over the driven range, then `pitp diagnose` with this model, or `pitp fit` anew"
 )
-
-
-def known_level(model: Model) -> float:
-    """Read what a model left of the records it was made from, in % of their range, from its notes."""
-    try:
-        notes = model.provenance.noted()
-        if not isinstance(plain(model.encoder), ConstantEncoder):
-            history = notes["training"]["history"]
-            # the history holds means of squares, and the best step is the one handed back
-            return float(np.sqrt(min(entry["error"] for entry in history if entry["stage"] == "free runs")))
-        row = next(row for row in notes["identification"]["orders"] if row["order"] == model.order)
-        long = model.provenance.long_record
-        if long is None:
-            return _UNKNOWN
-        y = np.frombuffer(long.displacement, "<f4")  # the records are not in a model file; its long one has their range
-        return 100 * float(row["rms"]) / float(np.nanmax(y) - np.nanmin(y))
-    except (AttributeError, KeyError, StopIteration, ValueError, TypeError):
-        return _UNKNOWN
 
 
 def _model_error(fit: Fit, seen: Session, level: float) -> float:
@@ -204,20 +187,25 @@ def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Chan
     return rows
 
 
-def _made(model: Model, factors: Factors, z: np.ndarray, records: Sequence[Record], changed) -> Model:
-    """Build the adapted model, with what was done to it in its notes."""
-    new, source = adapted(model, factors, z, records[0].dt), model.provenance
-    rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
-    notes = source.noted()
-    notes["adapted"] = [*notes.get("adapted", []), {"records": [r.name for r in records], "changed": rows}]
+def _made(fitted: Fitted, factors: Factors, z: np.ndarray, records: Sequence[Record], changed) -> Fitted:
+    """Build the adapted model; what was done to it joins its origin."""
+    model = adapted(fitted.model, factors, z, records[0].dt)
     if model.order >= 3:
         # under an encoder the sections are the units of its logits, and stay those it was trained in
-        sections = sections_of(new.physical_coefficients)
+        sections = sections_of(model.physical_coefficients)
         if isinstance(plain(model.encoder), ConstantEncoder) and len(sections) == model.order:
-            new = replace(new, scales=replace(new.scales, sections=sections))
+            model = replace(model, scales=replace(model.scales, sections=sections))
+    rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
     # the covariance was of the old coefficients, and the misfit of the old records
-    known = source.with_(notes=json.dumps(notes), covariance=(), misfit=float("inf"))
-    return descended(replace(new, provenance=known.driven_by(records)), "adapt", records, model)
+    origin = replace(
+        fitted.origin,
+        covariance=np.zeros((0, 0)),
+        stderr=(),
+        misfit=float("inf"),
+        adapted=(*fitted.origin.adapted, {"records": [r.name for r in records], "changed": rows}),
+    )
+    model = replace(model, domain=model.domain.driven_by(records))
+    return descended(Fitted(model, origin), "adapt", records, fitted)
 
 
 def e_rms(fit: Fit, weight: np.ndarray, seen: Session) -> float:

@@ -97,7 +97,7 @@ def factors_of(model: Model, seconds: float, middle: float) -> Factors:
         names, prior = [*names, *TILTS], [*prior, _TILT, _TILT]
     unit = _UNIT / model.natural_frequency
     own = (np.float64(v) for v in (unit, tau, delay))  # of NumPy: arguments of programs, no parts of them
-    low, high = model.provenance.region[0] if model.provenance.region else (middle - 1.0, middle + 1.0)
+    low, high = model.domain.region[0] if len(model.domain.region) else (middle - 1.0, middle + 1.0)
     reach = np.array((low, middle, high))
     return Factors(tuple(names), n + 1, np.array(prior), outlasted, reach, *own)
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.record import Record
 from .._simulate import predict
@@ -20,7 +21,7 @@ _STEPS = 5
 _EPSILON = 0.01
 
 
-def corrections(nominal: Model, records: Sequence[Record]) -> list[np.ndarray]:
+def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.ndarray]:
     """Added input of every recording, in the input's base unit, shape (T,).
 
     Args:
@@ -37,7 +38,7 @@ def corrections(nominal: Model, records: Sequence[Record]) -> list[np.ndarray]:
     return [_input(nominal, r.voltage, f) - r.voltage for r, f in zip(records, forces, strict=True)]
 
 
-def _input(model: Model, voltage: np.ndarray, force: np.ndarray) -> np.ndarray:
+def _input(model: Model | Fitted, voltage: np.ndarray, force: np.ndarray) -> np.ndarray:
     """The input whose force is that of `voltage` and `force` more; a squared drive cannot push."""
     if model.input_map.name == "linear":
         return voltage + force
@@ -50,7 +51,7 @@ def _filled(values: np.ndarray) -> np.ndarray:
     return np.interp(at, at[seen], values[seen]) if seen.any() else np.zeros(len(values))
 
 
-def _regularised_inverse(model: Model, error: np.ndarray, dt: float) -> np.ndarray:
+def _regularised_inverse(model: Model | Fitted, error: np.ndarray, dt: float) -> np.ndarray:
     """G+ on a signal that is continued evenly, so that its ends meet."""
     a = model.physical_coefficients
     mirrored = np.concatenate([error, error[::-1]])

@@ -12,6 +12,7 @@ from .._diagnose import Diagnosis
 from .._diagnose import diagnose as diagnose_model
 from .._errors import BadInput
 from .._metrics import e_rms_percent
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._model_file import descended
 from .._record.record import Record
@@ -26,7 +27,7 @@ _PART = 0.1  # of the gap's rms, below which the model of the simulator is not a
 
 @overload
 def diagnose(
-    model: Model, records: Sequence[Record], *, refit_nominal: bool = ..., exclude: Sequence[str] = ...,
+    model: Model | Fitted, records: Sequence[Record], *, refit_nominal: bool = ..., exclude: Sequence[str] = ...,
     seconds: float = ..., progress: Callable[[str], None] = ..., mesh: Mesh | None = ...,
 ) -> Diagnosis: ...  # fmt: skip
 
@@ -49,7 +50,7 @@ def diagnose(
     missing is then told as the simulator's number, the robot's and the difference.
 
     Args:
-        model: an identified linear model or a trained one; with `against` the real recordings.
+        model: an identified linear model or a trained one (`Fitted` or `Model`); with `against` the real recordings.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         against: recordings of a simulator, paired by their drives; another rate and another clock are fine.
         position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
@@ -60,7 +61,7 @@ def diagnose(
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
     Returns:
-        verdict, effects, gap, ranking, and the model with the effects added; with `against` a `SimToReal`.
+        verdict, effects, gap, ranking, and the model (a `Fitted`) with the effects added; with `against` a `SimToReal`.
 
     Raises:
         BadInput: no records, of several rates, two of one name or none that moves; no drive common to both sets; a
@@ -116,7 +117,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     )  # fmt: skip
 
 
-def _error(model: Model, records: Sequence[Record]) -> float:
+def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
     """Free-run error pooled over records, % of range; infinite where one diverges."""
     squares = []
     for record, run in zip(records, predict(model, records), strict=True):
@@ -126,6 +127,6 @@ def _error(model: Model, records: Sequence[Record]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def with_lineage(found: SimToReal) -> Model:
+def with_lineage(found: SimToReal) -> Fitted:
     """The model handed back, with the robot's recordings in its line of descent."""
     return descended(found.model, "diagnose against a simulator", found.records, found.nominal)

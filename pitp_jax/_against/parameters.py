@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from .._effects.physical import physical
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.record import Record
 from .._table.units import base_unit
@@ -26,7 +27,7 @@ class Answer(Protocol):
     """What is read off a `Diagnosis` here."""
 
     @property
-    def model(self) -> Model: ...
+    def model(self) -> Model | Fitted: ...
     @property
     def effects(self) -> tuple[str, ...]: ...
     @property
@@ -127,7 +128,7 @@ def units(record: Record, order: int, position_gain: float | None) -> Units:
 
 
 def parameters(
-    nominal: Model, robot: Answer, records: Sequence[Record], position_gain: float | None
+    nominal: Model | Fitted, robot: Answer, records: Sequence[Record], position_gain: float | None
 ) -> tuple[Parameter, ...]:
     """Every number that the simulator's model or the robot's has.
 
@@ -138,11 +139,11 @@ def parameters(
         position_gain: Kp of the simulator, or None.
     """
     of = units(records[0], nominal.order, position_gain)
-    held = (0.0, 0.0) if nominal.hold == "zoh" else (0.5 * nominal.provenance.dt, 0.5 * records[0].dt)
+    held = (0.0, 0.0) if nominal.hold == "zoh" else (0.5 * nominal.dt, 0.5 * records[0].dt)
     return (*_coefficients(nominal, robot, of), *_effects(nominal, robot, of, held))
 
 
-def _coefficients(nominal: Model, robot: Answer, of: Units) -> list[Parameter]:
+def _coefficients(nominal: Model | Fitted, robot: Answer, of: Units) -> list[Parameter]:
     sim, real = nominal.physical_coefficients, robot.model.physical_coefficients
     # the robot's coefficients are known as factors on the simulator's: that of the simulator's own fit cancels
     relative = _factor_errors(robot, len(sim))
@@ -170,7 +171,7 @@ def _factor_errors(robot: Answer, count: int) -> list[float | None]:
     return [None if r is None or r["stderr"] is None else float(r["stderr"]) for r in rows]
 
 
-def _effects(nominal: Model, robot: Answer, of: Units, held: tuple[float, float]) -> list[Parameter]:
+def _effects(nominal: Model | Fitted, robot: Answer, of: Units, held: tuple[float, float]) -> list[Parameter]:
     sides = [_numbers(m) for m in (nominal, robot.model)]
     fitted = {a.effect: a.parameters for a in robot.added}
     rows = []
@@ -194,7 +195,7 @@ def _effects(nominal: Model, robot: Answer, of: Units, held: tuple[float, float]
     return rows
 
 
-def _numbers(model: Model) -> dict[tuple[str, str], tuple[float, str]]:
+def _numbers(model: Model | Fitted) -> dict[tuple[str, str], tuple[float, str]]:
     """Physical numbers of a model's effects by (effect, parameter); two of one name add up."""
     table: dict[tuple[str, str], tuple[float, str]] = {}
     for effect in model.effects:

@@ -8,6 +8,7 @@ import numpy as np
 from .._compare import Pairing
 from .._diagnose import Diagnosis
 from .._identify import Identification
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.record import Record
 from .._report.numbers import number
@@ -37,7 +38,7 @@ class SimToReal:
     robot: Diagnosis
     simulator: Diagnosis | None
     identification: Identification
-    nominal: Model
+    nominal: Model | Fitted
     pairs: Pairing
     parameters: tuple[Parameter, ...]
     simulator_share: tuple[float, float, float]
@@ -55,7 +56,7 @@ class SimToReal:
         return self.robot.effects
 
     @property
-    def model(self) -> Model:
+    def model(self) -> Model | Fitted:
         """The simulator's model with what the robot has beyond it."""
         return self.robot.model
 

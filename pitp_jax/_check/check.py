@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .._model.model import Model, check_model
+from .._model.fitted import Fitted, fitted_of
+from .._model.model import Model
 from .._record.initial_state import Beginning
 from .._record.plausible import monitor_warning
 from .._record.record import Record
@@ -123,7 +124,7 @@ class Check(Shown):
         return "\n".join(lines + [f"  {line}" for line in self.advice[:3]])
 
 
-def check(records: Sequence[Record], model: Model | None = None) -> Check:
+def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Check:
     """What was read, how each record begins, and whether the set is enough.
 
     Args:
@@ -145,14 +146,13 @@ def check(records: Sequence[Record], model: Model | None = None) -> Check:
     return checked(records, model, {})
 
 
-def checked(records: Sequence[Record], model: Model | None, refused: Mapping[str, str]) -> Check:
+def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Mapping[str, str]) -> Check:
     """As `check`, beside files that could not be read (name: refusal)."""
     check_records(records, empty=bool(refused))
-    if model is not None:
-        check_model(model)
+    model = None if model is None else fitted_of(model)
     records = [masked(r) for r in _named(records)]
     own = {r.name: facts(r) for r in records}
-    unit = base_unit(model.provenance.displacement_unit) if model is not None else None
+    unit = base_unit(model.origin.displacement_unit) if model is not None else None
     apart = _apart(records, unit)
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
     fitted = fit_set(used) if used and model is None else None

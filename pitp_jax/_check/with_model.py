@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._metrics import e_rms_percent
-from .._model.model import Model
+from .._model.fitted import Fitted
 from .._record.initial_state import Beginning, noise_std
 from .._record.record import Record
 from .._simulate.prediction import predict
@@ -32,7 +32,7 @@ class Explained:
     problem: str
 
 
-def beside_model(model: Model, records: Sequence[Record]) -> dict[str, Explained]:
+def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explained]:
     """Free runs of the model beside records of one rate, by name."""
     runs = predict(model, records)
     errors = [
@@ -40,7 +40,7 @@ def beside_model(model: Model, records: Sequence[Record]) -> dict[str, Explained
     ]
     ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
     floors = [100 * noise_std(r.displacement) / span for r, span in zip(records, ranges, strict=True)]
-    misfit = model.provenance.misfit
+    misfit = model.origin.misfit
     usual = float(np.median(np.nan_to_num(errors, nan=np.inf, posinf=np.inf)))
     resonance, square = model.natural_frequency / (2 * np.pi), model.input_map.name == "square"
     explained = {}

@@ -31,11 +31,14 @@ def bode_page(found: Identification, name: str) -> str:
         '<div class="figures">',
         html.picture("bode", _bode(found), "Grey: measured, with two standard errors; lines: the models compared."),
         html.picture("coherence", _coherence(found), "How much of the output the drive explains, linearly."),
+        html.picture("residuals", _residuals(found), "Grey: where 95 % of residuals stay that have nothing to tell."),
         "</div>",
         tag("h2", "Orders compared"),
         html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in found.orders], {}),
         tag("h2", "Poles of the model"),
         html.table(("pole", "damping"), [("", row) for row in _poles(chosen)], {0: "left"}),
+        tag("h2", "What the model leaves"),
+        tag("p", _leaves(found)),
     ]
     return html.page(f"Order {chosen.order}", parts)
 
@@ -92,10 +95,34 @@ def _bode(found: Identification) -> Figure:
             width = 1.8 if fit is found.chosen else 0.8
             axes[0].loglog(grid, np.abs(model), color=color, lw=width, label=f"order {fit.order}")
             axes[1].semilogx(grid, np.unwrap(np.angle(model)) * 180 / np.pi, color=color, lw=width)
-    known = found.model.provenance
+    known = found.model.origin
     drive = base_unit(known.voltage_unit) + ("²" if found.model.input_map.one_sided else "")
     unit = f"{base_unit(known.displacement_unit)}/{drive}"
     finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"], 2)
+    return axes[0].figure  # pyright: ignore[reportReturnType]
+
+
+def _leaves(found: Identification) -> str:
+    """Say in words what the residual tests show."""
+    tested = found.residuals
+    own = "is white: no lag shows its own past" if tested.white else "is coloured: it follows from its own past"
+    drive = (
+        "the drive no longer shows in it"
+        if tested.independent
+        else "the drive still shows in it: dynamics or a nonlinearity that this order does not have"
+    )
+    back = "; the drive followed it (lags before zero): recorded in a closed loop?" if tested.feedback else ""
+    return f"What is left {own}; {drive}{back}."
+
+
+def _residuals(found: Identification) -> Figure:
+    axes, tested = own_axes(None, 2, (5.0, 3.6)), found.residuals
+    rows = ((tested.own, tested.own_band), (tested.drive, tested.drive_band))
+    for ax, (correlation, band) in zip(axes, rows, strict=True):
+        ax.axhspan(-band, band, color=MEASURED, alpha=0.4, lw=0)
+        ax.plot(tested.lag, correlation, ".-", ms=3, lw=0.8, color=CYCLE[0])
+    axes[0].set_ylim(-1.05, 1.05)
+    finish(axes, "lag (s)", ["with itself", "with the force"])
     return axes[0].figure  # pyright: ignore[reportReturnType]
 
 

@@ -3,25 +3,25 @@
 from collections.abc import Sequence
 
 from .._errors import BadInput
-from .._model.model import Model
+from .._model.fitted import Fitted
 from .._record.record import Record
 from .._record.sets import RATE_TOLERANCE
 from .._table.units import base_unit
 from .console import say
 
 
-def check_kind(model: Model, path: str, unit: str, source: str) -> None:
+def check_kind(model: Fitted, path: str, unit: str, source: str) -> None:
     """Refuse an output in volts for a model in metres, and the other way round.
 
     Raises:
         BadInput: naming both.
     """
-    own = base_unit(model.provenance.displacement_unit)
+    own = base_unit(model.origin.displacement_unit)
     if base_unit(unit) != own:
         raise BadInput(f"{source}: output in {unit}, but {path} predicts {own}; choose the column with --output-column")
 
 
-def check_suits(model: Model, path: str, records: Sequence[Record]) -> None:
+def check_suits(model: Fitted, path: str, records: Sequence[Record]) -> None:
     """Refuse records of another kind of output; warn about another sampling rate.
 
     Raises:
@@ -29,9 +29,9 @@ def check_suits(model: Model, path: str, records: Sequence[Record]) -> None:
     """
     for record in records:
         check_kind(model, path, record.displacement_unit, record.source)
-    ratio = records[0].dt / model.provenance.dt
+    ratio = records[0].dt / model.dt
     if abs(ratio - 1.0) > RATE_TOLERANCE:
         say(
             f"warning: records are sampled every {records[0].dt:.6g} s, {path} was made at "
-            f"{model.provenance.dt:.6g} s; expect larger errors where the sampling is coarser"
+            f"{model.dt:.6g} s; expect larger errors where the sampling is coarser"
         )

@@ -42,7 +42,7 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
         cost = export_c(loaded, out, **options, precision=precision or "double", time_constant=time_constant)
     checked = {"c": "`make`", "fmu": "`python check.py`", "matlab": f"`pitp_{name}_check`"}[to]
     what = {"c": "C99", "fmu": f"FMU {fmi or 2}.0", "matlab": "MATLAB functions"}[to] + f" ({checked} there checks it)"
-    rate = steps or 1 / loaded.provenance.dt
+    rate = steps or 1 / loaded.dt
     print(f"pitp_{name}: {what}, {number(rate)} steps a second, in {out}")
     gains = pi_gains(loaded, 1 / rate, time_constant) if to == "c" else None
     if gains is not None:
@@ -50,5 +50,5 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
     told = {"to": to, "folder": str(out), "name": name, "rate_hz": rate, "rate_costs_e_rms_percent": cost}
     write_json(json_file, told | {"pi": None if gains is None else asdict(gains)})
     if cost is not None:
-        own = number(1 / loaded.provenance.dt)
+        own = number(1 / loaded.dt)
         print(f"at this rate instead of the model's {own} Hz it predicts {number(cost, 2)} % of range off (e_rms)")

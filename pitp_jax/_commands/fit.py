@@ -7,7 +7,7 @@ import jax
 
 from .._errors import BadInput
 from .._identify.identification import identify
-from .._model.model import Model
+from .._model.fitted import Fitted
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
 from .._record.record import Record
@@ -89,7 +89,7 @@ def fit(
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 
-def _report(model: Model, records: Sequence[Record], folder: str, name: str) -> None:
+def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) -> None:
     """The page of free runs beside the training records."""
     from .fit_page import fit_page  # with it comes matplotlib: half a second
 
@@ -99,7 +99,7 @@ def _report(model: Model, records: Sequence[Record], folder: str, name: str) -> 
         write_text_atomic(stage / REPORT, fit_page(model, records, runs, scores, name))
 
 
-def _given(path: str, order, input_map) -> Model:
+def _given(path: str, order, input_map) -> Fitted:
     """The nominal model of that file, unless the options contradict it."""
     model = load(path)
     if order not in (None, "auto", model.order):
@@ -109,7 +109,7 @@ def _given(path: str, order, input_map) -> Model:
     return model
 
 
-def _identified(records, order, input_map) -> Model:
+def _identified(records, order, input_map) -> Fitted:
     """A nominal from the sweeps among the records, else from all."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:

@@ -14,6 +14,7 @@ import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .._model.fitted import Fitted
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 from .._record.excitation_kind import kind, loudest
@@ -30,7 +31,7 @@ _SHOWN = 12  # records drawn, the worst first
 
 
 def fit_page(
-    model: Model, records: Sequence[Record], predictions: Sequence[Prediction], scores: dict, name: str
+    model: Fitted, records: Sequence[Record], predictions: Sequence[Prediction], scores: dict, name: str
 ) -> str:
     """A self-contained HTML page.
 
@@ -59,7 +60,7 @@ def fit_page(
         '<div class="figures">',
         html.picture("map", _map(records, errors), "Error by the drive's strongest frequency and by the stroke."),
         html.picture("colour", _colour([(records[k], predictions[k]) for k in kept]), _COLOUR) if kept else "",
-        html.picture("tokens", _tokens(model), _TOKENS) if model.provenance.region else "",
+        html.picture("tokens", _tokens(model), _TOKENS) if len(model.domain.region) else "",
         "</div>",
         tag("h2", "Recordings, the worst first"),
         _table([records[k] for k in order], scores),
@@ -81,7 +82,7 @@ def _error(row: dict) -> float:
     return float("inf") if row["diverged"] else row["e_rms_percent"] if row["e_rms_percent"] is not None else 0.0
 
 
-def _cards(model: Model, records, predictions, scores) -> list[str]:
+def _cards(model: Fitted, records, predictions, scores) -> list[str]:
     outside = 100 * float(np.mean([p.outside_training_share for p in predictions]))
     moved = [p.name for p in predictions if p.begins != "rest"]
     farthest = max(predictions, key=lambda p: p.outside_training_share)
@@ -106,7 +107,7 @@ def _cards(model: Model, records, predictions, scores) -> list[str]:
     ]  # fmt: skip
 
 
-def memory_times(model: Model, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
+def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
     """Every time constant with its standard error, as these records determine them when all else is held.
 
     J_k = dx / d ln tau_k,   covariance of ln tau = s^2 (J'J)^-1 (samples / independent ones)
@@ -185,17 +186,17 @@ def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
     return ax.figure  # pyright: ignore[reportReturnType]
 
 
-def _tokens(model: Model) -> Figure:
+def _tokens(model: Fitted) -> Figure:
     """Factors of all tokens over the trained displacements."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
-    low, high = model.provenance.region[0]
+    low, high = model.domain.region[0]
     x = jnp.linspace(low, high, 60)
 
     def settled(at):
         still = jnp.zeros(model.order, at.dtype).at[0].set(at)
         return model.tokens(jnp.concatenate([still, model.memory.initial(at)]))[0] / model.coefficients
 
-    factors, unit = np.asarray(jax.vmap(settled)(x)), model.provenance.displacement_unit
+    factors, unit = np.asarray(jax.vmap(settled)(x)), model.origin.displacement_unit
     across = from_base(np.asarray(x, np.float64) * float(model.scales.state[0]), unit, "displacement")
     for k, color in zip(range(model.order + 1), (PREDICTED, *CYCLE[1:]), strict=False):
         ax.plot(across, factors[:, k], color=color, lw=1.2, label=f"of a{k}")

@@ -1,10 +1,9 @@
 """`pitp info`: what a model file holds and where it came from."""
 
 from .._errors import BadInput
-from .._model.model import Model
-from .._model_file.lineage import lineage
+from .._model.fitted import Fitted
 from .._model_file.model_file import digest, load
-from .._report.description import describe, notes
+from .._report.description import describe
 from .console import number
 from .outputs import check_outputs, write_json
 from .reports import print_model
@@ -30,10 +29,15 @@ def info(model, others, json_file) -> None:
     print_lineage(told)
 
 
-def traced(model: Model) -> dict:
+def traced(model: Fitted) -> dict:
     """`describe`, the file's digest, what it was adapted to, and its line of descent."""
-    adapted = notes(model).get("adapted", [])
-    return {**describe(model), "digest": digest(model), "adapted": adapted, "lineage": lineage(model)}
+    origin = model.origin
+    return {
+        **describe(model),
+        "digest": digest(model),
+        "adapted": list(origin.adapted),
+        "lineage": list(origin.lineage),
+    }
 
 
 def print_lineage(told: dict) -> None:

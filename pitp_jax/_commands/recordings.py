@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from .._check.one_record import quick_problems
+from .._model.fitted import Fitted
 from .._model.input_map import SquareInput
-from .._model.model import Model
 from .._model_file.model_file import load
 from .._record.plausible import monitor_warning
 from .._record.reading import read
@@ -34,7 +34,7 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[
     return records
 
 
-def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Model, tuple[Record, ...]]:
+def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted, tuple[Record, ...]]:
     """Load a model and read records, as `read_records` does, that it can be about.
 
     Args:
@@ -76,6 +76,6 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
-def is_square(model: Model) -> bool:
+def is_square(model: Fitted) -> bool:
     """Whether a model's force is the square of the voltage."""
     return isinstance(model.input_map, SquareInput)

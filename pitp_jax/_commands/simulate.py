@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .._errors import ComputationFailed
-from .._model.model import Model
+from .._model.fitted import Fitted
 from .._model_file.model_file import load
 from .._record.sets import RATE_TOLERANCE
 from .._record.voltage_file import Drive, read_voltage
@@ -39,7 +39,7 @@ def simulate(model, voltages, out, json_file, reading) -> None:
     check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
     _tell(loaded, model, drives)
     runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0])) for d in drives]
-    unit = loaded.provenance.displacement_unit
+    unit = loaded.origin.displacement_unit
     rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:
@@ -54,17 +54,17 @@ def simulate(model, voltages, out, json_file, reading) -> None:
         raise ComputationFailed(f"{model} diverged under every voltage; stay within the voltages it was made from")
 
 
-def _tell(model: Model, path: str, drives: Sequence[Drive]) -> None:
+def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
     """What was recognised, and what of it the model was not made for."""
     for drive in drives:
         for line in drive.remarks:
             say(line)
-    low, high = model.provenance.voltage_range
+    low, high = model.domain.voltage_range
     for drive in drives:
-        if abs(drive.dt / model.provenance.dt - 1) > RATE_TOLERANCE:
+        if abs(drive.dt / model.dt - 1) > RATE_TOLERANCE:
             say(
                 f"warning: {drive.name} is sampled every {drive.dt:.6g} s, {path} was made at "
-                f"{model.provenance.dt:.6g} s; expect larger errors where the sampling is coarser"
+                f"{model.dt:.6g} s; expect larger errors where the sampling is coarser"
             )
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
             say(f"warning: {drive.name} leaves the voltages {path} has seen ({low:.6g} to {high:.6g} V)")

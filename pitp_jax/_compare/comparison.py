@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 
 from .._errors import BadInput
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._record.record import Record
 from .diagnoses import compare_diagnoses
@@ -37,7 +38,7 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
         as_json = [dict(one) if isinstance(one, Mapping) else one.as_json() for one in (a, b)]
         return compare_diagnoses(as_json[0], as_json[1], names)
     if kinds[0] == "a model":
-        models = [one if isinstance(one, Model) else one.model for one in (a, b)]
+        models = [fitted_of(one if isinstance(one, Model | Fitted) else one.model) for one in (a, b)]
         return compare_models(models[0], models[1], names)
     return compare_records(list(a), list(b), names)
 
@@ -46,7 +47,7 @@ def _kind(one) -> str:
     # before models: a diagnosis holds a model as well
     if isinstance(one, Mapping) and "verdict" in one or (hasattr(one, "as_json") and hasattr(one, "ranking")):
         return "a diagnosis"
-    if isinstance(one, Model) or isinstance(getattr(one, "model", None), Model):
+    if isinstance(one, Model | Fitted) or isinstance(getattr(one, "model", None), Model | Fitted):
         return "a model"
     if isinstance(one, Sequence) and len(one) and all(isinstance(r, Record) for r in one):
         return "a set of records"

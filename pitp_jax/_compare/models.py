@@ -7,10 +7,9 @@ Coefficients of different orders have different meanings beyond a_0; then the mo
 
 from typing import Any
 
-from .._model.model import Model
-from .._model_file.lineage import lineage
+from .._model.fitted import Fitted
 from .._model_file.model_file import digest
-from .._report.description import describe, notes
+from .._report.description import describe
 from .._report.numbers import number
 from .result import Comparison, Difference, measured, stated
 
@@ -27,7 +26,7 @@ def coefficient_meaning(i: int) -> str:
     return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
 
 
-def compare_models(a: Model, b: Model, names: tuple[str, str]) -> Comparison:
+def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
     """Compare every fact and number of two models."""
     one, two = describe(a), describe(b)
     rows = [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
@@ -79,13 +78,13 @@ def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
     return rows
 
 
-def _origin(a: Model, b: Model, names: tuple[str, str]) -> list[str]:
+def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
     """Describe descent, recordings seen by one or both, and what one was adapted to."""
     # by their sums, not their names: two rigs name different recordings alike
     sums: list[dict[str, str]] = [
-        {r["sha256"]: r["name"] for e in lineage(m) for r in e.get("records", [])} for m in (a, b)
+        {r["sha256"]: r["name"] for e in m.origin.lineage for r in e.get("records", [])} for m in (a, b)
     ]
-    parents = [{e.get("parent") for e in lineage(m)} for m in (a, b)]
+    parents = [{e.get("parent") for e in m.origin.lineage} for m in (a, b)]
     digests = [digest(m) for m in (a, b)]
     if digests[0] == digests[1]:  # also of two files whose names or dates differ
         return ["Both hold the same model."]
@@ -97,8 +96,8 @@ def _origin(a: Model, b: Model, names: tuple[str, str]) -> list[str]:
         only = [name for s, name in mine.items() if s not in sums[1 - k]]
         if only:
             lines.append(f"Only {names[k]} saw {', '.join(only)}.")
-        lines += [f"{names[k]} was adapted: {_adapted(entry)}." for entry in notes((a, b)[k]).get("adapted", [])
-                  if entry not in notes((a, b)[1 - k]).get("adapted", [])]  # fmt: skip
+        lines += [f"{names[k]} was adapted: {_adapted(entry)}." for entry in (a, b)[k].origin.adapted
+                  if entry not in (a, b)[1 - k].origin.adapted]  # fmt: skip
     both = [name for s, name in sums[0].items() if s in sums[1]]
     return [*lines, *([f"Both saw {', '.join(both)}."] if both else [])]
 

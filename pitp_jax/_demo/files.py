@@ -113,7 +113,7 @@ def _tokens(demo: Demo):
     """Draw the tokens along the free run of one training sine, each over its nominal value, and the offset token."""
     t = demo.tracks[1]
     r = nearest(demo.train, demo.name, t.frequency)
-    model = demo.training.model
+    model = demo.training.model.model
     values = token_history(model, r)
     names = [rf"$\sigma_{i} / \sigma_{i}^0$" for i in range(model.order + 1)] + [r"$\sigma_{off}$"]
     return paper_figures.tokens(r.time, values, names)[0].figure

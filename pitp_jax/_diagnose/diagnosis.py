@@ -5,12 +5,13 @@ records -> case -> candidates fitted and judged -> `verdict`;   again the other 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from jax.sharding import Mesh
 
 from .._errors import BadInput
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import clock_start
@@ -58,7 +59,7 @@ class Diagnosis:
     heldout: tuple[str, ...]
     shift: np.ndarray
     traces: tuple[Trace, ...]
-    model: Model
+    model: Model | Fitted
     notes: tuple[str, ...] = ()
     term: Term | None = None
 
@@ -111,7 +112,7 @@ class Diagnosis:
 
 
 def diagnose(
-    model: Model,
+    model: Model | Fitted,
     records: Sequence[Record],
     *,
     refit_nominal: bool = False,
@@ -142,6 +143,7 @@ def diagnose(
         >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
         verdict: no_gap ...
     """
+    model = cast(Model, fitted_of(model))  # reads as one, with the origin that `model.provenance` looks into
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)

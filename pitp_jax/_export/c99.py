@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
 from . import steps
@@ -20,8 +21,8 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def export_c(
-    model: Model, folder: str | Path, *, name: str = "model", rate: float | None = None, precision: str = "double",
-    time_constant: float | None = None,
+    model: Model | Fitted, folder: str | Path, *, name: str = "model", rate: float | None = None,
+    precision: str = "double", time_constant: float | None = None,
 ) -> float | None:  # fmt: skip
     """Write a model and its inverse as C99 into a new folder.
 
@@ -105,7 +106,7 @@ def frame(plan: Plan, cost: float | None) -> dict[str, str]:
         "count": str(planning.SAMPLES), "what": test.what, "range": repr(float(np.ptp(test.displacement))),
         "force_range": repr(float(np.abs(test.planned).max() ** (2 if plan.model.input_map.one_sided else 1))),
         "tolerance": repr(planning._PREDICTED[precision]), "force_tolerance": repr(planning._PLANNED[precision]),
-        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.provenance.dt:g} Hz; at this one its "
+        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; at this one its "
         f"predictions are {cost:.2g} % of the range away (e_rms).\n", "precision": precision,
     }  # fmt: skip
 

@@ -17,6 +17,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 
 from .._errors import BadInput
+from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
 from . import steps
@@ -40,8 +41,8 @@ _MISSING = {
 
 
 def export_fmu(
-    model: Model, folder: str | Path, *, name: str = "model", rate: float | None = None, precision: str = "double",
-    fmi: int = 2,
+    model: Model | Fitted, folder: str | Path, *, name: str = "model", rate: float | None = None,
+    precision: str = "double", fmi: int = 2,
 ) -> float | None:  # fmt: skip
     """Write `pitp_<name>.fmu` (sources, and a binary where this machine is Linux and has a C compiler) into a folder.
 

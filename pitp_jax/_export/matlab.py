@@ -5,6 +5,7 @@
 
 from pathlib import Path
 
+from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
 from .c99 import filled, frame, substitutions
@@ -12,7 +13,9 @@ from .plan import Plan, Written, rate_error, whole_folder
 from .writing import Writer
 
 
-def export_matlab(model: Model, folder: str | Path, *, name: str = "model", rate: float | None = None) -> float | None:
+def export_matlab(
+    model: Model | Fitted, folder: str | Path, *, name: str = "model", rate: float | None = None
+) -> float | None:
     """Write a model and its inverse as two MATLAB functions into a new folder, in double precision.
 
     Args:

@@ -21,7 +21,8 @@ from jax.flatten_util import ravel_pytree
 
 from .._effects.kernels import total_delay
 from .._errors import BadInput
-from .._model.model import Model, check_model
+from .._model.fitted import Fitted, model_of
+from .._model.model import Model
 from .._model.programs import in_double
 from . import steps
 
@@ -50,7 +51,7 @@ class PIGains:
     max_sensitivity: float
 
 
-def pi_gains(model: Model, dt: float | None = None, time_constant: float | None = None) -> PIGains:
+def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: float | None = None) -> PIGains:
     """Tune a PI controller on the force from a model.
 
     Args:
@@ -70,8 +71,8 @@ def pi_gains(model: Model, dt: float | None = None, time_constant: float | None 
         >>> gains.max_sensitivity < 2 < gains.gain_margin
         True
     """
-    check_model(model)
-    dt = model.provenance.dt if dt is None else dt
+    model = model_of(model)
+    dt = model.dt if dt is None else dt
     a = model.physical_coefficients
     poles = np.roots(a[::-1])
     pairs = poles[np.abs(poles.imag) > 0.1 * np.abs(poles)]
@@ -149,9 +150,9 @@ def _linearised(model: Model, dt: float) -> tuple[list, list[float]]:
 
 def stroke(model: Model) -> float:
     """Find the largest displacement of the training, m, else the static one under its largest voltage."""
-    if model.provenance.region:
-        return float(np.abs(model.provenance.region[0]).max() * model.scales.state[0])
-    high = max(map(abs, model.provenance.voltage_range))
+    if len(model.domain.region):
+        return float(np.abs(model.domain.region[0]).max() * model.scales.state[0])
+    high = max(map(abs, model.domain.voltage_range))
     force = float(model.input_map.force(np.asarray(high))) if np.isfinite(high) else float(model.scales.force)
     return force / float(model.physical_coefficients[0])
 

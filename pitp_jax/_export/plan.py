@@ -22,6 +22,7 @@ from scipy.linalg import expm
 from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
+from .._model.fitted import Fitted, Origin, fitted_of
 from .._model.model import Model
 from .._model.programs import in_double
 from .._numerics.spline_derivative import derivatives
@@ -53,6 +54,7 @@ class Plan:
 
     Attributes:
         model: in float64.
+        origin: its longest record is the test.
         dt: s between two steps.
         name: of files and functions, an identifier.
         single: float instead of double.
@@ -61,6 +63,7 @@ class Plan:
     """
 
     model: Model
+    origin: Origin
     dt: float
     name: str
     single: bool = False
@@ -85,18 +88,18 @@ class Plan:
     @property
     def voltages(self) -> tuple[float, float, float]:
         """Lowest and highest voltage (V) and slew (V/s) of the records the model was trained on."""
-        low, high = self.model.provenance.voltage_range
+        low, high = self.model.domain.voltage_range
         if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
-        slew = float(self.model.provenance.slew)
+        slew = float(self.model.domain.slew)
         return min(float(low), 0.0), min(max(float(high), 0.0), _NONE), min(slew, _NONE)
 
     @property
     def displacements(self) -> tuple[float, float]:
         """The range the model was trained in, a twentieth wider, as the sensor reads it, m; without one, no limit."""
-        if not self.model.provenance.region:
+        if not len(self.model.domain.region):
             return -_NONE, _NONE
-        low, high = self.model.provenance.region[0]
+        low, high = self.model.domain.region[0]
         wide = 0.05 * (high - low)
         ends = [float(self.model.output.to_rig(v * self.model.scales.state[0])) for v in (low - wide, high + wide)]
         return min(ends), max(ends)
@@ -177,7 +180,7 @@ def plan(
     Raises:
         BadInput: no single model, a name that is no identifier, a rate or a precision that is none.
     """
-    if not isinstance(model, Model):
+    if not isinstance(model, Model | Fitted):
         raise BadInput(f"{type(model).__name__}: only a single model can be exported; choose one of its members")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
         raise BadInput(f"--name {name[:60]!r}: is no identifier; use letters, digits and _, a letter first, 40 at most")
@@ -185,17 +188,13 @@ def plan(
         raise BadInput(f"--precision {precision!r}: is neither single nor double")
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise BadInput(f"--rate {rate!r}: must be a positive number of Hz")
+    fitted = fitted_of(model)
+    own = fitted.dt
     with jax.enable_x64(True):
-        made = Plan(
-            in_double(model),
-            1 / rate if rate else model.provenance.dt,
-            name,
-            precision == "single",
-            held,
-            time_constant,
-        )
-    if not made.dt <= 100 * model.provenance.dt:
-        raise BadInput(f"--rate {rate:g}: a hundredth of the model's {1 / model.provenance.dt:g} Hz at least")
+        double = in_double(fitted.model)
+    made = Plan(double, fitted.origin, 1 / rate if rate else own, name, precision == "single", held, time_constant)
+    if not made.dt <= 100 * own:
+        raise BadInput(f"--rate {rate:g}: a hundredth of the model's {1 / own:g} Hz at least")
     return made
 
 
@@ -225,7 +224,7 @@ def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
 
 
 def _vector(plan: Plan) -> Vector:
-    stored = plan.model.provenance.long_record
+    stored = plan.origin.long_record
     low, high, _ = plan.voltages
     if stored is not None and stored.seconds > 2 * SAMPLES * plan.dt:
         record, what = stored.record(), "a record the model was identified on"
@@ -251,7 +250,7 @@ def rate_error(plan: Plan) -> float | None:
 
     One voltage, whatever the rate, so that the figures of several rates compare.
     """
-    own = plan.model.provenance.dt
+    own = plan.model.dt
     if abs(plan.dt / own - 1) < 1e-9:
         return None
     known = replace(plan, dt=own).test

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._model.origin import OutOfFold
 from .output_error import Problem, Structure, driven, least_squares, masked, own_columns, poles_of, solve
 
 _FOLDS, _STEPS, _LEAST_STEP = 3, 4, 1e-3
@@ -31,20 +32,6 @@ class HeldOut:
     score: float
     error: tuple[np.ndarray, ...]
     scored: tuple[np.ndarray, ...]
-
-
-@dataclass(frozen=True)
-class OutOfFold:
-    """What fits that did not see them leave of a nominal's own records, by octaves of frequency.
-
-    Attributes:
-        edges_hz: of the bands, one more than those.
-        error, output: rms of what is left, and of the output about its mean, in each band (output's base unit).
-    """
-
-    edges_hz: tuple[float, ...]
-    error: tuple[float, ...]
-    output: tuple[float, ...]
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,21 @@ How records begin (`beginnings`), what they show without a model (`frequency_res
 (`candidates`), and the chosen one in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from importlib import import_module
 
 import numpy as np
+from scipy.signal import StateSpace
 from threadpoolctl import threadpool_limits
 
 from .._effects import effect
 from .._errors import BadInput, ComputationFailed
+from .._model.domain import Domain
+from .._model.fitted import Fitted
 from .._model.input_map import INPUT_MAPS
-from .._model.model import Hold, Model, Output, Provenance, linear_model
+from .._model.model import Hold, Output, linear_model
+from .._model.origin import Origin, OutOfFold
 from .._model.substeps import substeps
 from .._model_file.lineage import descended
 from .._record.averaged import averaged
@@ -32,9 +36,10 @@ from .beginnings import find_beginnings
 from .candidates import choose, search
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
-from .heldout import Candidate, OutOfFold, out_of_fold
+from .heldout import Candidate, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, least_squares, solve
+from .residual_test import ResidualTest, residual_test
 
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
 _BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wrong one costs little
@@ -52,16 +57,18 @@ class Identification(Shown):
         chosen, orders: the order taken, and the best candidate of all that were compared.
         beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
         response: what the records show without a model.
-        out_of_fold: what fits that did not see them leave of these records, by band; in the model's notes too.
+        out_of_fold: what fits that did not see them leave of these records, by band; in the model's origin too.
+        residuals: whether what is left is white, and whether the drive still shows in it.
         remarks: what the records leave open, a sentence each.
     """
 
-    model: Model
+    model: Fitted
     chosen: OrderFit
     orders: tuple[OrderFit, ...]
     beginnings: dict[str, Beginning]
     response: FrequencyResponse
     out_of_fold: OutOfFold
+    residuals: ResidualTest
     remarks: tuple[str, ...] = ()
 
     def _rows(self) -> list[dict]:
@@ -81,6 +88,33 @@ class Identification(Shown):
     def rest(self) -> dict[str, bool]:
         """Which records begin at rest."""
         return {name: b.begins == "rest" for name, b in self.beginnings.items()}
+
+    def to_scipy(self) -> StateSpace:
+        """The model as SciPy's state space: states x, x', ... x^(n-1); from force (V^2 or V) to displacement (m).
+
+            x^(n) = (F - a_0 x - ... - a_{n-1} x^(n-1)) / a_n,    y = polarity x
+
+        Without the delay, which is no finite number of states (`chosen.delay`), and without the sensor's zero.
+        """
+        c = self.chosen
+        a = np.eye(c.order, k=1)
+        a[-1] = -c.coefficients[:-1] / c.coefficients[-1]
+        b, out = np.zeros((c.order, 1)), np.zeros((1, c.order))
+        b[-1, 0], out[0, 0] = 1 / c.coefficients[-1], c.polarity
+        return StateSpace(a, b, out, np.zeros((1, 1)))
+
+    def to_control(self):
+        """The same as python-control's `StateSpace`, for `bode_plot`, `lqr` and the like.
+
+        Raises:
+            BadInput: python-control is not installed.
+        """
+        try:
+            control = import_module("control")
+        except ImportError as error:
+            raise BadInput("python-control is not installed: pip install control, or use to_scipy()") from error
+        system = self.to_scipy()
+        return control.ss(system.A, system.B, system.C, system.D)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # products of ten columns: threads cost five times what they save
@@ -107,7 +141,7 @@ def identify(
         progress: called with one line per finished order.
 
     Returns:
-        the model, every order compared, and how every record begins.
+        the model (a `Fitted`), every order compared, and how every record begins.
 
     Raises:
         BadInput: unknown order or input map, no variation in voltage or displacement.
@@ -163,13 +197,11 @@ def identify(
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
     begun = _fitted(begun, chosen, whole)
-    own = out_of_fold(chosen.heldout, small)
-    told = {**_summary(fit, orders, records), "out_of_fold": asdict(own), "remarks": remarks(fit, whole)}
-    model = descended(_to_model(fit, records, begun, input_map, told), "identify", records)
+    own, tested = out_of_fold(chosen.heldout, small), residual_test(chosen.params, chosen.structure, whole)
+    said = tuple(remarks(fit, whole))
+    model = descended(_to_model(fit, records, begun, input_map, own, said), "identify", records)
     names = [r.name for r in records]
-    return Identification(
-        model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tuple(told["remarks"])
-    )
+    return Identification(model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tested, said)
 
 
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
@@ -245,24 +277,13 @@ def remarks(fit: OrderFit, problem: Problem) -> list[str]:
     return said
 
 
-def _summary(chosen: OrderFit, orders: Sequence[OrderFit], records: Sequence[Record]) -> dict:
-    """The identification as plain numbers, for model files and `pitp info`."""
-    noise = float(np.median([noise_std(r.displacement) for r in records]))
-    rows = [{k: (v.tolist() if isinstance(v, np.ndarray) else v) for k, v in vars(f).items()} for f in orders]
-    return {
-        "order": chosen.order,
-        "hold": chosen.hold,
-        "noise_std": noise,
-        "records": [r.name for r in records],
-        "orders": rows,
-    }
-
-
-def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, told: dict) -> Model:
+def _to_model(
+    chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, own: OutOfFold, said: tuple[str, ...]
+) -> Fitted:
     """Scaled model: state scales are the rms of the identified model's own derivatives over the records."""
     n = chosen.order
     a = chosen.coefficients
-    share = chosen.stderr / a
+    relative = chosen.stderr / a
     output = Output(chosen.offset, chosen.polarity)
     moved = [output.to_model(aligned(r, b, output).displacement) for r, b in zip(records, begun, strict=True)]
     forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage)) for r in records]
@@ -271,19 +292,21 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
     x_rms = float(np.sqrt(np.nanmean(np.concatenate(moved) ** 2)))
     omega = (a[0] / a[n]) ** (1 / n)
     dt = records[0].dt
-    provenance = Provenance(
-        dt=dt,
+    long = thinned(aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest")
+    noise = float(np.median([noise_std(r.displacement) for r in records]))
+    origin = Origin(
         displacement_unit=records[0].displacement_unit,
         voltage_unit=records[0].voltage_unit,
-        voltage_range=(np.inf, -np.inf),
-        slew=0.0,
-        notes=json.dumps({"identification": told}),
-        covariance=tuple(map(tuple, (chosen.correlation * np.outer(share, share)).tolist())),
-        misfit=max(chosen.rms / told["noise_std"], 1.0) if told["noise_std"] else float("inf"),
-        long_record=thinned(
-            aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest"
-        ),
-    ).driven_by(records)
+        covariance=chosen.correlation * np.outer(relative, relative),
+        stderr=tuple(chosen.stderr.tolist()),
+        misfit=max(chosen.rms / noise, 1.0) if noise else float("inf"),
+        noise=noise,
+        level=float("nan") if long is None else 100 * chosen.rms / long.range,
+        out_of_fold=own,
+        remarks=said,
+        identified_on=tuple(r.name for r in records),
+        long_record=long,
+    )
     model = linear_model(
         a,
         input_map=INPUT_MAPS[input_map](),
@@ -292,6 +315,8 @@ def _to_model(chosen: OrderFit, records, begun: Sequence[Beginning], input_map: 
         output=output,
         hold=chosen.hold,
         substeps=substeps(a, dt),
-        provenance=provenance,
+        domain=Domain(dt, (np.inf, -np.inf), 0.0).driven_by(records),
     )
-    return replace(model, effects=(effect("delay", time=chosen.delay),)) if chosen.delay > 0 else model
+    if chosen.delay > 0:
+        model = replace(model, effects=(effect("delay", time=chosen.delay),))
+    return Fitted(model, origin)

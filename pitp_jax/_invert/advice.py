@@ -43,9 +43,9 @@ def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float]
 def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:
     """Write lines about a target before it is planned."""
     warnings = ()
-    if target.dt > 1.01 * model.provenance.dt:
+    if target.dt > 1.01 * model.dt:
         warnings += (
-            f"the target is sampled every {target.dt:g} s, coarser than the model's {model.provenance.dt:g} s: "
+            f"the target is sampled every {target.dt:g} s, coarser than the model's {model.dt:g} s: "
             "resample it finer to keep its shape between samples",
         )
     rough = roughness(wanted, target.dt, model)

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import jit
 from .._simulate.decoder import film_voltage, frozen_increment
@@ -31,7 +32,7 @@ def _affine(model: Model, state, dt):
 
 @jit
 def discrete_inverse(
-    model: Model,
+    model: Model | Fitted,
     states: Float[Array, "time state"],
     dt: float,
     first: Float[Array, ""] | None = None,
@@ -61,6 +62,7 @@ def discrete_inverse(
         >>> bool(jnp.allclose(pitp.discrete_inverse(model, states, 1e-3)[5:], u[5:-1], rtol=0.05))
         True
     """
+    model = model_of(model)
     if model.effects:
         raise ValueError("discrete_inverse knows no effects: use feedforward")
     if model.hold == "bandlimited":

@@ -13,6 +13,7 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._record.reading import Target
 from .._shown import Shown
@@ -60,7 +61,7 @@ class Feedforward(Shown):
 
 
 def feedforward(
-    model: Model,
+    model: Model | Fitted,
     target: Target,
     *,
     max_voltage: float | None = None,
@@ -96,6 +97,7 @@ def feedforward(
         >>> plan.self_check_e_rms_percent < 1
         True
     """
+    model = model_of(model)
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input)
     model = at_rate(model, target.dt)
     origin = {"rest": 0.0, "sensor": float(model.output.offset)}[zero] if isinstance(zero, str) else zero
@@ -105,7 +107,7 @@ def feedforward(
     warnings += on_target(model, target, wanted, path)
     first, last = path.target.start, path.target.stop
     # the session's clock at the first sample played; nothing was done to the actuator before it began
-    age = max(model.provenance.age(target.time[0] - first * target.dt), 0.0)
+    age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
     start = rest_state(model, age) if start is None else start
     if any(e.name == "stiffness_drift" for e in model.effects):
         warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)

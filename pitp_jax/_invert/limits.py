@@ -46,7 +46,7 @@ def limits_of(
     Raises:
         BadInput: a limit that is not positive, an endless voltage, or a start beyond it.
     """
-    low, high = model.provenance.voltage_range
+    low, high = model.domain.voltage_range
     warnings: tuple[str, ...] = ()
     if model.input_map.one_sided:  # squared: what was played below zero counts as well
         if high <= 0 > low:
@@ -54,7 +54,7 @@ def limits_of(
                 "trained on negative voltages alone, this one is positive: play its negative, the square is the same",
             )
         low, high = 0.0, max(high, -low)
-    trained_high, trained_slew = high, model.provenance.slew
+    trained_high, trained_slew = high, model.domain.slew
     given = (("max-voltage", max_voltage), ("max-slew", max_slew), ("max-displacement", max_displacement))
     for name, value in given:
         if value is not None and not value > 0:

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from .._errors import BadInput
 from .._model.drive import AbstractDrive, DirectDrive, ElectrodeLag
 from .._model.equation import equation_force
+from .._model.fitted import Fitted, model_of
 from .._model.memory import AbstractMemory, FadingMemory
 from .._model.model import Model
 from .._numerics.intersample import between
@@ -47,7 +48,7 @@ class CompiledStep:
     exported: export.Exported
 
 
-def inverse_step(model: Model, dt: float) -> CompiledStep:
+def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
     """Compile the drive voltage before limits (V) for [x, ..., x^(n)] (from rest, model coordinates, m / s^i).
 
     Args:
@@ -66,7 +67,7 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
         >>> round(float(volts))  # 1 mm at 1 kV
         1000
     """
-    _refuse(model, dt)
+    model = _refused(model_of(model), dt)
     memories, scale = model.memory.size, np.asarray(model.scales.state, np.float32)
 
     def one(carry: Float[Array, " carry"], wanted: Float[Array, " tokens"]):
@@ -86,7 +87,7 @@ def inverse_step(model: Model, dt: float) -> CompiledStep:
     return _compiled(one, np.concatenate([np.asarray(before), np.zeros(3)]), model.order + 1)
 
 
-def decoder_step(model: Model, dt: float) -> CompiledStep:
+def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
     """Compile the displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
 
     Args:
@@ -106,7 +107,7 @@ def decoder_step(model: Model, dt: float) -> CompiledStep:
         >>> 0 < float(x) < 1e-6  # m, one sample after rest
         True
     """
-    _refuse(model, dt)
+    model = _refused(model_of(model), dt)
     if model.hold == "bandlimited":
         raise BadInput("a band-limited voltage is known between samples only later: no step in real time")
     model = at_rate(model, dt)
@@ -193,11 +194,13 @@ def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) ->
     return lag_after(film, before, now, jnp.exp(drive.log_tau), dt)
 
 
-def _refuse(model: Model, dt: float) -> None:
+def _refused(model: Model, dt: float) -> Model:
+    """The model, unless no real-time step can be made of it."""
     if model.effects:
         raise BadInput("real-time steps are for models without effects")
     if not dt > 0:
         raise BadInput(f"dt must be positive, got {dt} s")
+    return model
 
 
 def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._errors import BadInput
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives, inner, reach
 from .equation import force_and_voltage, scaled_equation
@@ -40,7 +41,7 @@ class Piece:
 
 
 def invert_stream(
-    model: Model, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
+    model: Model | Fitted, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
 ) -> Iterator[Piece]:
     """Invert a displacement that arrives in blocks of any sizes and starts at rest (eq. 13, without shooting).
 
@@ -62,6 +63,7 @@ def invert_stream(
         >>> sum(len(piece.voltage) for piece in pieces) == len(target.displacement)
         True
     """
+    model = model_of(model)
     if model.effects:
         raise BadInput("streaming inverts eq. 13 alone, without the model's effects: use `feedforward`")
     if not dt > 0 or window < _SMALLEST:

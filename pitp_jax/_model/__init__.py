@@ -3,9 +3,11 @@
     F = sigma_off + sum_i sigma_i(S, m) x^(i),    F = map(V),  V = drive(u),    S = [x, ..., x^(n-1)]  (paper, eqs. 2-7)
 
 Parts: encoder (what the model sees to tokens), memory (what it sees beside S), input map (u^2 or u), drive (the
-electrodes), output (the sensor's zero and direction), and the effects of `_effects`.
+electrodes), output (the sensor's zero and direction), domain (what it was shown) and the effects of `_effects`. A
+`Fitted` is a model beside its origin.
 """
 
+from .domain import Domain as Domain
 from .drive import DirectDrive as DirectDrive
 from .drive import ElectrodeLag as ElectrodeLag
 from .encoder import AbstractEncoder as AbstractEncoder
@@ -13,6 +15,7 @@ from .encoder import AdaptedEncoder as AdaptedEncoder
 from .encoder import CompactEncoder as CompactEncoder
 from .encoder import ConstantEncoder as ConstantEncoder
 from .encoder import PaperEncoder as PaperEncoder
+from .fitted import Fitted as Fitted
 from .input_map import LinearInput as LinearInput
 from .input_map import SquareInput as SquareInput
 from .memory import ElapsedTime as ElapsedTime
@@ -24,3 +27,4 @@ from .model import Model as Model
 from .model import Output as Output
 from .model import Scales as Scales
 from .model import linear_model as linear_model
+from .origin import Origin as Origin

@@ -7,106 +7,27 @@ In scaled coordinates X_i = x^(i) / scale_i and force / force_scale everything i
 nominal coefficient times a positive factor, so a zero encoder is exactly the identified linear model.
 """
 
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from html import escape
-from typing import Literal, NoReturn
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._errors import BadInput
-from .._record.long_record import LongRecord
-from .._record.record import Record
-from .._record.sets import ABSOLUTE
+from .domain import Domain
 from .dominant import dominant_frequency
 from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
 from .memory import AbstractMemory, NoMemory
 from .positive import positive_factor
+from .provenance import Provenance
 from .rows import Rows
 from .sections import product, sections_of
 
 Hold = Literal["foh", "zoh", "bandlimited"]
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """What a model was made from: read on the host alone, and no part of what compiles (`programs`).
-
-    Attributes:
-        dt: sampling interval of the training records, s.
-        displacement_unit, voltage_unit: units the user's files had.
-        voltage_range: lowest and highest drive voltage seen, V.
-        slew: highest voltage slew seen, V/s.
-        region: per feature (S then memory, scaled) lowest and highest value trained on.
-        notes: JSON text, the identification and training summary `pitp info` prints.
-        covariance: of ln a_0 ... ln a_n as identified, n + 1 rows; empty where it is not known, or no longer holds.
-        misfit: what the nominal left of the records it was identified on, over their noise (rms); infinite likewise.
-        long_record: the longest record the nominal was identified on, which training holds creep to.
-        clock: what the records' clock showed when their session began, s; 0 unless it shows absolute time.
-    """
-
-    dt: float
-    displacement_unit: str = "m"
-    voltage_unit: str = "V"
-    voltage_range: tuple[float, float] = (0.0, float("inf"))
-    slew: float = float("inf")
-    region: tuple[tuple[float, float], ...] = ()
-    notes: str = "{}"
-    covariance: tuple[tuple[float, ...], ...] = ()
-    misfit: float = float("inf")
-    long_record: LongRecord | None = None
-    clock: float = 0.0
-
-    def with_(self, **changes) -> "Provenance":
-        """Copy it with some fields replaced."""
-        return replace(self, **changes)
-
-    def noted(self) -> dict:
-        """Read the notes as values; none where they are a text of the user's own."""
-        try:
-            values = json.loads(self.notes)
-        except ValueError:
-            return {}
-        return values if isinstance(values, dict) else {}
-
-    def age(self, time: float) -> float:
-        """Compute how long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""
-        # a record that counts from its own start says nothing about a session dated by the calendar
-        age = float(time) - self.clock
-        return age if abs(age) < ABSOLUTE else 0.0
-
-    def driven_by(self, records: Sequence[Record]) -> "Provenance":
-        """Widen range and slew of the voltage to those of these records."""
-        low, high = self.voltage_range  # never narrower: what an earlier session has shown is still known
-        return self.with_(
-            voltage_range=(
-                min(low, *(float(r.voltage.min()) for r in records)),
-                max(high, *(float(r.voltage.max()) for r in records)),
-            ),
-            slew=max(self.slew, *(float(np.abs(np.diff(r.voltage)).max()) / r.dt for r in records)),
-        )
-
-
-class Removed:
-    """Stands where a model's provenance was: nothing of it can be read."""
-
-    def __getattr__(self, name: str) -> NoReturn:
-        """Fail with advice, but for names that Python itself asks about."""
-        if name.startswith("__"):
-            raise AttributeError(name)
-        raise RuntimeError(
-            f"provenance.{name} is not there under jit, where models of any origin share one program: "
-            "read it before, or put it back with replace(model, provenance=...)"
-        )
-
-
-REMOVED = Removed()
 
 
 def _numbers(values) -> np.ndarray:
@@ -156,7 +77,7 @@ class Model(eqx.Module):
         encoder, memory, input_map, output, scales, drive, effects: the parts; `effects` act on the force side.
         hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
         substeps: RK4 steps per sample.
-        provenance: what it was made from.
+        domain: what it was shown: sampling, voltages, region.
     """
 
     coefficients: Float[Array, " tokens"]
@@ -167,7 +88,7 @@ class Model(eqx.Module):
     scales: Scales
     hold: Hold = eqx.field(static=True, default="foh")
     substeps: int = eqx.field(static=True, default=1)
-    provenance: Provenance | Removed = eqx.field(static=True, default=Provenance(1.0))
+    domain: Domain = Domain(1.0)
     drive: AbstractDrive = DirectDrive()
     effects: tuple = ()
 
@@ -206,6 +127,16 @@ class Model(eqx.Module):
         # the scale of x' over that of x
         return dominant_frequency(self.physical_coefficients) or float(self.scales.rates[0])
 
+    @property
+    def dt(self) -> float:
+        """Sampling interval of its records, s."""
+        return float(self.domain.dt)
+
+    @property
+    def provenance(self) -> Provenance:
+        """Domain and an empty origin; deprecated: read `dt` or `domain`, and the origin off a `Fitted`."""
+        return Provenance(self.domain)
+
     def tokens(
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
@@ -233,19 +164,6 @@ class Model(eqx.Module):
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
 
-def check_model(model: object) -> None:
-    """Refuse what is no model, and say where one is.
-
-    Raises:
-        BadInput: saying what was given, and what to give.
-    """
-    if not isinstance(model, Model):
-        inside = isinstance(getattr(model, "model", None), Model)
-        kind = type(model).__name__
-        remedy = f"give its .model (the {kind} holds one)" if inside else "give pitp.load(FILE) or identify(...).model"
-        raise BadInput(f"a {kind} is no model: {remedy}")
-
-
 def linear_model(
     coefficients: np.ndarray,
     *,
@@ -255,12 +173,16 @@ def linear_model(
     output: Output,
     hold: Hold,
     substeps: int,
-    provenance: Provenance,
+    domain: Domain | None = None,
+    provenance: Provenance | None = None,
 ) -> Model:
-    """Build a model with constant tokens from coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects."""
+    """Build a model with constant tokens from coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects.
+
+    `provenance` is deprecated: domain and origin in one, and a `Fitted` comes back.
+    """
     coefficients = np.asarray(coefficients, np.float64)
     scaled = coefficients * np.asarray(state_scale) / force_scale
-    return Model(
+    model = Model(
         coefficients=jnp.asarray(scaled, jnp.float32),
         input_map=input_map,
         encoder=ConstantEncoder(len(coefficients) + 1),
@@ -269,5 +191,6 @@ def linear_model(
         scales=Scales(state_scale, force_scale, sections_of(coefficients) if len(coefficients) > 3 else ()),
         hold=hold,
         substeps=substeps,
-        provenance=provenance,
+        domain=domain or Domain(1.0),
     )
+    return model if provenance is None else provenance.beside(model)

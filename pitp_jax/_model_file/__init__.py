@@ -4,7 +4,6 @@ Verbs: `save`, `load`. A file is a list of named parts with plain values, and th
 """
 
 from .lineage import descended as descended
-from .lineage import lineage as lineage
 from .model_file import digest as digest
 from .model_file import load as load
 from .model_file import save as save

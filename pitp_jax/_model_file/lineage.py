@@ -7,7 +7,6 @@ prints it; any other the sum of its samples t, u, y (little-endian float64, one 
 """
 
 import hashlib
-import json
 import os
 import platform
 from collections.abc import Sequence
@@ -18,13 +17,16 @@ import numpy as np
 
 from .. import __version__
 from .._errors import BadInput
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._record.record import Record
 from .model_file import digest
 
 
-def descended(model: Model, step: str, records: Sequence[Record], parent: Model | None = None) -> Model:
-    """Add one step to the model's notes."""
+def descended(
+    model: Model | Fitted, step: str, records: Sequence[Record], parent: Model | Fitted | None = None
+) -> Fitted:
+    """Add one step to the line of descent."""
     versions = {
         "pitp_jax": __version__,
         "jax": jax.__version__,
@@ -36,16 +38,8 @@ def descended(model: Model, step: str, records: Sequence[Record], parent: Model 
     except BadInput:  # a part of one's own, which no file holds
         known = None
     entry = {"step": step, "versions": versions, "parent": known, "records": [_sum(r) for r in records]}
-    notes = model.provenance.noted()
-    notes["lineage"] = [*notes.get("lineage", []), entry]
-    return replace(model, provenance=model.provenance.with_(notes=json.dumps(notes)))
-
-
-def lineage(model: Model) -> list[dict]:
-    """List all steps, oldest first; none for a model of before there were any."""
-    steps = model.provenance.noted().get("lineage", [])
-    # notes of a file are anybody's JSON: what is no step is passed over, so that `pitp info` still opens the model
-    return [entry for entry in steps if isinstance(entry, dict)] if isinstance(steps, list) else []
+    fitted = fitted_of(model)
+    return replace(fitted, origin=replace(fitted.origin, lineage=(*fitted.origin.lineage, entry)))
 
 
 def _sum(record: Record) -> dict:

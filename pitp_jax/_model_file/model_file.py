@@ -1,9 +1,9 @@
 """Save and load model files: one format for identified, trained and augmented models, and nothing in it is ever run.
 
-    line 1    pitp_jax model 1                  magic and version
+    line 1    pitp_jax model 2                  magic and version; 1 is read as well (`version_1`)
     line 2    sha256 <digest of all that follows>
     then      {                                 readable JSON, one part per line: what every part is, its
-              }                                 sizes, the model's origin, shape and dtype of every leaf
+              }                                 sizes, domain and origin, shape and dtype of every leaf
     then      the leaves, each as .npy bytes    no pickle
 
 A part is rebuilt from a closed list of names, as shapes only, and then filled with the stored leaves. So a
@@ -22,24 +22,26 @@ import jax
 import numpy as np
 
 from .._errors import BadInput
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
 from .._table.guard import cleaned
-from .parts import build, decode, describe, encode
+from .parts import build, decode, describe, encode, origin_of
 from .plausible import LARGEST_FILE, check_header, check_leaves
+from .version_1 import upgraded
 
-VERSION = 1
+VERSION = 2
 _MAGIC = b"pitp_jax model "
 _DTYPES = {"float16": np.dtype("<f2"), "float32": np.dtype("<f4"), "float64": np.dtype("<f8")}
 
 
-def save(path: str | os.PathLike, model: Model) -> None:
+def save(path: str | os.PathLike, model: Model | Fitted) -> None:
     """Write a model file, whole or not at all.
 
     Args:
         path: the file; an existing one is replaced.
-        model: any model; leaves keep their dtype (float16, float32 or float64).
+        model: a `Fitted`, or a bare `Model`, whose origin is empty; leaves keep their dtype (float16, 32 or 64).
 
     Raises:
         BadInput: a part this format has no name for (an own encoder, an effect), or an unwritable file.
@@ -47,26 +49,26 @@ def save(path: str | os.PathLike, model: Model) -> None:
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
     """
-    body = _body(model)
+    body = _body(fitted_of(model))
     write_bytes_atomic(path, _MAGIC + b"%d\nsha256 " % VERSION + _sum(body) + b"\n" + body)
 
 
-def digest(model: Model) -> str:
+def digest(model: Model | Fitted) -> str:
     """Compute the SHA-256 on the second line of the file `save` would write.
 
     Raises:
         BadInput: as `save`.
     """
-    return _sum(_body(model)).decode()
+    return _sum(_body(fitted_of(model))).decode()
 
 
 def _sum(body: bytes) -> bytes:
     return hashlib.sha256(body).hexdigest().encode()
 
 
-def _body(model: Model) -> bytes:
+def _body(fitted: Fitted) -> bytes:
     """Write what stands behind the digest: header and leaves."""
-    header = describe(model)
+    header, model = describe(fitted), fitted.model
     skeleton = _skeleton(header)  # as `load` will build it: a model that could not be read back is refused here
     numbers = {jax.tree_util.keystr(k) for k, leaf in jax.tree_util.tree_leaves_with_path(skeleton) if _is_number(leaf)}
     leaves = [(k, leaf) for k, leaf in _arrays(model) if jax.tree_util.keystr(k) not in numbers]
@@ -88,14 +90,14 @@ def _body(model: Model) -> bytes:
     return body.getvalue()
 
 
-def load(path: str | os.PathLike) -> Model:
+def load(path: str | os.PathLike) -> Fitted:
     """Read a model file; no code from the file is run.
 
     Args:
         path: a file that `save` wrote.
 
     Returns:
-        the model, equal to the one that was saved.
+        a `Fitted`: the model and its origin, equal to those that were saved.
 
     Raises:
         BadInput: missing, a folder, not a model file, from a newer version, or damaged in any bit.
@@ -105,14 +107,15 @@ def load(path: str | os.PathLike) -> Model:
         >>> pitp.load(folder / "model.pitp").order
         2
     """
-    body = _checked_bytes(path)
+    version, body = _checked_bytes(path)
     path = cleaned(path)
     try:
         # latin-1 has a character for every byte, so `end` is a place in the bytes too; the JSON itself is ASCII
         text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
-        header = decode(text)
+        header = decode(text) if version > 1 else upgraded(decode(text))
         check_header(header)
-        return _fill(_skeleton(header), header["leaves"], memoryview(body)[end + 1 :])
+        model = _fill(_skeleton(header), header["leaves"], memoryview(body)[end + 1 :])
+        return Fitted(model, origin_of(header))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     except Exception as error:  # an intact digest over contents no version of `save` writes
@@ -126,8 +129,8 @@ def is_model_file(path: str | os.PathLike) -> bool:
         return file.read(len(_MAGIC)) == _MAGIC
 
 
-def _checked_bytes(path) -> bytes:
-    """Read everything after the digest, once it matches."""
+def _checked_bytes(path) -> tuple[int, bytes]:
+    """Read the version, and everything after the digest, once it matches."""
     name, path = path, cleaned(path)
     try:
         # a pipe or a device could block for ever, or never end
@@ -135,7 +138,7 @@ def _checked_bytes(path) -> bytes:
             raise BadInput(f"{path}: is not a regular file; give a model file")
         with open(name, "rb") as file:
             magic = file.readline(64)  # bounded: a file of another kind may hold no line end at all
-            _check_magic(path, magic)
+            version = _version(path, magic)
             if os.fstat(file.fileno()).st_size > LARGEST_FILE:
                 raise BadInput(f"{path}: more than {LARGEST_FILE >> 20} MiB; no model is as large, write it again")
             known, body = file.readline(80), file.read()
@@ -151,24 +154,25 @@ def _checked_bytes(path) -> bytes:
         raise BadInput(
             f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
         )
-    return body
+    return version, body
 
 
-def _check_magic(path, line: bytes) -> None:
+def _version(path, line: bytes) -> int:
     version = line.removeprefix(_MAGIC).removesuffix(b"\n")
     if not line.startswith(_MAGIC) or not line.endswith(b"\n") or not version.isdigit():
         raise BadInput(f"{path}: is not a pitp_jax model file; write one with `pitp identify` or `pitp fit`")
-    if version != b"%d" % VERSION:
+    if not 1 <= int(version[:12]) <= VERSION:
         raise BadInput(
-            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads version {VERSION}; "
+            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads versions 1 to {VERSION}; "
             "update pitp_jax or write the model again"
         )
+    return int(version)
 
 
 def _skeleton(header: dict) -> Model:
     """Build the model of a header with shapes where its leaves belong; nothing is allocated.
 
-    What is of NumPy (scales, the sensor's zero) has its number in the header and is no leaf of the file.
+    What is of NumPy (scales, domain, the sensor's zero) has its number in the header and is no leaf of the file.
     """
     numbers = []
 

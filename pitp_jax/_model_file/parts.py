@@ -7,7 +7,6 @@ A part belongs to a file only by its line in one of five registries: input maps,
 """
 
 import base64
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,11 +21,14 @@ from .._effects.effect import Effect
 from .._effects.found_term import NAMES as LISTED
 from .._effects.found_term import term_row
 from .._errors import BadInput
+from .._model.domain import Domain
 from .._model.drive import DirectDrive, ElectrodeLag
 from .._model.encoder import AdaptedEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
+from .._model.fitted import Fitted
 from .._model.input_map import LinearInput, SquareInput
 from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
-from .._model.model import Model, Output, Provenance, Scales
+from .._model.model import Model, Output, Scales
+from .._model.origin import Origin, OutOfFold
 from .._record.long_record import LongRecord
 
 LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
@@ -126,9 +128,9 @@ EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in CATALOGUE}
 }
 
 
-def describe(model: Model) -> dict:
-    """Describe the model, without its leaves, by plain values."""
-    source = model.provenance
+def describe(fitted: Fitted) -> dict:
+    """Describe the model, without its leaves, and its origin by plain values."""
+    model, origin = fitted.model, fitted.origin
     return {
         "order": model.order,
         "hold": model.hold,
@@ -138,25 +140,16 @@ def describe(model: Model) -> dict:
         "memory": _named(MEMORIES, model.memory),
         "drive": _named(DRIVES, model.drive),
         "effects": [_effect(e) for e in model.effects],
-        "output": {"offset": float(model.output.offset), "polarity": float(model.output.polarity)},
-        "scales": {
-            "state": model.scales.state.tolist(),
-            "force": float(model.scales.force),
-            "sections": model.scales.sections.tolist(),
+        "output": _numbers(model.output),
+        "scales": _numbers(model.scales),
+        "domain": _numbers(model.domain),
+        "origin": {
+            **{name: value for name, value in vars(origin).items() if name != "long_record"},
+            "covariance": origin.covariance.tolist(),
+            **{name: float(getattr(origin, name)) for name in ("misfit", "noise", "level")},
+            "out_of_fold": origin.out_of_fold and vars(origin.out_of_fold),
         },
-        "provenance": {
-            "dt": float(source.dt),
-            "displacement_unit": source.displacement_unit,
-            "voltage_unit": source.voltage_unit,
-            "voltage_range": [float(v) for v in source.voltage_range],
-            "slew": float(source.slew),
-            "region": [[float(v) for v in pair] for pair in source.region],
-            "clock": float(source.clock),
-            "covariance": [[float(v) for v in row] for row in source.covariance],
-            "misfit": float(source.misfit),
-        },
-        "long_record": _packed(source.long_record),
-        "notes": _notes_out(source.notes),
+        "long_record": _packed(origin.long_record),
     }
 
 
@@ -167,18 +160,26 @@ def _effect(effect) -> dict:
     return {"name": key, **EFFECTS[key].describe(effect)}
 
 
+def _numbers(part: Output | Scales | Domain) -> dict:
+    """Fields of NumPy, as they are."""
+    return {name: np.asarray(value).tolist() for name, value in vars(part).items()}
+
+
 def _packed(long: LongRecord | None) -> dict | None:
     if long is None:
         return None
     # bytes as text: as JSON numbers the long record would be most of the file
-    voltage, displacement = (base64.b64encode(b).decode("ascii") for b in (long.voltage, long.displacement))
-    return {"dt": long.dt, "step": long.step, "rest": long.rest, "voltage": voltage, "displacement": displacement}
+    series = {name: getattr(long, name).astype("<f4").tobytes() for name in ("voltage", "displacement")}
+    texts = {name: base64.b64encode(data).decode("ascii") for name, data in series.items()}
+    return {"dt": long.dt, "step": long.step, "rest": long.rest, **texts}
 
 
-def _unpacked(stored: dict | None) -> LongRecord | None:
+def unpacked(stored: dict | None) -> LongRecord | None:
+    """The long record of a header; its series are little-endian float32 in base 64."""
     if stored is None:
         return None
-    series = (base64.b64decode(stored[k], validate=True) for k in ("voltage", "displacement"))
+    data = (base64.b64decode(stored[k], validate=True) for k in ("voltage", "displacement"))
+    series = (np.frombuffer(values, "<f4") for values in data)
     return LongRecord(float(stored["dt"]), int(stored["step"]), bool(stored["rest"]), *series)
 
 
@@ -209,25 +210,37 @@ def _part(registry: dict[str, Part], described: dict):
     return registry[name].build(**settings)
 
 
+def _bands(stored: dict | None) -> OutOfFold | None:
+    if stored is None:
+        return None
+    edges, error, output = (tuple(map(float, stored[name])) for name in ("edges_hz", "error", "output"))
+    return OutOfFold(edges, error, output)
+
+
+def origin_of(header: dict) -> Origin:
+    """Build what the header's model was made from."""
+    stored = header["origin"]
+    return Origin(
+        displacement_unit=str(stored["displacement_unit"]),
+        voltage_unit=str(stored["voltage_unit"]),
+        covariance=np.asarray(stored["covariance"], float).reshape(2 * (len(stored["covariance"]),)),
+        stderr=tuple(map(float, stored["stderr"])),
+        misfit=float(stored["misfit"]),
+        noise=float(stored["noise"]),
+        level=float(stored["level"]),
+        out_of_fold=_bands(stored["out_of_fold"]),
+        remarks=tuple(map(str, stored["remarks"])),
+        identified_on=tuple(map(str, stored["identified_on"])),
+        long_record=unpacked(header["long_record"]),
+        training=None if stored["training"] is None else dict(stored["training"]),
+        adapted=tuple(map(dict, stored["adapted"])),
+        lineage=tuple(map(dict, stored["lineage"])),
+    )
+
+
 def build(header: dict) -> Model:
     """Build the model the header describes; its leaves are placeholders."""
-    source, output, scales = header["provenance"], header["output"], header["scales"]
-    notes = header["notes"] if isinstance(header["notes"], str) else json.dumps(header["notes"])
-    known = source if "misfit" in source else _from_notes(notes, header["order"])  # files older than the field
-    low, high = source["voltage_range"]
-    provenance = Provenance(
-        dt=float(source["dt"]),
-        displacement_unit=str(source["displacement_unit"]),
-        voltage_unit=str(source["voltage_unit"]),
-        voltage_range=(float(low), float(high)),
-        slew=float(source["slew"]),
-        region=tuple((float(a), float(b)) for a, b in source["region"]),
-        notes=notes,
-        covariance=tuple(tuple(map(float, row)) for row in known["covariance"]),
-        misfit=float(known["misfit"]),
-        long_record=_unpacked(header.get("long_record")),
-        clock=float(source.get("clock", 0.0)),
-    )
+    scales = header["scales"]
     if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
     model = Model(
@@ -235,11 +248,11 @@ def build(header: dict) -> Model:
         input_map=_part(INPUT_MAPS, header["input_map"]),
         encoder=_part(ENCODERS, header["encoder"]),
         memory=_part(MEMORIES, header["memory"]),
-        output=Output(float(output["offset"]), float(output["polarity"])),
-        scales=Scales(scales["state"], scales["force"], scales["sections"]),
+        output=Output(**header["output"]),
+        scales=Scales(**scales),
         hold=header["hold"],
         substeps=int(header["substeps"]),
-        provenance=provenance,
+        domain=Domain(**header["domain"]),
         drive=_part(DRIVES, header["drive"]),
         effects=tuple(_part(EFFECTS, effect) for effect in header["effects"]),
     )
@@ -248,33 +261,6 @@ def build(header: dict) -> Model:
     if tokens.shape != (model.order + 1,) or model.order != header["order"]:
         raise ValueError(f"{tokens.shape[0]} tokens for order {header['order']}")
     return model
-
-
-def _from_notes(notes: str, order: int) -> dict:
-    """Read covariance and misfit of files that were written when these stood in the notes alone."""
-    try:
-        values = json.loads(notes)
-    except ValueError:
-        values = {}
-    # of a trained model they no longer hold: an encoder stands beside the nominal
-    identified = values.get("identification", {}) if isinstance(values, dict) and "training" not in values else {}
-    row = next((row for row in identified.get("orders", []) if row.get("order") == order), {})
-    covariance, noise = np.zeros((0, 0)), identified.get("noise_std")
-    if "correlation" in row:
-        relative = np.asarray(row["stderr"], float) / np.asarray(row["coefficients"], float)  # d ln a = da / a
-        covariance = np.asarray(row["correlation"], float) * np.outer(relative, relative)
-    misfit = max(row["rms"] / noise, 1.0) if "rms" in row and noise else math.inf
-    return {"covariance": covariance.tolist(), "misfit": misfit}
-
-
-def _notes_out(notes: str):
-    """Write notes as readable values where reading them back gives the same text, else as the text itself."""
-    try:
-        values = json.loads(notes)
-    except ValueError:
-        return notes
-    # text that would come back changed is kept to the letter
-    return values if isinstance(values, dict) and json.dumps(decode(encode(values))) == notes else notes
 
 
 def encode(value: Any) -> Any:

@@ -22,25 +22,25 @@ def check_header(header: dict) -> None:
         BadInput: with all such numbers.
         KeyError, TypeError, ValueError: entries are missing or of another kind.
     """
-    source, output, scales = header["provenance"], header["output"], header["scales"]
-    low, high = source["voltage_range"]
+    domain, origin, output, scales = (header[name] for name in ("domain", "origin", "output", "scales"))
+    low, high = domain["voltage_range"]
     # the text of each is what the user is shown, all that fail in one line
     checks = {
         f"order {header['order']!r}": 1 <= header["order"] <= _LARGEST["order"],
         f"{len(header['effects'])} effects": len(header["effects"]) <= _EFFECTS,
         f"{len(header['leaves'])} arrays": len(header["leaves"]) <= _LEAVES,
-        f"dt {source['dt']!r}": _positive(source["dt"]),
+        f"dt {domain['dt']!r}": _positive(domain["dt"]),
         f"scales of the state {scales['state']!r}": bool(scales["state"]) and all(map(_positive, scales["state"])),
         f"scale of the force {scales['force']!r}": _positive(scales["force"]),
         f"sections {scales['sections']!r}": all(math.isfinite(s) and s != 0 for s in scales["sections"]),
         f"offset {output['offset']!r}": math.isfinite(output["offset"]),
         f"polarity {output['polarity']!r}": abs(output["polarity"]) == 1,
         f"voltage range {low!r} to {high!r}": math.isfinite(low) and low <= high,  # no upper end: none was seen
-        f"slew {source['slew']!r}": source["slew"] >= 0,
-        f"region {source['region']!r}": all(a <= b for a, b in source["region"]),
-        f"clock {source.get('clock', 0.0)!r}": math.isfinite(source.get("clock", 0.0)),
-        f"unit {source['displacement_unit']!r}": source["displacement_unit"] in OUTPUT_UNITS,
-        f"unit {source['voltage_unit']!r}": source["voltage_unit"] in INPUT_UNITS,
+        f"slew {domain['slew']!r}": domain["slew"] >= 0,
+        f"region {domain['region']!r}": all(a <= b for a, b in domain["region"]),
+        f"clock {domain['clock']!r}": math.isfinite(domain["clock"]),
+        f"unit {origin['displacement_unit']!r}": origin["displacement_unit"] in OUTPUT_UNITS,
+        f"unit {origin['voltage_unit']!r}": origin["voltage_unit"] in INPUT_UNITS,
     }
     for part in (header["encoder"], header["memory"], header["drive"], header["input_map"], *header["effects"][:64]):
         for key, value in part.items():

@@ -12,6 +12,7 @@ import numpy as np
 
 from .._errors import BadInput
 from .._model.encoder import ConstantEncoder
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._record.record import Record
 from .._record.sets import check_set
@@ -76,7 +77,7 @@ class Plan(Shown):
 
 
 def plan(
-    model: Model | None = None,
+    model: Model | Fitted | None = None,
     records: Sequence[Record] = (),
     *,
     max_voltage: float | None = None,
@@ -117,6 +118,7 @@ def plan(
         >>> max(float(np.abs(r.voltage).max()) for r in session.recordings) <= 3000.0
         True
     """
+    model = None if model is None else model_of(model)
     if records:
         check_set(records)
     if choose_from:
@@ -177,7 +179,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) ->
     missing = [name for name, value in (("--max-voltage", max_voltage), ("--band", band)) if value is None]
     if model is None and missing:
         raise BadInput(f"a first session needs {' and '.join(missing)}: what the amplifier and the membrane bear")
-    low, high = (0.0, 0.0) if model is None else model.provenance.voltage_range
+    low, high = (0.0, 0.0) if model is None else model.domain.voltage_range
     one_sided = model is None or model.input_map.one_sided
     # behind a square a negative voltage was as good as a positive one
     high, low = max(high, -low) if one_sided else high, 0.0 if one_sided else min(low, 0.0)
@@ -185,11 +187,11 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) ->
         high, low = max_voltage, max(low, -max_voltage)
     if band is None and model is not None:
         hz = model.natural_frequency / (2 * np.pi)
-        band = (_BAND[0] * hz, min(_BAND[1] * hz, (rate or 1 / model.provenance.dt) / 20))
+        band = (_BAND[0] * hz, min(_BAND[1] * hz, (rate or 1 / model.dt) / 20))
     assert band is not None
-    rate = rate or (default_rate(band[1]) if model is None else 1 / model.provenance.dt)
+    rate = rate or (default_rate(band[1]) if model is None else 1 / model.dt)
     if max_slew is None:
-        seen = np.inf if model is None else model.provenance.slew
+        seen = np.inf if model is None else model.domain.slew
         # of a sine over the whole range at the highest frequency, the steepest of what is planned
         max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement

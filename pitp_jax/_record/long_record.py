@@ -6,7 +6,7 @@ Read back, it is band-limited between the samples kept: linear between them, the
 would be off by 2 % at 15 Hz.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -19,36 +19,41 @@ _MOST = 150_000  # samples kept in all
 _READ = 1_000_000  # samples of the record that count: every fitting step follows its memories along them
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LongRecord:
-    """A thinned record in base units, as the rig has them; hashable, so that a model may carry it under jit.
+    """A thinned record in base units, as the rig has them.
 
     Attributes:
         dt: sampling interval of the record as it was, s.
         step: every how many of its samples are kept.
         rest: whether it starts from rest.
-        voltage, displacement: little-endian float32 in V and m (or V); nan where the output is missing.
+        voltage, displacement: float32, in V and m (or V), nan where the output is missing; shape (kept,).
     """
 
     dt: float
     step: int
     rest: bool
-    voltage: bytes = field(repr=False)
-    displacement: bytes = field(repr=False)
+    voltage: np.ndarray
+    displacement: np.ndarray
 
     def __post_init__(self):
         """Two series of one length."""
-        if len(self.voltage) != len(self.displacement) or len(self.voltage) % 4 or self.step < 1:
-            raise ValueError(f"a long record of {len(self.voltage)} and {len(self.displacement)} bytes")
+        if self.voltage.shape != self.displacement.shape or self.voltage.ndim != 1 or self.step < 1:
+            raise ValueError(f"a long record of shapes {self.voltage.shape} and {self.displacement.shape}")
 
     @property
     def seconds(self) -> float:
         """How long it lasts."""
-        return len(self.voltage) // 4 * self.step * self.dt
+        return len(self.voltage) * self.step * self.dt
+
+    @property
+    def range(self) -> float:
+        """Largest less smallest displacement, m (or V)."""
+        return float(np.nanmax(self.displacement) - np.nanmin(self.displacement))
 
     def record(self) -> Record:
         """At its own rate again."""
-        voltage, kept = (np.frombuffer(b, "<f4").astype(float) for b in (self.voltage, self.displacement))
+        voltage, kept = self.voltage.astype(float), self.displacement.astype(float)
         seen, place = np.isfinite(kept), np.arange(len(kept))
         displacement = self._between(np.interp(place, place[seen], kept[seen]))
         displacement[np.repeat(~seen, self.step)] = np.nan
@@ -78,8 +83,7 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     seen = np.ones(-(-record.samples // step), bool)
     seen[np.flatnonzero(~known) // step] = False
     displacement = np.where(seen, _thin(filled, step), np.nan)
-    kept = (a.astype("<f4").tobytes() for a in (_thin(record.voltage, step), displacement))
-    return LongRecord(record.dt, step, rest, *kept)
+    return LongRecord(record.dt, step, rest, _thin(record.voltage, step).astype("<f4"), displacement.astype("<f4"))
 
 
 def _thin(values: np.ndarray, step: int) -> np.ndarray:

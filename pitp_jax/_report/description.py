@@ -6,32 +6,18 @@ import numpy as np
 
 from .._effects.physical import physical
 from .._model.encoder import ConstantEncoder, plain
-from .._model.model import Model
+from .._model.fitted import Fitted
 from .._table.units import base_unit
 from .numbers import number
 
 
-def notes(model: Model) -> dict:
-    """Read the summaries stored with a model; empty where there are none."""
-    return model.provenance.noted()
-
-
-def coefficient_units(model: Model) -> list[str]:
+def coefficient_units(model: Fitted) -> list[str]:
     """Units of a_0 ... a_n: force (V^2, or V for a linear input) times s^i over the output's."""
-    output = base_unit(model.provenance.displacement_unit)
+    output = base_unit(model.origin.displacement_unit)
     return [f"{model.input_map.unit}{('', ' s', f' s^{i}')[min(i, 2)]}/{output}" for i in range(model.order + 1)]
 
 
-def standard_errors(model: Model) -> list[float | None]:
-    """Of a_0 ... a_n, as `identify` left them in the notes; None where it did not, or they moved since."""
-    found = notes(model).get("identification", {}) if "adapted" not in notes(model) else {}
-    for row in found.get("orders", []):
-        if row.get("order") == model.order and len(row.get("stderr", ())) == model.order + 1:
-            return [float(v) for v in row["stderr"]]
-    return [None] * (model.order + 1)
-
-
-def modes(model: Model) -> list[dict]:
+def modes(model: Fitted) -> list[dict]:
     """Every real pole and pole pair of the nominal: natural frequency in Hz and damping, ascending."""
     a = model.physical_coefficients
     roots = [complex(r) for r in np.roots(a[::-1]) if r.imag >= 0 and abs(r) > 0]
@@ -41,10 +27,9 @@ def modes(model: Model) -> list[dict]:
     ]
 
 
-def describe(model: Model) -> dict:
+def describe(model: Fitted) -> dict:
     """A model in plain values, for `pitp info` and its JSON."""
-    source, told = model.provenance, notes(model)
-    training = told.get("training")
+    domain, origin = model.domain, model.origin
     return {
         "kind": "identified" if isinstance(plain(model.encoder), ConstantEncoder) else "trained",
         "order": model.order,
@@ -55,21 +40,21 @@ def describe(model: Model) -> dict:
         "hold": model.hold,
         "substeps": model.substeps,
         "coefficients": model.physical_coefficients.tolist(),
-        "coefficients_stderr": standard_errors(model),
+        "coefficients_stderr": list(origin.stderr) or [None] * (model.order + 1),
         "coefficients_unit": coefficient_units(model),
         "modes": modes(model),
         "offset": float(model.output.offset),
         "polarity": float(model.output.polarity),
-        "output_unit": base_unit(source.displacement_unit),
-        "dt": source.dt,
-        "voltage_range": list(source.voltage_range),
-        "max_slew": source.slew,
-        "identified_on": told.get("identification", {}).get("records", []),
-        "training": training,
+        "output_unit": base_unit(origin.displacement_unit),
+        "dt": model.dt,
+        "voltage_range": domain.voltage_range.tolist(),
+        "max_slew": float(domain.slew),
+        "identified_on": list(origin.identified_on),
+        "training": origin.training,
     }
 
 
-def _described(model: Model, effect) -> dict:
+def _described(model: Fitted, effect) -> dict:
     """Name, form and numbers in physical units."""
     told = {p.name: physical(model, p, float(v)) for p, v in effect.numbers()}
     return {

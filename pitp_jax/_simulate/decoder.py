@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._effects.effect import Instant
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import jit
 from .._model.rows import Rows
@@ -153,7 +154,7 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
     return jnp.concatenate([jnp.stack(after), *ports.moved(model, parts, core[0], after[0], h)])
 
 
-def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:
+def rest_state(model: Model | Fitted, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:
     """Build the scaled state of an actuator that has been at rest for ever, at an age of the session in s.
 
     Args:
@@ -167,6 +168,7 @@ def rest_state(model: Model, age: float | Float[Array, ""] = 0.0) -> Float[Array
         >>> pitp.rest_state(model).shape
         (2,)
     """
+    model = model_of(model)
     zero = jnp.zeros((), model.coefficients.dtype)
     return settled_state(model, jnp.zeros(model.order, zero.dtype), zero, zero, age)
 
@@ -177,7 +179,7 @@ def settled_state(model: Model, state: Float[Array, " order"], level, voltage, a
 
 
 def rollout(
-    model: Model, voltage: Float[Array, " time"], dt: float, start: Float[Array, " state"]
+    model: Model | Fitted, voltage: Float[Array, " time"], dt: float, start: Float[Array, " state"]
 ) -> Float[Array, "time state"]:
     """Roll one record out: scaled states at every sample under a drive voltage u, row 0 = `start`; vmap for more.
 
@@ -197,6 +199,7 @@ def rollout(
         >>> states.shape
         (64, 2)
     """
+    model = model_of(model)
     rest, voltage = ~jnp.any(start[: model.order]), jnp.asarray(voltage, start.dtype)
     dt = float(dt) if isinstance(dt, np.generic) else dt  # a float64 of numpy's would make one of everything
     voltage = model.drive.film(ports.delayed(model, voltage, dt, rest), dt, rest)

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._model.fitted import Fitted, model_of
 from .._model.memory import FadingMemory, RingingMemory
-from .._model.model import Model, check_model
+from .._model.model import Model
 from .._model.programs import jit, on_device
 from .._model.substeps import substeps
 from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
@@ -69,7 +70,7 @@ def estimate_start(
 
 def at_rate(model: Model, dt: float) -> Model:
     """Give the model the substeps that this sampling interval asks for, never fewer than it has."""
-    count = max(model.substeps * max(1, round(dt / model.provenance.dt)), substeps(model.physical_coefficients, dt))
+    count = max(model.substeps * max(1, round(dt / model.dt)), substeps(model.physical_coefficients, dt))
     return replace(model, substeps=count) if count > model.substeps else model
 
 
@@ -113,11 +114,11 @@ class Prediction(Shown):
         )
 
 
-def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
+def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Prediction, ...]:
     """Run the model freely under every record's voltage, batched; records may have any lengths, one sampling rate.
 
     Args:
-        model: identified, trained, or with effects.
+        model: identified, trained, or with effects (`Fitted` or `Model`).
         records: as `pitp.read` gives them.
 
     Returns:
@@ -131,7 +132,7 @@ def predict(model: Model, records: Sequence[Record]) -> tuple[Prediction, ...]:
         >>> run.displacement.shape == records[0].displacement.shape
         True
     """
-    check_model(model)
+    model = model_of(model)
     check_set(records)
     model = at_rate(model, records[0].dt)
     runs, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
@@ -169,7 +170,7 @@ def begin(
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
     """Find initial states as `starts` does, and how each record begins, with its zero and direction."""
     aged = session_clock(records) if aged is None else aged
-    ages = [model.provenance.age(r.time[0]) if aged else 0.0 for r in records]
+    ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
     begun, states = beginnings(model, records, ages)
     starts, spent = [], []
     for record, age, state in zip(records, ages, states, strict=True):
@@ -223,14 +224,14 @@ def outside_fraction(model: Model, features: np.ndarray) -> float:
     The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
     in short records). A model without a region (identified only) returns 0.
     """
-    if not model.provenance.region or len(features) == 0:
+    if not len(model.domain.region) or len(features) == 0:
         return 0.0
     return float((_beyond(model, features) > _SLACK).any(-1).mean())
 
 
 def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
     """Measure how far every feature lies outside its trained range, over that range; negative inside."""
-    low, high = np.asarray(model.provenance.region).T
+    low, high = np.asarray(model.domain.region).T
     return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
 
 

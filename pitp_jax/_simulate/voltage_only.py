@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import BadInput
-from .._model.model import Model, check_model
+from .._model.fitted import Fitted, model_of
+from .._model.model import Model
 from .._model.programs import on_device
 from .batched_rollout import free_runs
 from .beginnings import held_states
@@ -18,7 +19,7 @@ from .prediction import FAR, at_rate
 
 
 def rollout(
-    model: Model, voltage: np.ndarray, dt: float | None = None, *,
+    model: Model | Fitted, voltage: np.ndarray, dt: float | None = None, *,
     begins: Literal["rest", "held"] | None = None, start_time: float = 0.0,
 ) -> np.ndarray:  # fmt: skip
     """Roll out the displacement under a voltage, in the rig's units: a free run without a record.
@@ -41,8 +42,8 @@ def rollout(
         >>> x.shape, bool(x[0] == 0.0), bool(x[-1] > 0)
         ((200,), True, True)
     """
-    check_model(model)
-    dt = model.provenance.dt if dt is None else dt
+    model = model_of(model)
+    dt = model.dt if dt is None else dt
     drive = _checked(voltage, dt, begins)
     rows = drive.reshape(-1, drive.shape[-1])
     return _displacement(at_rate(model, dt), rows, float(dt), begins, start_time).reshape(drive.shape)
@@ -71,7 +72,7 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
     """Roll out side by side, padded to whole thousands of samples as predictions are."""
     dtype, samples = model.coefficients.dtype, rows.shape[1]
-    age = model.provenance.age(start_time)
+    age = model.domain.age(start_time)
     # a record that begins under a voltage has most likely stood under it
     held = np.full(len(rows), begins == "held") if begins else rows[:, 0] != 0
     rest = jnp.broadcast_to(rest_state(model, age), (len(rows), rest_state(model, age).shape[0]))

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .._errors import BadInput, ComputationFailed
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.initial_state import in_motion
 from .._record.record import Record
@@ -39,7 +40,12 @@ class HeldOut:
 
 
 def cross_validate(
-    nominal: Model | Callable[[Sequence[Record]], Model], records: Sequence[Record], model: Model, *, key, **options
+    nominal: Model | Fitted | Callable[[Sequence[Record]], Fitted],
+    records: Sequence[Record],
+    model: Model | Fitted,
+    *,
+    key,
+    **options,
 ) -> tuple[HeldOut, ...]:
     """Train once without every record that moves, and predict it.
 
@@ -71,7 +77,7 @@ def cross_validate(
 def _held_out(nominal, records: Sequence[Record], k: int, fitted: float, trained: Callable) -> HeldOut:
     one, others = records[k], [r for j, r in enumerate(records) if j != k]
     try:
-        start = nominal if isinstance(nominal, Model) else nominal(others)
+        start = nominal if isinstance(nominal, Model | Fitted) else nominal(others)
         blind = trained((start, others)).model
     except (BadInput, ComputationFailed) as error:  # of one fold alone: the others still say what they say
         return HeldOut(one.name, fitted, float("inf"), str(error))

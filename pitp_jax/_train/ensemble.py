@@ -20,8 +20,9 @@ import numpy as np
 import scipy
 from jax.experimental.multihost_utils import process_allgather
 
+from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import bare, jit
+from .._model.programs import jit
 from .._model_file import load, save
 from .._record.initial_state import in_motion
 from .._record.record import Record
@@ -45,13 +46,13 @@ class Ensemble(Shown):
         ValueError: fewer than 2 members, or members that differ in their parts, scales or output.
     """
 
-    models: tuple[Model, ...]
+    models: tuple[Model | Fitted, ...]
     error: float
 
     def __post_init__(self):
         """Refuse one member, which has no spread, and members of two makes, which cannot be run at once."""
         _enough(len(self.models))
-        first, *others = (_make(m) for m in self.models)
+        first, *others = (_make(model_of(m)) for m in self.models)
         if any(other != first for other in others):
             raise ValueError("members differ in their parts, scales or output: train them from one nominal")
 
@@ -75,7 +76,7 @@ class Band(Shown):
     scored: np.ndarray
 
 
-def train_ensemble(nominal: Model, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
+def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
     """Train `members` models from keys split off `key`, shared among all JAX processes; `options` as for `train`.
 
     Args:
@@ -127,7 +128,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     if not 0 < level < 1:
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
     check_set(records)
-    models = [at_rate(m, records[0].dt) for m in ensemble.models]
+    models = [at_rate(model_of(m), records[0].dt) for m in ensemble.models]
     finest = max(m.substeps for m in models)  # one program runs all members: at the steps of the one that needs most
     stack = _stacked([replace(m, substeps=finest) for m in models])
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
@@ -152,7 +153,7 @@ def _enough(members: int) -> None:
         raise ValueError(f"an ensemble needs at least 2 members, got {members}")
 
 
-def _gathered(own: Sequence[Model], members: int) -> tuple[Model, ...]:
+def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:
     """Gather the members of all processes in order; model files also hold what each was made from."""
     processes = jax.process_count()
     with TemporaryDirectory() as folder:
@@ -174,12 +175,12 @@ def _gathered(own: Sequence[Model], members: int) -> tuple[Model, ...]:
 
 def _stacked(models: Sequence[Model]) -> Model:
     """Stack the members into one model whose leaves have a leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(bare, models))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
 
 
 def _make(model: Model) -> tuple:
     """Describe what members must have in common: structure, shapes, scales and output."""
-    shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, bare(model)))
+    shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, model))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._metrics import e_rms_percent
+from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.initial_state import noise_std
 from .._record.record import Record
@@ -38,7 +39,7 @@ class RecordError:
         return not self.trained <= _ALIKE * self.nominal
 
 
-def errors(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
+def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
     """Compute e_rms of the free run of every record, %; infinite where it diverged, 0 where nothing can be counted."""
     runs = predict(model, records)
     values = [e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]
@@ -108,7 +109,7 @@ class Judge:
         return Candidate(model, names, self.nominal, errors(model, self.records), self.noise)
 
 
-def judge(nominal: Model, records: Sequence[Record]) -> Judge:
+def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
     """Build the judge of models trained from this nominal on these records."""
     noise = [100 * noise_std(r.displacement) / max(float(np.ptp(r.displacement[r.observed])), 1e-30) for r in records]
     return Judge(records, errors(nominal, records), np.array(noise))

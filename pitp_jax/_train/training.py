@@ -8,7 +8,6 @@
 The equation error is fast and blind to what accumulates; free runs see just that (docs/readings.md, Algorithm 1).
 """
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -22,6 +21,7 @@ import optax
 from jax.sharding import Mesh
 
 from .._errors import BadInput, ComputationFailed
+from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
 from .._model.model import Hold, Model
 from .._model.programs import jit
@@ -66,7 +66,7 @@ class Training(Shown):
     `fallback`: what is handed back in the trained model's place, or None.
     """
 
-    model: Model
+    model: Fitted
     history: tuple[dict, ...]
     interrupted: bool
     notes: dict = field(default_factory=dict)
@@ -79,7 +79,7 @@ class Training(Shown):
 
 
 def train(
-    nominal: Model,
+    nominal: Model | Fitted,
     records: Sequence[Record],
     *,
     preset: str = "default",
@@ -95,8 +95,8 @@ def train(
     can hold are averaged over blocks first (`oversampling`).
 
     Args:
-        nominal: an identified model; order, input map, hold and output are kept. Its effects come in with the free
-            runs, and their numbers are fitted along.
+        nominal: an identified model (`Fitted`, or a bare `Model`); order, input map, hold and output are kept. Its
+            effects come in with the free runs, and their numbers are fitted along.
         records: the training records, one sampling rate; those in which nothing moves are left out (`in_motion`).
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
@@ -104,7 +104,7 @@ def train(
         key: JAX key; the same key, records and machine give the same model.
 
     Returns:
-        the model, losses per stage, and notes.
+        the model (a `Fitted`), losses per stage, and notes.
 
     Raises:
         BadInput: unknown preset, records of several rates, none that moves, a mesh over several processes, or no
@@ -119,13 +119,14 @@ def train(
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     seen, motionless = in_motion(records)
-    given, records = nominal, thinned(seen, nominal, BUDGET)
+    parent = fitted_of(nominal)
+    nominal, records = parent.model, thinned(seen, parent.model, BUDGET)
     # means stand at the middle of their blocks: held from there to the next they would lag by half a block
     nominal = _at(nominal, records[0].dt, hold=nominal.hold if records is seen else "foh")
     compare = judge(nominal, records)
     # the equation error needs x itself: each record's own zero and direction are taken out first
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
-    data, slow = _prepared(nominal, records, settings)
+    data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
@@ -140,24 +141,29 @@ def train(
         raise BadInput("settings allow no training stage: set stages to 1 or more")
     chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
     if records[0].dt != seen[0].dt:  # trained on block means, but judged on the records as they were given
-        chosen = judge(given, seen)(_at(chosen.model, seen[0].dt, hold=given.hold))
+        chosen = judge(parent, seen)(_at(chosen.model, seen[0].dt, hold=parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": motionless, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
              "errors": {e.name: [e.nominal, e.trained] for e in chosen.errors}, "problems": problems,
              "interrupted": interrupted, "fallback": fallback, "trained_at_hz": 1 / records[0].dt}  # fmt: skip
     region = _region(chosen.model, data, slow, records[0].dt)
-    model = descended(_annotated(chosen.model, region, seen, notes), "fit", seen, given)
+    domain = replace(chosen.model.domain.driven_by(seen), dt=seen[0].dt, region=region)
+    # an encoder stands beside the nominal now: what was known of its coefficients no longer describes the model
+    origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
+    model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
 
 
 def _at(model: Model, dt: float, hold: Hold) -> Model:
     """Convert the model to records of this sampling interval."""
-    count = max(round(model.substeps * dt / model.provenance.dt), substeps(model.physical_coefficients, dt))
-    return replace(model, substeps=count, hold=hold, provenance=model.provenance.with_(dt=dt))
+    count = max(round(model.substeps * dt / model.dt), substeps(model.physical_coefficients, dt))
+    return replace(model, substeps=count, hold=hold, domain=replace(model.domain, dt=dt))
 
 
-def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, SlowBalance | None]:
+def _prepared(
+    nominal: Model, long: LongRecord | None, records, settings: Settings
+) -> tuple[Dataset, SlowBalance | None]:
     """Prepare what training reads; with the slow balance where the nominal keeps a record that outlasts the free runs.
 
     Not where the nominal has effects of its own, which that balance would not hold.
@@ -168,7 +174,7 @@ def _prepared(nominal: Model, records, settings: Settings) -> tuple[Dataset, Slo
                              difference=settings.difference,
                              memory=partial(memory_of, settings, nominal, long))  # fmt: skip
 
-    long, seen = nominal.provenance.long_record, run_samples(records) * records[0].dt
+    seen = run_samples(records) * records[0].dt
     fits = settings.memory == "fading" and settings.refine_steps > 0 and not nominal.effects
     if long and fits and long.seconds > OUTLASTS * seen:
         data = dataset(long)  # again, below, if no window counts: its memories would be longer than anything shows
@@ -325,8 +331,6 @@ def _second_mass_hz(model: Model) -> float | None:
     return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
-def _annotated(model: Model, region, records: Sequence[Record], notes: dict) -> Model:
-    """Write the trained region, the drives it has seen and the training summary into the model's provenance."""
-    text = json.dumps({**model.provenance.noted(), "training": notes})
-    seen = model.provenance.driven_by(records).with_(dt=records[0].dt, region=region, notes=text)
-    return replace(model, provenance=seen.with_(covariance=(), misfit=float("inf")))  # an encoder stands beside it now
+def _level(history: Sequence[dict]) -> float:
+    """Compute e_rms (%) of the best free runs; nan where there were none."""
+    return float(np.sqrt(min((e["error"] for e in history if e["stage"] == "free runs"), default=np.nan)))

@@ -5,8 +5,10 @@ import csv
 import numpy as np
 from scipy.signal import lsim
 
+from pitp_jax._model import Fitted, Origin
+from pitp_jax._model.domain import Domain
 from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, Provenance, linear_model
+from pitp_jax._model.model import Output, linear_model
 
 OMEGA, DAMPING, STIFFNESS = 2 * np.pi * 5, 0.15, 1e9  # V^2/m: 4 mm at 2 kV
 COEFFICIENTS = STIFFNESS * np.array([1.0, 2 * DAMPING / OMEGA, 1 / OMEGA**2])
@@ -37,11 +39,11 @@ def write_record(path, voltage, displacement, units=("V", "m"), time=TIME):
 
 
 def truth(**changes):
-    provenance = Provenance(0.002, "mm", "kV", (0.0, 2000.0), 5e4, **changes)
-    return linear_model(
+    model = linear_model(
         COEFFICIENTS, input_map=SquareInput(), state_scale=1e-3 * OMEGA ** np.arange(3), force_scale=4e6,
-        output=Output(), hold="foh", substeps=1, provenance=provenance,
+        output=Output(), hold="foh", substeps=1, domain=Domain(0.002, (0.0, 2000.0), 5e4),
     )  # fmt: skip
+    return Fitted(model, Origin("mm", "kV", **changes))
 
 
 def refused(result, code=2):

@@ -34,7 +34,7 @@ def quick(monkeypatch):
                 raise self.error
             return self.found
 
-    fake = Quick(diagnosis_cases.explained(truth()), [])
+    fake = Quick(diagnosis_cases.explained(truth().model), [])
     monkeypatch.setattr(command, "run_diagnosis", fake)
     return fake
 

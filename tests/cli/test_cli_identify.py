@@ -1,12 +1,13 @@
 """`pitp identify` and `pitp info`: results, units, and what is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from cli_cases import COEFFICIENTS, TIME, motion, refused, tree, truth, write_record
 
-from pitp_jax._model.model import Provenance
+from pitp_jax._model.domain import Domain
 from pitp_jax._model_file import model_file
 
 
@@ -33,7 +34,8 @@ def test_identify_validates_and_draws(call, bench, tmp_path):
     assert told["validation"]["sine2"]["nrmse_percent"] < 1
     assert all(order["delay"] == 0 for order in told["orders"])
     page = next((tmp_path / "page").glob("*.html")).read_text()
-    assert "Order 2 was asked for." in page and "on 1 recording<" in page and page.count("<svg") == 2
+    assert "Order 2 was asked for." in page and "on 1 recording<" in page and page.count("<svg") == 3
+    assert "What is left is" in page
     refused(call("identify", records, "--out", tmp_path / "n", "--no-delay", "--learn", "delay"))
 
 
@@ -54,7 +56,7 @@ def test_info_of_a_trained_model(call, tmp_path):
         "records": ["a", "b"], "samples": 9, "seconds": 1.5, "interrupted": True,
         "history": [{"stage": 1, "box": [0.6, 1.5], "physics": 0.1}, {"stage": "free runs", "step": 1, "error": 2.0}],
     }  # fmt: skip
-    model_file.save(tmp_path / "m", truth(notes=json.dumps({"training": training})))
+    model_file.save(tmp_path / "m", truth(training=training))
     code, text, _ = call("info", tmp_path / "m")
     assert code == 0
     assert "trained on 2 records (a, b) (9 samples) in 1.5 s, interrupted" in text
@@ -62,7 +64,7 @@ def test_info_of_a_trained_model(call, tmp_path):
 
 
 def test_info_of_an_unbounded_model_has_no_infinity(call, tmp_path):
-    model_file.save(tmp_path / "m", truth().__class__(**{**vars(truth()), "provenance": Provenance(1.0)}))
+    model_file.save(tmp_path / "m", replace(truth(), domain=Domain(1.0)))
     assert call("info", tmp_path / "m", "--json", tmp_path / "j")[0] == 0
     assert json.loads((tmp_path / "j").read_text(), parse_constant=pytest.fail)["max_slew"] is None
 

@@ -1,0 +1,92 @@
+"""Test what a model leaves: is it white, and does the drive still show in it?
+
+    r_e(k) = sum_t e_t e_{t+k} / sum_t e_t^2                            within +- z / sqrt(N) where e is white
+    r_eu(k) = sum_t u_t e_{t+k} / sqrt(sum e^2 sum u^2)                 within +- z sqrt(sum_j r_e(j) r_u(j) / N)
+                                                                        where e and u have nothing to do with each other
+
+u: the force about its mean; N: samples that count; z: what the largest of all K lags exceeds in 5 % of cases,
+Phi^-1(1 - 0.025 / K). Lags before zero tell of feedback: the drive followed what had been left.
+Source: Ljung (1999), System Identification, 16.6; Bartlett (1946) for the band of the second.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import next_fast_len
+from scipy.stats import norm
+
+from .output_error import Problem, Structure, poles_of, solve
+
+_LAGS, _PERIODS = (
+    40,
+    2.0,
+)  # on either side, and how many periods of the slowest oscillation (or time constants) they span
+_MEMORY = 20  # times as many lags count in the band: e and u may be correlated for long
+
+
+@dataclass(frozen=True)
+class ResidualTest:
+    """Correlations of what the chosen model leaves, pooled over records.
+
+    Attributes:
+        lag: in s, shape (K,), from before zero to after it.
+        own, drive: correlation of the residual with itself and with the force, shape (K,).
+        own_band, drive_band: half widths within which all lags stay in 95 % of cases where there is nothing to find.
+    """
+
+    lag: Float[np.ndarray, " lags"]
+    own: Float[np.ndarray, " lags"]
+    drive: Float[np.ndarray, " lags"]
+    own_band: float
+    drive_band: float
+
+    @property
+    def white(self) -> bool:
+        """No lag but zero shows the residual's own past."""
+        return bool((np.abs(self.own[self.lag != 0]) <= self.own_band).all())
+
+    @property
+    def independent(self) -> bool:
+        """No lag from zero on shows the drive: this order has taken up what a linear model can."""
+        return bool((np.abs(self.drive[self.lag >= 0]) <= self.drive_band).all())
+
+    @property
+    def feedback(self) -> bool:
+        """A lag before zero shows: the drive followed the motion."""
+        return bool((np.abs(self.drive[self.lag < 0]) > self.drive_band).any())
+
+
+def residual_test(params: np.ndarray, structure: Structure, problem: Problem) -> ResidualTest:
+    """Correlate what a model leaves of all records with itself and with their forces."""
+    period = 2 * np.pi / float(np.abs(poles_of(params, structure)).min())
+    shortest = min(len(d) for d in problem.drive)
+    spacing = int(np.clip(_PERIODS * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
+    far = spacing * _LAGS
+    long = min(_MEMORY * far, shortest // 2)
+    sums = np.zeros((3, 2 * long + 1))
+    energy = moved = 0.0
+    for k, left in enumerate(solve(params, structure, problem).left):
+        drive, weight = problem.drive[k], problem.weight[k]
+        force = drive**2 if problem.square else drive
+        force = weight * (force - weight @ force / max(weight.sum(), 1.0))
+        sums += np.stack([_correlated(a, b, long) for a, b in ((left, left), (force, left), (force, force))])
+        energy, moved = energy + float(left @ left), moved + float(force @ force)
+    sums /= np.array([[energy], [np.sqrt(energy * moved)], [moved]]) + 1e-300
+    some = np.arange(-_LAGS, _LAGS + 1) * spacing
+    z = float(norm.ppf(1 - 0.025 / len(some)))
+    common = max(float(sums[0] @ sums[2]), 0.0)
+    return ResidualTest(
+        some * problem.dt,
+        sums[0][long + some],
+        sums[1][long + some],
+        z / np.sqrt(problem.samples),
+        z * np.sqrt(common / problem.samples),
+    )
+
+
+def _correlated(a: np.ndarray, b: np.ndarray, far: int) -> Float[np.ndarray, " lags"]:
+    """sum_t a_t b_{t+k} for k = -far ... far."""
+    size = next_fast_len(len(a) + far, real=True)
+    whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
+    return np.concatenate([whole[-far:], whole[: far + 1]])

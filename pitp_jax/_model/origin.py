@@ -1,0 +1,59 @@
+"""The origin of a model: what it was made from, as typed fields, and which no program sees (`fitted`)."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .._record.long_record import LongRecord
+
+
+@dataclass(frozen=True)
+class OutOfFold:
+    """What fits that did not see them leave of a nominal's own records, by octaves of frequency.
+
+    Attributes:
+        edges_hz: of the bands, one more than those.
+        error, output: rms of what is left, and of the output about its mean, in each band (output's base unit).
+    """
+
+    edges_hz: tuple[float, ...]
+    error: tuple[float, ...]
+    output: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """What a model was made from.
+
+    Attributes:
+        displacement_unit, voltage_unit: units the user's files had.
+        covariance: of ln a_0 ... ln a_n as identified, shape (n + 1, n + 1); empty where not known, or no longer true.
+        stderr: of a_0 ... a_n as identified; empty likewise.
+        misfit: rms of what the nominal left of its records over their noise; infinite where not known.
+        noise: the sensor's, of the records identified on (rms, base unit); nan where not known.
+        level: e_rms of free runs of its own records, % of their range; nan where not known.
+        out_of_fold: what fits that did not see them leave of those records, by band.
+        remarks: what those records leave open, a sentence each.
+        identified_on: names of those records.
+        long_record: the longest of them, which training holds creep to.
+        training: summary of the training, JSON values.
+        adapted: one entry for every `adapt`: its records, and what changed.
+        lineage: one entry for every step that made the model (`_model_file.lineage`), oldest first.
+    """
+
+    displacement_unit: str = "m"
+    voltage_unit: str = "V"
+    covariance: Float[np.ndarray, "tokens tokens"] = field(default_factory=lambda: np.zeros((0, 0)))
+    stderr: tuple[float, ...] = ()
+    misfit: float = float("inf")
+    noise: float = float("nan")
+    level: float = float("nan")
+    out_of_fold: OutOfFold | None = None
+    remarks: tuple[str, ...] = ()
+    identified_on: tuple[str, ...] = ()
+    long_record: LongRecord | None = None
+    training: dict[str, Any] | None = None
+    adapted: tuple[dict[str, Any], ...] = ()
+    lineage: tuple[dict[str, Any], ...] = ()
