@@ -63,7 +63,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class SetFit:
-    """The common model: natural frequency in Hz, fraction unexplained (median), input map, and every record beside it by name."""
+    """The common model: natural frequency in Hz, median fraction unexplained, input map, every record beside it."""
 
     natural_hz: float
     unexplained: float
@@ -213,7 +213,7 @@ def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> s
         return f"moves {gain:.2g} times as far as the others under its drive: another actuator, preload or scale?"
     if poor:
         return (
-            f"does not belong: one linear model leaves {100 * row.unexplained:.0f} % of it and {100 * usual:.0f} % of most "
-            "others (another actuator, another input, or a broken sensor?)"
+            f"does not belong: one linear model leaves {100 * row.unexplained:.0f} % of it and {100 * usual:.0f} % of "
+            "most others (another actuator, another input, or a broken sensor?)"
         )
     return ""
