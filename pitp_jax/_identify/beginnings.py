@@ -21,15 +21,16 @@ from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
 from .._record.preprocess import force_band
 from .._record.record import Record
-from .frequency_fit import linear_start
+from .frequency_fit import ranked
 from .frequency_response import frequency_response
-from .linear_ode import coast, logs_from_roots, no_faster, polynomial, respond
+from .linear_ode import coast, logs_from_roots, no_faster, poles, polynomial, respond
 from .output_error import FASTEST, Problem, Structure, alone, build_problem, driven, least_squares, own_columns, solve
-from .starts import cost_of, guesses
+from .starts import cost_of, grid_of, guesses
 
 _PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that tell beginnings apart
 _MOST = 100_000  # samples from which the poles are found
 _STARTS = 3  # of the guesses, each with the directions that it tells, that are followed
+_ALIKE = 1e-4  # of a cost
 _STRUCTURE, _ROUNDS = Structure(2), 4
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
@@ -45,21 +46,41 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     first = _first_poles(small)
     if first is None:
         return [_at_rest(r) for r in begun], None, 1.0
-    cost, poles = first
+    cost, model = first
     found: list[Beginning] = []
     for _ in range(_ROUNDS):
-        rows = [_columns(r, input_map, *poles) for r in begun]
+        rows = [_columns(r, input_map, *model) for r in begun]
         known = [r is b for r, b in zip(records, begun, strict=True)]
         kinds = [_kind(row, whole) for row, whole in zip(rows, known, strict=True)]
         before, found = found, _with_zeros(begun, rows, kinds)
-        if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in found]:
+        if alike(before, found):
             break
         some = build_problem([begun[k] for k in chosen], input_map, [found[k] for k in chosen])
-        better = _fitted(poles[0], some)
+        better = _fitted(model[0], some)
         if better is None:
             break
-        cost, poles = better
-    return found, np.roots(polynomial(poles[0])[::-1]), float(np.sqrt(cost))
+        cost, model = better
+    return found, np.roots(polynomial(model[0])[::-1]), float(np.sqrt(cost))
+
+
+def beginnings_under(
+    params: np.ndarray, structure: Structure, gain: float, records: Sequence[Record], input_map: str
+) -> list[Beginning]:
+    """How every record begins under a model of any order with any delay; gain in m per V^2 or V.
+
+    Poles of order 2 without a delay leave so much of some plants that a start in motion hides in it.
+    """
+    begun = [from_known(r) for r in records]
+    late = float(np.exp(params[-1])) if structure.delayed else 0.0
+    logs = params[: structure.order]
+    rows = [_columns(r, input_map, logs, gain, structure.hold, late) for r in begun]
+    known = [r is b for r, b in zip(records, begun, strict=True)]
+    return _with_zeros(begun, rows, [_kind(row, whole) for row, whole in zip(rows, known, strict=True)])
+
+
+def alike(first: Sequence[Beginning], second: Sequence[Beginning]) -> bool:
+    """Whether both say the same of kinds, directions and shared zeros."""
+    return [(b.begins, b.direction, b.group) for b in first] == [(b.begins, b.direction, b.group) for b in second]
 
 
 def _at_rest(record: Record) -> Beginning:
@@ -79,7 +100,8 @@ class _Columns:
 
     def left(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
         """What this explanation leaves, and its zero."""
-        base = self.output - direction * (self.driven + (self.held if begins == "held" else 0.0))
+        # in motion, too, a delay goes on playing the first voltage, not none
+        base = self.output - direction * (self.driven + (0.0 if begins == "rest" else self.held))
         columns = [self.one, self.free] if begins == "moving" else [self.one]
         factors, rest = project(base, np.column_stack(columns))
         return rest, float(factors[0])
@@ -109,32 +131,34 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
     """What `_fitted` returns, nothing known of how records begin."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
-    by_response = _from_response(problem)
-    starts = (
-        [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
-        if by_response is None
-        else [by_response]
-    )
+    starts = _from_response(problem)
+    starts = starts or [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == 2]
     scored = []
     for start in starts:
         logs = no_faster(start, FASTEST / problem.fine)
         same = _directed(logs, problem)
-        scored.append((cost_of(logs, _STRUCTURE, same) if len(starts) > 1 else 0.0, logs, same))
+        scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
     found = []
     for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
         fit = _fitted(logs, same)
         found += [] if fit is None else [fit]
+        costs = sorted(cost for cost, _ in found)
+        if len(costs) > 1 and costs[1] < (1 + _ALIKE) * costs[0]:
+            break  # from two starts to one place
     return min(found, key=lambda f: f[0]) if found else None
 
 
-def _from_response(problem: Problem) -> np.ndarray | None:
-    """Where the frequency response of the record leads whose lines tell most; None where no record has enough.
+def _from_response(problem: Problem) -> list[np.ndarray]:
+    """The starts nearest to the frequency response of the record whose lines tell most; none where all tell little.
 
     One record's, since the directions of the others are not known yet.
     """
     each = [frequency_response(alone(problem, k)) for k in range(len(problem.drive))]
     best = max(each, key=lambda response: int(response.coherent.sum()))
-    return linear_start(best, problem.dt, _STRUCTURE.order) if best.rich else None
+    if not best.rich:
+        return []
+    grid = [logs_from_roots(some) for some in grid_of(_STRUCTURE.order, problem)]
+    return ranked(grid, best, problem.dt, _STRUCTURE.order)[:_STARTS]
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
@@ -161,18 +185,23 @@ def _directed(logs: np.ndarray, problem: Problem) -> Problem:
     )
 
 
-def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:
+def _columns(
+    record: Record, input_map: str, logs: np.ndarray, gain: float, hold: str = "foh", late: float = 0.0
+) -> _Columns:
     """Whitened by the spectrum of what the richest explanation leaves, in blocks of a tenth of the resonance."""
     square, dt = input_map == "square", record.dt
     unit, settled = (
-        respond(logs, record.voltage, step=dt, square=square, hold="foh", settled=s) for s in (False, True)
+        respond(logs, record.voltage, step=dt, square=square, hold=hold, settled=s, late=late / dt)
+        for s in (False, True)
     )
     held, (free, _) = settled - unit, coast(logs, record.samples, step=dt)
-    period = 2 * np.pi / np.exp(logs[1] / 2)
+    known = poles(logs)
+    period = 2 * np.pi / float(np.exp(np.log(np.abs(known)).mean()))  # of order 2: the natural one
     size = int(np.clip(period / _PER_PERIOD / dt, 1, record.samples // 64))
-    y = np.where(record.observed, record.displacement, 0.0)
+    observed = record.observed & (np.arange(record.samples) >= late / dt)  # before, what was played before the record
+    y = np.where(observed, record.displacement, 0.0)
     stacked = np.column_stack([y, gain * unit, gain * held, free, np.ones(len(y))])
-    means, share = block_means(stacked, record.observed.astype(float), size)
+    means, share = block_means(stacked, observed.astype(float), size)
     means = means * np.sqrt(share)[:, None]
     y, driven, one = means[:, 0], means[:, 1], means[:, -1:]
     columns = np.column_stack([one, means[:, 3:-1]])

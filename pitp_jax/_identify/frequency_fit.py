@@ -18,7 +18,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from .frequency_response import FrequencyResponse
-from .linear_ode import logs_from_roots
+from .linear_ode import logs_from_roots, poles
 
 ORDERS = tuple(range(1, 7))
 _PAIRS = 3
@@ -33,9 +33,10 @@ def fit_response(
     response: FrequencyResponse, dt: float, orders: Sequence[int] = ORDERS, delays: Sequence[bool] = (False, True)
 ) -> dict[tuple[int, bool], np.ndarray]:
     """Parameters of every (order, delayed): logarithms of the pole coefficients (rad/s), then of the delay (s)."""
-    s, value, weight, held, unit = _Lines.of(response, dt)
+    lines = _Lines.of(response, dt)
+    s, value, weight, held, unit = lines
     lanes = [(order, delayed) for order in orders for delayed in delays]
-    rows = [(_start(*lane, s, value / held, weight * held, unit * dt), _mask(*lane)) for lane in lanes]
+    rows = [(_start(*lane, lines, dt), _mask(*lane)) for lane in lanes]
     pad = _LINES - len(s)
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
     with jax.enable_x64(True):
@@ -49,11 +50,12 @@ def fit_response(
     return result
 
 
-def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
-    """Logarithms of the pole coefficients (rad/s) of the linear equation-error fit, which needs no start itself."""
-    s, value, weight, held, unit = _Lines.of(response, dt)
-    found = _start(order, False, s, value / held, weight * held, unit * dt)
-    return _logs(found, order, unit)
+def ranked(starts: Sequence[np.ndarray], response: FrequencyResponse, dt: float, order: int) -> list[np.ndarray]:
+    """Logarithms of pole coefficients (rad/s), and those of the linear fit, which needs no start: the best first."""
+    lines = _Lines.of(response, dt)
+    row = _start(order, False, lines, dt)
+    known = [_logs(row, order, lines.unit), *starts]
+    return sorted(known, key=lambda logs: lines.left(poles(logs) / lines.unit, 0.0))
 
 
 class _Lines(NamedTuple):
@@ -73,6 +75,12 @@ class _Lines(NamedTuple):
         weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
         unit = 2 * np.pi * float(np.exp(np.log(hz).mean()))
         return cls(2j * np.pi * hz / unit, value, weight, np.sinc(hz * dt) ** 2, unit)
+
+    def left(self, roots: np.ndarray, late: float) -> float:
+        """Sum of squares that stable poles and a delay (in `unit`) leave of the response, under their best gain."""
+        model = self.held * np.exp(-self.s * late) / np.prod(1 - self.s[:, None] / _reflected(roots), 1)
+        gain = np.sum(self.weight**2 * np.real(model.conj() * self.value)) / np.sum(self.weight**2 * np.abs(model) ** 2)
+        return float(np.sum(self.weight**2 * np.abs(gain * model - self.value) ** 2))
 
 
 def _logs(row: np.ndarray, order: int, unit: float) -> np.ndarray:
@@ -95,15 +103,16 @@ def _mask(order: int, delayed: bool) -> np.ndarray:
     return np.concatenate([pairs, [order % 2 == 1, delayed]]).astype(float)
 
 
-def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.ndarray:
+def _start(order: int, delayed: bool, lines: _Lines, dt: float) -> np.ndarray:
     """Poles of the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, for the best of a few delays."""
     best, chosen = np.inf, np.zeros(2 * _PAIRS + 2)
+    s, value, weight, sample = lines.s, lines.value / lines.held, lines.weight * np.abs(lines.value), lines.unit * dt
     for late in _DELAYS if delayed else (0.0,):
         target = np.exp(-s * late * sample) / value
         powers, size = s[:, None] ** np.arange(order + 1), np.abs(value)
         a = np.ones(order + 1)
         for _ in range(_ROUNDS):
-            rows = np.column_stack([powers, target]) * (weight * np.abs(value) * size)[:, None]
+            rows = np.column_stack([powers, target]) * (weight * size)[:, None]
             stacked = np.vstack([np.real(rows), np.imag(rows)])
             a = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=1e-10)[0]
             size = 1 / np.maximum(np.abs(powers @ a), 1e-3 * np.abs(target))
@@ -111,9 +120,7 @@ def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.nda
         if len(roots) != order or not np.isfinite(roots).all():
             continue
         logs = logs_from_roots(roots)
-        model = np.exp(-s * late * sample) / np.prod(1 - s[:, None] / _reflected(roots), 1)
-        gain = np.sum(weight**2 * np.real(model.conj() * value)) / np.sum(weight**2 * np.abs(model) ** 2)
-        cost = float(np.sum(weight**2 * np.abs(gain * model - value) ** 2))
+        cost = lines.left(roots, late * sample)
         if cost < best:
             best, chosen = cost, np.zeros(2 * _PAIRS + 2)
             chosen[: 2 * (order // 2)] = logs[: 2 * (order // 2)]

@@ -12,7 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .output_error import Problem, Structure, driven, least_squares, masked, own_columns, poles_of, solve
+from .output_error import (
+    Problem,
+    Structure,
+    driven,
+    least_squares,
+    masked,
+    own_columns,
+    poles_of,
+    solve,
+    unknown_before,
+)
 
 _FOLDS, _STEPS, _LEAST_STEP = 3, 4, 1e-3
 _DECAYS = 3.0
@@ -106,6 +116,8 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
             if block.start == 0 and rings.any():
                 slowest = float(np.abs(np.real(_ringing(refitted, structure))).min())
                 weight[: min(int(_DECAYS / slowest / problem.dt), len(weight) // 2)] = 0.0
+            if block.start == 0:
+                weight[: unknown_before(refitted, structure, problem, k)] = 0.0
             if not weight.sum():
                 continue
             e, y = problem.output[k][block] - run[block], problem.output[k][block]

@@ -24,13 +24,14 @@ from .._model.input_map import INPUT_MAPS
 from .._model.model import Hold, Model, Output, Provenance, linear_model
 from .._model.substeps import substeps
 from .._model_file.lineage import descended
+from .._numerics.coloured_noise import whitener
 from .._record.averaged import averaged
 from .._record.initial_state import Beginning, aligned, noise_std
 from .._record.long_record import thinned
 from .._record.record import Record
 from .._record.sets import check_set
 from .._shown import Shown
-from .beginnings import find_beginnings
+from .beginnings import alike, beginnings_under, find_beginnings
 from .candidates import choose, search
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
@@ -43,6 +44,7 @@ _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
 _BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wrong one costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _SAMPLES = 10_000  # of which candidates are compared: more are averaged over blocks, as long as these hide no more than
+_ROUNDS = 2  # of a search, if records begin otherwise under the model it ends with
 _HIDDEN = 0.1  # of what a linear model leaves: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 
 
@@ -164,30 +166,28 @@ def identify(
     check_motion(records)
     begun, roots, misfit = find_beginnings(records, input_map)
     finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
-    whole = build_problem(records, input_map, begun)
-    small = _averaged(records, input_map, begun, roots, finest)
-    response = frequency_response(whole)
     asked = {
         "orders": ORDERS if order == "auto" else (int(order),),
         "holds": _HOLDS if hold is None else (hold,),
         "delays": [True] if "delay" in learn else [False] if "delay" in leave_out else [False, True],
     }
-    candidates = search(small, response, roots, **asked, progress=progress)
-    if not candidates:
-        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
-    known = [c for c in candidates if c.known]
-    if order == "auto" and not known:
-        raise ComputationFailed(
-            "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
-            "or check that the voltage and displacement columns belong together"
-        )
-    chosen = choose(known or candidates)
-    if order != "auto" and response.rich and not chosen.known:
-        # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
-        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
-        chosen = choose(candidates)
-    chosen = _refined(chosen, whole, [hold] if hold else [*_HOLDS] if chosen.structure.delayed or small.fine < small.dt
-                      else [chosen.structure.hold], bandlimited=hold is None)  # fmt: skip
+    again = begun
+    for _ in range(_ROUNDS):
+        begun = again
+        whole = build_problem(records, input_map, begun)
+        small = _averaged(records, input_map, begun, roots, finest)
+        response = frequency_response(whole)
+        candidates = search(small, response, roots, **asked, progress=progress)
+        chosen = _taken(candidates, order == "auto")
+        if order != "auto" and response.rich and not chosen.known:
+            # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
+            candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
+            chosen = choose(candidates)
+        gain = float(solve(chosen.params, chosen.structure, whole).gains[0]) * whole.scale
+        again = beginnings_under(chosen.params, chosen.structure, gain, records, input_map)
+        if alike(begun, again):
+            break
+    chosen = _refined(chosen, whole, [hold] if hold else [*_HOLDS], bandlimited=hold is None)
     fit = describe(chosen, whole)
     if order != "auto" and not fit.identifiable:
         raise ComputationFailed(_refusal(fit))
@@ -202,6 +202,23 @@ def identify(
     return Identification(
         model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tested, tuple(told["remarks"])
     )
+
+
+def _taken(candidates: Sequence[Candidate], auto: bool) -> Candidate:
+    """The one chosen of those whose poles the records determine.
+
+    Raises:
+        ComputationFailed: there is none.
+    """
+    if not candidates:
+        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
+    known = [c for c in candidates if c.known]
+    if auto and not known:
+        raise ComputationFailed(
+            "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
+            "or check that the voltage and displacement columns belong together"
+        )
+    return choose(known or candidates)
 
 
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
@@ -219,18 +236,30 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
 
 
 def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
-    """The candidate on all samples, under the hold that leaves least where the blocks could not tell."""
-    ends = []
+    """The candidate on all samples, under the likeliest hold: coloured as it is, what is left hides half a sample.
+
+    sum_t w_t^2,  w: the residual of every record, whitened by the spectrum of what the best hold leaves
+    """
+    ends: list[Candidate] = []
     for hold in [*holds, *(["bandlimited"] if bandlimited else [])]:
         structure = replace(chosen.structure, hold=hold)
         if hold == "bandlimited" and bandlimited:  # four times as dear: it has to lead after one step
             first = least_squares(chosen.params, structure, problem, 2)[1]
-            if first > min(worth for worth, _ in ends):
+            if first > min(e.cost for e in ends):
                 continue
         params, cost, converged = least_squares(chosen.params, structure, problem)
-        worth = cost / _BANDLIMITED**2 if hold == "bandlimited" and bandlimited else cost
-        ends.append((worth, replace(chosen, structure=structure, params=params, cost=cost, converged=converged)))
-    return min(ends, key=lambda e: e[0])[1]
+        ends.append(replace(chosen, structure=structure, params=params, cost=cost, converged=converged))
+    if len(ends) == 1:
+        return ends[0]
+    left = [solve(e.params, e.structure, problem).left for e in ends]
+    best = left[int(np.argmin([e.cost for e in ends]))]
+    whiten = [whitener(part) for part in best]
+    margins = [_BANDLIMITED**2 if bandlimited and e.structure.hold == "bandlimited" else 1.0 for e in ends]
+    worth = [
+        sum(float(np.sum(w(part) ** 2)) for w, part in zip(whiten, parts, strict=True)) / margin
+        for parts, margin in zip(left, margins, strict=True)
+    ]
+    return ends[int(np.argmin(worth))]
 
 
 def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> list[Beginning]:

@@ -173,6 +173,12 @@ def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: i
     return coast(params[: structure.order], samples, step=problem.dt)
 
 
+def unknown_before(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> int:
+    """How many samples of record k show what was played before it: those of the delay, cut out of a motion."""
+    moving = structure.delayed and problem.beginnings[k].begins == "moving"
+    return int(np.ceil(np.exp(params[-1]) / problem.dt)) if moving else 0
+
+
 def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int, own: np.ndarray) -> np.ndarray:
     """Derivatives of what record k has of its own, at the sizes `own`, by the parameters, (parameters, T)."""
     time = np.arange(len(problem.drive[k])) * problem.dt
@@ -211,7 +217,8 @@ def _linear(
     params: np.ndarray, structure: Structure, problem: Problem, k: int, *series: np.ndarray
 ) -> tuple[np.ndarray, int, np.ndarray]:
     """Weighted rows of record k (its own, response, zeros, other series), how many are its own, their ridge."""
-    own, weight = own_columns(params, structure, problem, k)[0].T, problem.weight[k]
+    own, weight = own_columns(params, structure, problem, k)[0].T, problem.weight[k].copy()
+    weight[: unknown_before(params, structure, problem, k)] = 0.0
     zeros = np.zeros((problem.free_zeros, len(weight)))
     if problem.zeros[k] >= 0:
         zeros[problem.zeros[k]] = problem.beginnings[k].direction

@@ -48,8 +48,12 @@ def cost_of(params, structure: Structure, problem: Problem) -> float:
 
 def guesses(order: int, problem: Problem) -> list[np.ndarray]:
     """Sets of poles (rad/s) of an order."""
-    found = list(_arx(order, problem))
-    longest = max(len(d) for d in problem.drive)
+    return [*_arx(order, problem), *grid_of(order, problem)]
+
+
+def grid_of(order: int, problem: Problem) -> list[np.ndarray]:
+    """Those of them that look at no output: real poles and pairs spaced by their logarithm."""
+    found, longest = [], max(len(d) for d in problem.drive)
     grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
     if order == 1:
         found += [-grid[k : k + 1] for k in range(_GRID)]
