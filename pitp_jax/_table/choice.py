@@ -271,8 +271,8 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
         raise _Ask(f"the {_WORD[quantity]} is missing")
     if len(pool) > 1:
         names = [s.column.name for s in pool]
-        by = "NUMBER, from 1" if len(set(names)) < len(names) else "NAME"
-        remedy = f"choose one with --{stem}-column {by}"
+        twice = len(set(names)) < len(names)
+        remedy = f"{'rename or delete one, or ' * twice}choose one with --{stem}-column {'NUMBER' if twice else 'NAME'}"
         raise _Ask(
             f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} matches for the {_WORD[quantity]}; {remedy}"
         )
