@@ -219,5 +219,6 @@ def test_what_a_search_costs(coefficients):
     Counted in runs of a mode, not in seconds.
     """
     record = sweep(coefficients(2), 31)
-    assert calls(lambda: find_beginnings([record], "square"), "_linear_filter") < 60
+    # the grid of starts stays for beginnings: without it an order three behind a delay was called at rest
+    assert calls(lambda: find_beginnings([record], "square"), "_linear_filter") < 250
     assert calls(lambda: identify([record]), "_linear_filter") < 1500

@@ -110,16 +110,14 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
     by_response = _from_response(problem)
-    starts = (
-        [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
-        if by_response is None
-        else [by_response]
-    )
+    # the response alone led an order three behind a delay to a wrong place, and its records were called at rest
+    starts = [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
+    starts += [] if by_response is None else [by_response]
     scored = []
     for start in starts:
         logs = no_faster(start, FASTEST / problem.fine)
         same = _directed(logs, problem)
-        scored.append((cost_of(logs, _STRUCTURE, same) if len(starts) > 1 else 0.0, logs, same))
+        scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
     found = []
     for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
         fit = _fitted(logs, same)
