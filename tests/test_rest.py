@@ -122,7 +122,7 @@ def test_a_running_motion_that_is_cut_is_still_once_in_fifty(rate):
 @pytest.mark.parametrize("held", [0.0, 800.0])
 def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leaves(held):
     """Half a second of it before the motion of another actuator than the model's, and another zero."""
-    model = identify([record(SINE, motion(SINE), 1)], order=2).model
+    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
     drive = np.where(TIME < 0.5, held, held + 600 * np.sin(2 * np.pi * 3 * (TIME - 0.5)))
     ahead = np.concatenate([np.full(len(TIME), held), drive])
     other = lsim(([4e-9], [1 / (3 * OMEGA) ** 2, 0.2 / OMEGA, 1]), ahead**2, np.arange(len(ahead)) * DT)[1]
@@ -138,7 +138,7 @@ def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leav
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_direction_is_that_of_the_first_motion_wherever_it_begins(ahead, direction):
     """Three seconds of a trigger's lead hide it as little as none."""
-    model = identify([record(SINE, motion(SINE), 1)], order=2).model
+    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
     drive, x = np.concatenate([np.zeros(ahead), SINE]), np.concatenate([np.zeros(ahead), motion(SINE)])
     y = direction * x + 1e-3 + NOISE * np.random.default_rng(5).standard_normal(len(x))
     (begun,), _ = beginnings(model, [Record("late", np.arange(len(x)) * DT, drive, y)], [0.0])
