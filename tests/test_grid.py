@@ -132,3 +132,10 @@ def test_a_clock_in_whole_milliseconds_loses_no_rows(tmp_path, rate):
     time = np.arange(COUNT) / rate
     (record,) = read(write(tmp_path / "a.npz", time, np.floor(time * 1e3) / 1e3))
     assert record.samples == COUNT and 1 / record.dt == pytest.approx(rate, rel=1e-4)
+
+
+def test_too_few_rows_without_those_that_stand_twice(tmp_path):
+    """Refused in one line, whatever the name of the file would do to a terminal."""
+    twice = np.sort(np.append(np.arange(60), np.arange(10)))
+    message = refused(write(tmp_path / "a\x1b[2Jb.npz", TIME[twice]))
+    assert "60 in all" in message and message.isprintable()

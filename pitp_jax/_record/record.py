@@ -13,6 +13,7 @@ import numpy as np
 
 from .._errors import BadInput
 from .._shown import Shown
+from .._table.guard import cleaned
 from .._table.units import INPUT_UNITS, from_base
 from .checks import check_samples
 
@@ -62,7 +63,8 @@ class Record(Shown):
         for unit in (self.voltage_unit, self.displacement_unit):
             if unit not in INPUT_UNITS:
                 raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; one of {', '.join(INPUT_UNITS)}")
-        check_samples(self.time, self.voltage, self.displacement, self.source or f"record {self.name!r}")
+        source = cleaned(self.source) or f"record {self.name!r}"  # a path is kept as it is, and never printed so
+        check_samples(self.time, self.voltage, self.displacement, source)
 
     def __repr__(self) -> str:
         """One line: length, rate, ranges in the file's units."""
