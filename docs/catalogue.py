@@ -10,6 +10,7 @@ The nominal is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,15 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.signal import lsim
 
-import pitp_jax as pitp
-from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
-from pitp_jax._diagnose.case import build_case
 from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.spec import EffectSpec
+from pitp_jax._effects.spec import EffectSpec, Surroundings
 from pitp_jax._model.domain import Domain
 from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, linear_model
+from pitp_jax._model.model import Model, Output, linear_model
 from pitp_jax._report.lines import ERROR, MEASURED
+from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
 
 HZ, ZETA, DT, SAMPLES = 5.0, 0.1, 2e-3, 2000  # 4 s, what one compiled chunk holds
@@ -59,6 +58,29 @@ def drives() -> dict[str, np.ndarray]:
     }
 
 
+def runs(model: Model, played) -> np.ndarray:
+    """Readings (mm) from rest under every drive, one a minute of a session."""
+    found = []
+    for k, u in enumerate(played):
+        states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model, 60.0 * k))
+        found.append(np.asarray(ports.readings(model, states), float))
+    return np.stack(found)
+
+
+def surroundings(model: Model, played) -> Surroundings:
+    """Of the nominal under these drives: what starts of effects are taken from."""
+    states = [np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model)), float) for u in played]
+    x, v = np.concatenate(states).T
+    a, volts = np.asarray(model.coefficients, float), np.stack(played)
+    fastest = max(float(np.quantile(np.abs(np.gradient(s[:, 1], DT)), 0.999)) for s in states)
+    return Surroundings(
+        omega=model.natural_frequency, dt=DT, duration=SAMPLES * DT, session=60.0 * len(played), top=float(x.max()),
+        bottom=float(x.min()), speed=float(np.sqrt(np.mean(v**2))), acceleration=fastest / float(model.scales.rates[1]),
+        voltage=float(np.abs(volts).max()), slew=float(np.abs(np.diff(volts)).max() / DT), stiffness=float(a[0]),
+        inertia=float(a[2]), damping=float(a[1]),
+    )  # fmt: skip
+
+
 def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str, SimpleNamespace]]:
     """What the nominal does, how its coefficients move it, what every effect makes of it, and the numbers used.
 
@@ -73,19 +95,13 @@ def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str
         hold="foh", substeps=1, domain=known,
     )  # fmt: skip
     played = list(drives().values())
-    records = []
-    for k, u in enumerate(played):
-        x = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0], float) * 1e-3
-        records.append(pitp.Record(f"r{k}", TIME + 60.0 * k, u, x))
-    case = build_case(model, records)
+    around = surroundings(model, played)
     first: dict[str, EffectSpec] = {}
     for form in CATALOGUE:
-        if form.start(case.surroundings):
+        if form.start(around):
             first.setdefault(form.name, form)
-    tried = [(n, f, start.values) for n, f in first.items() for start in f.start(case.surroundings)]
-    lanes = [Lane((), (), np.ones(3), k) for k in range(len(played))]
-    lanes += [Lane((form,), (values,), np.ones(3), k) for _, form, values in tried for k in range(len(played))]
-    rows = np.stack(Lanes(case, [tuple(first.values())]).run(lanes)).astype(float).reshape(-1, len(played), SAMPLES)
+    tried = [(n, f, start.values) for n, f in first.items() for start in f.start(around)]
+    rows = [runs(model, played), *(runs(replace(model, effects=(f(*values),)), played) for _, f, values in tried)]
     nominal, made, numbers, strongest = rows[0], {}, {}, {}
     for (name, form, values), y in zip(tried, rows[1:], strict=True):
         size = np.linalg.norm(y - nominal) / np.linalg.norm(nominal)

@@ -6,11 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beside import Composite, beside
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
-from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._effects import CATALOGUE, effect
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -18,7 +16,6 @@ from pitp_jax._simulate.decoder import rest_state, rollout
 HZ, DT, SAMPLES = 5.0, 2e-3, 2500
 TIME = np.arange(SAMPLES) * DT
 FORMS = pytest.mark.parametrize("form", CATALOGUE, ids=lambda f: f.key)
-rng = np.random.default_rng(5)
 
 
 def voltages():
@@ -31,14 +28,9 @@ def voltages():
 
 @pytest.fixture(scope="module")
 def case(linear):
-    """A nominal of 5 Hz beside its own runs, with a session clock; noise of 0.01 % of range."""
+    """A nominal of 5 Hz beside its own runs, with a session clock."""
     model = replace(linear(hz=HZ, dt=DT), domain=replace(linear(dt=DT).domain, voltage_range=(0.0, 1e3), slew=1e6))
-    records = []
-    for k, u in enumerate(voltages()):
-        x = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0], float) * 1e-3
-        x += 1e-4 * np.ptp(x) * rng.standard_normal(SAMPLES)
-        records.append(pitp.Record(f"r{k}", TIME + 10.0 * k, u, x))
-    return build_case(model, records)
+    return beside(model, voltages(), DT)
 
 
 def active(form, case):
@@ -109,23 +101,21 @@ def test_nothing_vanishes_or_turns_round_at_the_bounds_of_a_share(case, name):
 
 
 @pytest.fixture(scope="module")
-def lanes(case):
-    """All forms in one composite."""
-    return Lanes(case, [CATALOGUE])
+def composite(case):
+    """All forms in one program."""
+    return Composite(case, CATALOGUE, DT)
 
 
 @pytest.fixture(scope="module")
-def runs(case, lanes):
+def runs(case, composite):
     """Every form's readings on every record at its first start."""
-    jobs = [Lane((f,), (active(f, case)[0],), np.ones(3), k) for f in CATALOGUE for k in range(4)]
-    found = lanes.run(jobs)
-    return {f: found[4 * i : 4 * i + 4] for i, f in enumerate(CATALOGUE)}
+    return {f: composite.runs(f, active(f, case)[0]) for f in CATALOGUE}
 
 
 @pytest.mark.slow
-def test_all_forms_neutral_together_are_the_nominal(case, lanes):
-    for k, y in enumerate(lanes.run([Lane((), (), np.ones(3), k) for k in range(4)])):
-        np.testing.assert_allclose(y, case.series[k].run, atol=2e-6 * case.series[k].span)
+def test_all_forms_neutral_together_are_the_nominal(case, composite):
+    for s, y in zip(case.series, composite.runs(), strict=True):
+        np.testing.assert_allclose(y, s.run, atol=2e-6 * s.span)
 
 
 @FORMS
@@ -146,28 +136,6 @@ def test_half_the_step_changes_little(case, runs, form):
     y = np.asarray(ports.readings(finer, states))
     change = np.sqrt(np.mean((runs[form][k] - s.run) ** 2))
     assert np.sqrt(np.mean((y - runs[form][k]) ** 2)) < 0.03 * change
-
-
-GROUPS = [CATALOGUE[k::8] for k in range(8)]
-MARKED = [GROUPS[0], *(pytest.param(g, marks=pytest.mark.exhaustive) for g in GROUPS[1:])]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("group", MARKED, ids=[str(k) for k in range(8)])
-def test_a_form_is_found_again_in_its_own_data(case, runs, group):
-    """From a start 40 % off (a stop still touched), the error falls to 2 % of what the effect does."""
-    lanes = Lanes(case, [group])
-    for form in group:
-        values, start = active(form, case)
-        off = [v * (0.75 if p.name == "place" else 1.4) for v, p in zip(values, form.parameters, strict=True)]
-        off = tuple(float(np.clip(v, a, b)) for v, a, b in zip(off, start.low, start.high, strict=True))
-        error = [s.run - y for s, y in zip(case.series, runs[form], strict=True)]
-        pairs = zip(case.series, error, strict=True)
-        lanes.case = replace(case, series=tuple(replace(s, error=e, fitted=True) for s, e in pairs))
-        (found,) = fit(lanes, [Candidate((form,), (off,), (start,), np.ones(3), False)], most=20)
-        moved = np.sqrt(np.mean([np.mean((100 * e / s.span) ** 2) for e, s in zip(error, case.series, strict=True)]))
-        # the exact instant a rough contact lets go is no smooth function of its numbers
-        assert np.sqrt(found.train) < (0.05 if form.name == "coulomb_friction" else 0.02) * moved, form.key
 
 
 def planned(case, form):
