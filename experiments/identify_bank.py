@@ -53,10 +53,11 @@ def played(poly, delay: float, hold: str, drive: np.ndarray) -> np.ndarray:
     else:
         fine = np.interp(place, np.arange(len(drive)), drive)
     fine, x = fine - fine[0], np.zeros(len(fine))
-    for part, pole in zip(*residue([1.0], poly[::-1])[:2], strict=True):  # exact for lines between the fine samples
+    switch = 1 - (place[0] * FINE) % 1  # where in a fine step a held drive changes
+    for part, pole in zip(*residue([1.0], poly[::-1])[:2], strict=True):  # exact for lines and for steps
         z = pole / (RATE * FINE)
-        one, two = np.expm1(z) / z, (np.expm1(z) - z) / z**2
-        pushed = one * fine[:-1] + (two * np.diff(fine) if hold == "foh" else 0.0)
+        two = (np.expm1(z) - z) / z**2 if hold == "foh" else np.expm1(z * (1 - switch)) / z
+        pushed = np.expm1(z) / z * fine[:-1] + two * np.diff(fine)
         x = x + np.real(part * lfilter([1.0], [1.0, -np.exp(z)], np.append(0.0, pushed))) / (RATE * FINE)
     return x[::FINE] + drive[0]
 

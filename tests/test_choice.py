@@ -24,9 +24,9 @@ def test_units(tmp_path, unit, out, clock):
     np.testing.assert_allclose(record.voltage, VOLTAGE / 50 * factors[unit], rtol=1e-14)
     np.testing.assert_allclose(record.displacement, OUTPUT / 50 * factors[out], rtol=1e-14)
     assert (record.voltage_unit, record.displacement_unit) == (unit, out)
-    back = from_base(record.displacement, out, "displacement")
+    back = from_base(record.displacement, out)
     np.testing.assert_allclose(back, OUTPUT / 50, rtol=1e-14)
-    assert to_base(2.0, "kV", "voltage") == 2000.0
+    assert to_base(2.0, "kV") == 2000.0
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], 
         made[f"overlay_{name}"] = (drawn, columns, f"{pair.first.name}: the same command")
     for record, added in list(zip(found.records, found.corrections, strict=True))[:_DRAWN]:
         name, unit = record.name.replace("/", "_"), record.voltage_unit
-        time, shown = record.time - record.time[0], from_base(added, unit, "voltage")
+        time, shown = record.time - record.time[0], from_base(added, unit)
         ax = own_axes(None, 1, (5.6, 2.4))[0]
         line(ax, time, shown, color=DRIVE, lw=0.9)
         finish(np.array([ax]), "time from the start (s)", [f"added input ({shown_unit(unit)})"])

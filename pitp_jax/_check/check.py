@@ -215,13 +215,13 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         direction, colour = int(begun.direction), beside.colour
         noise = beside.coloured if beside.coloured is not None else noise
         problems += [beside.problem] if beside.problem else []
-    shown = [from_base(v, unit, "displacement") for v in (begun.zero, begun.stderr)] if begun else [None, None]
+    shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
     known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
     seen = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
     return CheckedRecord(
         samples=record.samples, rate_hz=1 / record.dt, recognised=seen, begins=begun.begins if begun else None,
         zero=known[0], zero_stderr=known[1], unit=unit, direction=direction,
-        noise=float(from_base(noise, unit, "displacement")), noise_colour=colour, missing=record.missing,
+        noise=float(from_base(noise, unit)), noise_colour=colour, missing=record.missing,
         outliers=own.outliers, jitter=own.jitter, excitation=own.excitation, band_hz=own.band_hz, e_rms_percent=e_rms,
         repaired=own.repaired, problems=tuple(problems),
     )  # fmt: skip

@@ -94,7 +94,7 @@ def drive_problems(record: Record, noise: float, band: tuple[float, float] | Non
     if band is None:
         problems.append("its drive never changes: it tells nothing but noise and drift")
     elif not moves(record):
-        spread = from_base(noise, record.displacement_unit, "displacement")
+        spread = from_base(noise, record.displacement_unit)
         problems.append(
             f"does not move beyond its noise of {spread:.2g} {record.displacement_unit}: look at sensor and amplifier"
         )

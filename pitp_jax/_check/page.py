@@ -107,7 +107,7 @@ def _begins(row: CheckedRecord) -> str:
 def _drawn(record: Record) -> Figure:
     upper, lower = own_axes(None, 2, (5.6, 2.6), [2, 1])
     unit, time = record.displacement_unit, record.time - record.time[0]
-    line(upper, time, from_base(record.displacement, unit, "displacement"), color=MEASURED, lw=1.0)
+    line(upper, time, from_base(record.displacement, unit), color=MEASURED, lw=1.0)
     drive, label = volts(record.voltage)
     line(lower, time, drive, color=DRIVE, lw=1.0)
     finish(np.array([upper, lower]), "time (s)", [f"output ({shown_unit(unit)})", label])

@@ -139,7 +139,7 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
 
 def _run(record: Record, run: Prediction) -> Figure:
     unit, time = record.displacement_unit, record.time - record.time[0]
-    measured, predicted = (from_base(x, unit, "displacement") for x in (record.displacement, run.displacement))
+    measured, predicted = (from_base(x, unit) for x in (record.displacement, run.displacement))
     upper, lower = own_axes(None, 2, (5.0, 3.2), (2.4, 1.0))
     line(upper, time, measured, color=MEASURED, lw=2.4, label="measured")
     line(upper, time, predicted, color=PREDICTED, lw=1.0, label="predicted", **over(predicted))
@@ -156,7 +156,7 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
     for color, name in zip(CYCLE, dict.fromkeys(kinds), strict=False):
         for k in (k for k, other in enumerate(kinds) if other == name):
             x = records[k].displacement
-            stroke = float(from_base(np.nanmax(x) - np.nanmin(x), unit, "displacement"))
+            stroke = float(from_base(np.nanmax(x) - np.nanmin(x), unit))
             label = name if kinds.index(name) == k else f"_{name}"  # one entry in the legend
             ax.plot(loudest(records[k]), stroke, "o", ms=4, color=color, label=label)
             ax.annotate(
@@ -176,8 +176,7 @@ def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
         (ERROR, "left by the free runs", lambda r, p: p.displacement - r.displacement),
     ):
         rows = [
-            scipy.signal.welch(from_base(np.nan_to_num(signal(r, p)), unit, "displacement"), 1 / r.dt, nperseg=size)
-            for r, p in pairs
+            scipy.signal.welch(from_base(np.nan_to_num(signal(r, p)), unit), 1 / r.dt, nperseg=size) for r, p in pairs
         ]
         ax.loglog(
             rows[0][0][1:], np.sqrt(np.median([row[1][1:] for row in rows], axis=0)), color=color, lw=1.1, label=label
@@ -197,7 +196,7 @@ def _tokens(model: Fitted) -> Figure:
         return model.tokens(jnp.concatenate([still, model.memory.initial(at)]))[0] / model.coefficients
 
     factors, unit = np.asarray(jax.vmap(settled)(x)), model.origin.displacement_unit
-    across = from_base(np.asarray(x, np.float64) * float(model.scales.state[0]), unit, "displacement")
+    across = from_base(np.asarray(x, np.float64) * float(model.scales.state[0]), unit)
     for k, color in zip(range(model.order + 1), (PREDICTED, *CYCLE[1:]), strict=False):
         ax.plot(across, factors[:, k], color=color, lw=1.2, label=f"of a{k}")
     finish(np.array([ax]), f"displacement ({shown_unit(unit)})", ["factor"], 4)

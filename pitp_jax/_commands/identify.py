@@ -66,8 +66,8 @@ def print_orders(found: Identification, unit: str) -> None:
     rows = [
         (
             f"{fit.order}{' *' if fit.order == found.chosen.order else ''}",
-            number(from_base(fit.mae, unit, "displacement")),
-            number(from_base(fit.rms, unit, "displacement")),
+            number(from_base(fit.mae, unit)),
+            number(from_base(fit.rms, unit)),
             number(fit.heldout, 3),
             ", ".join(number(f, 3) for f in fit.natural_hz),
             "yes" if fit.identifiable else "no",

@@ -46,7 +46,7 @@ def invert(
     wanted = read_target(target, **reading)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
     length = wanted.displacement_unit
-    zero = zero if isinstance(zero, str) else float(to_base(zero, length, "displacement"))
+    zero = zero if isinstance(zero, str) else float(to_base(zero, length))
     limits = {"max_voltage": max_voltage, "max_slew": max_slew, "zero": zero, "start_input": start_input}
     if max_displacement is not None:
         if wanted.displacement_unit in ("V", "mV"):
@@ -67,7 +67,7 @@ def invert(
     columns = {
         "time_s": found.time - found.time[0],
         f"voltage_{unit}": found.voltage * (_UNITS[unit] / input_scale),
-        f"target_{length}": from_base(found.wanted, length, "displacement"),
+        f"target_{length}": from_base(found.wanted, length),
         "infeasible": found.infeasible,
         "saturated": found.saturated,
     }

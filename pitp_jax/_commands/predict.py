@@ -73,14 +73,14 @@ def score(record: Record, prediction: Prediction) -> dict:
         fitted = prediction.displacement - np.nanmean(error) if np.isfinite(error).any() else prediction.displacement
         metrics["zero_fitted_e_rms_percent"] = _finite(e_rms_percent(fitted, *measured[1:]))
         metrics["nrmse_percent"] = _finite(nrmse_percent(*measured))
-        metrics["rmse"] = _finite(from_base(rmse(*measured), record.displacement_unit, "displacement"))
+        metrics["rmse"] = _finite(from_base(rmse(*measured), record.displacement_unit))
     return {
         **metrics,
         "rmse_unit": record.displacement_unit,
         "begins": prediction.begins,
         "zero": {
-            "value": from_base(prediction.zero, record.displacement_unit, "displacement"),
-            "stderr": _finite(from_base(prediction.zero_stderr, record.displacement_unit, "displacement")),
+            "value": from_base(prediction.zero, record.displacement_unit),
+            "stderr": _finite(from_base(prediction.zero_stderr, record.displacement_unit)),
             "unit": record.displacement_unit,
         },
         "direction": int(prediction.direction),
@@ -107,9 +107,9 @@ def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
     volts, unit = record.voltage_unit, record.displacement_unit
     columns = {
         "time_s": record.time,
-        f"voltage_{volts}": from_base(record.voltage, volts, "voltage"),
-        f"displacement_{unit}": from_base(record.displacement, unit, "displacement"),
-        f"predicted_{unit}": from_base(prediction.displacement, unit, "displacement"),
+        f"voltage_{volts}": from_base(record.voltage, volts),
+        f"displacement_{unit}": from_base(record.displacement, unit),
+        f"predicted_{unit}": from_base(prediction.displacement, unit),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, columns)

@@ -77,7 +77,7 @@ def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
         print(f"read against the motion (sensor reversed): {listed(reversed_ones)}")
     if len({b.group for b in beginnings.values()}) > 1:
         rows = [
-            (name, *(number(from_base(v, unit, "displacement") if math.isfinite(v) else None, 4) for v in numbers))
+            (name, *(number(from_base(v, unit) if math.isfinite(v) else None, 4) for v in numbers))
             for name, numbers in ((name, (b.zero, b.stderr)) for name, b in beginnings.items())
         ]
         print("the sensor's zero differs among the records:")

@@ -73,7 +73,7 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
 
 
 def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:
-    shown = from_base(x[np.isfinite(x)], unit, "displacement")
+    shown = from_base(x[np.isfinite(x)], unit)
     return {
         "samples": len(x),
         "begins": "held" if drive.voltage[0] != 0 else "rest",
@@ -89,6 +89,6 @@ def _write(path: Path, drive: Drive, x: np.ndarray, unit: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, {
         "time_s": drive.time,
-        f"voltage_{volts}": from_base(drive.voltage, volts, "voltage"),
-        f"displacement_{unit}": from_base(x, unit, "displacement"),
+        f"voltage_{volts}": from_base(drive.voltage, volts),
+        f"displacement_{unit}": from_base(x, unit),
     })  # fmt: skip

@@ -62,7 +62,7 @@ def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.nd
     """Draw both outputs over the time since the first recording's start, their difference beneath; with the numbers."""
     unit = pair.first.displacement_unit
     time = pair.first.time - pair.first.time[0]  # clocks of two rigs share no zero
-    one, two = (from_base(y, unit, "displacement") for y in (pair.first.displacement, pair.output()))
+    one, two = (from_base(y, unit) for y in (pair.first.displacement, pair.output()))
     upper, lower = own_axes(None, 2, (5.6, 3.0), (2.2, 1.0))
     line(upper, time, one, color=MEASURED, lw=2.2, label=names[0])
     line(upper, time, two, color=PREDICTED, lw=1.0, label=names[1])

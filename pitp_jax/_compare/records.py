@@ -78,9 +78,9 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
         return []
     sizes, lags = np.array(fits)[:, 0], np.array(fits)[:, 1]
     errors = [float(v.std(ddof=1) / np.sqrt(len(v))) for v in (sizes, lags)]
-    stroke = float(from_base(np.ptp(y[seen]), unit, "displacement"))
+    stroke = float(from_base(np.ptp(y[seen]), unit))
     apart = np.sqrt(np.mean((other - y - np.mean((other - y)[seen]))[seen] ** 2))  # but for the zero
-    difference, floor = (float(from_base(v, unit, "displacement")) for v in (apart, noise))
+    difference, floor = (float(from_base(v, unit)) for v in (apart, noise))
     return [
         measured(f"{a.name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
         measured(f"{a.name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),

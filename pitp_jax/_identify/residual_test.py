@@ -18,10 +18,8 @@ from scipy.stats import norm
 
 from .output_error import Problem, Structure, poles_of, solve
 
-_LAGS, _PERIODS = (
-    40,
-    2.0,
-)  # on either side, and how many periods of the slowest oscillation (or time constants) they span
+_LAGS = 40  # on either side
+_PERIODS = 2.0  # of the slowest oscillation, or time constants, that they span
 _MEMORY = 20  # times as many lags count in the band: e and u may be correlated for long
 
 

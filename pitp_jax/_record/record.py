@@ -69,8 +69,8 @@ class Record(Shown):
     def __repr__(self) -> str:
         """One line: length, rate, ranges in the file's units."""
         unit, seen = self.displacement_unit, self.displacement[self.observed]
-        volts = [from_base(float(v), self.voltage_unit, "voltage") for v in (self.voltage.min(), self.voltage.max())]
-        output = [from_base(float(v), unit, "displacement") for v in (seen.min(), seen.max())]
+        volts = [from_base(float(v), self.voltage_unit) for v in (self.voltage.min(), self.voltage.max())]
+        output = [from_base(float(v), unit) for v in (seen.min(), seen.max())]
         lost = f", {self.missing} missing" if self.missing else ""
         return (
             f"Record({self.name!r}: {self.samples} samples at {1 / self.dt:.6g} Hz, {volts[0]:.4g} to {volts[1]:.4g} "

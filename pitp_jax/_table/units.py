@@ -114,25 +114,23 @@ def units_of(quantity: str) -> tuple[str, ...]:
     return tuple(TIME_UNITS if quantity == "time" else INPUT_UNITS)
 
 
-def to_base(values, unit: str, quantity: str = ""):
+def to_base(values, unit: str):
     """Values in the base unit; decimal parts of a unit divide by a whole number, so that decimal times stay exact.
 
     Args:
         values: array in `unit`, any shape.
         unit: one of the table.
-        quantity: what it is, for the reader only.
     """
     scale = _FACTORS[unit]
     return values / round(1.0 / scale) if _parts(scale) else values * scale
 
 
-def from_base(values, unit: str, quantity: str = ""):
+def from_base(values, unit: str):
     """Values in `unit` from values in the base unit; the inverse of `to_base`.
 
     Args:
         values: array in the base unit, any shape.
         unit: one of the table.
-        quantity: what it is, for the reader only.
     """
     scale = _FACTORS[unit]
     return values * round(1.0 / scale) if _parts(scale) else values / scale
