@@ -31,7 +31,9 @@ def bode_page(found: Identification, name: str) -> str:
         '<div class="figures">',
         html.picture("bode", _bode(found), "Grey: measured, with two standard errors; lines: the models compared."),
         html.picture("coherence", _coherence(found), "How much of the output the drive explains, linearly."),
-        html.picture("residuals", _residuals(found), "Grey: where 95 % of residuals stay that have nothing to tell."),
+        html.picture(
+            "residuals", _residuals(found), "Grey: where all lags stay, in 95 % of cases, when nothing is left to find."
+        ),
         "</div>",
         tag("h2", "Orders compared"),
         html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in found.orders], {}),
@@ -111,8 +113,7 @@ def _leaves(found: Identification) -> str:
         if tested.independent
         else "the drive still shows in it: dynamics or a nonlinearity that this order does not have"
     )
-    back = "; the drive followed it (lags before zero): recorded in a closed loop?" if tested.feedback else ""
-    return f"What is left {own}; {drive}{back}."
+    return f"What is left {own}; {drive}."
 
 
 def _residuals(found: Identification) -> Figure:
@@ -122,7 +123,7 @@ def _residuals(found: Identification) -> Figure:
         ax.axhspan(-band, band, color=MEASURED, alpha=0.4, lw=0)
         ax.plot(tested.lag, correlation, ".-", ms=3, lw=0.8, color=CYCLE[0])
     axes[0].set_ylim(-1.05, 1.05)
-    finish(axes, "lag (s)", ["with itself", "with the force"])
+    finish(axes, "lag (s)", ["residual\nwith itself", "residual\nwith the force"])
     return axes[0].figure  # pyright: ignore[reportReturnType]
 
 

@@ -5,7 +5,7 @@
                                                                         where e and u have nothing to do with each other
 
 u: the force about its mean; N: samples that count; z: what the largest of all K lags exceeds in 5 % of cases,
-Phi^-1(1 - 0.025 / K). Lags before zero tell of feedback: the drive followed what had been left.
+Phi^-1(1 - 0.025 / K). What a model lacks shows on both sides of zero, since a drive resembles its own past.
 Source: Ljung (1999), System Identification, 16.6; Bartlett (1946) for the band of the second.
 """
 
@@ -48,11 +48,6 @@ class ResidualTest:
     def independent(self) -> bool:
         """No lag from zero on shows the drive: this order has taken up what a linear model can."""
         return bool((np.abs(self.drive[self.lag >= 0]) <= self.drive_band).all())
-
-    @property
-    def feedback(self) -> bool:
-        """A lag before zero shows: the drive followed the motion."""
-        return bool((np.abs(self.drive[self.lag < 0]) > self.drive_band).any())
 
 
 def residual_test(params: np.ndarray, structure: Structure, problem: Problem) -> ResidualTest:
