@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from effort import calls
 from scipy.signal import cont2discrete, lfilter, lsim
-from typed import of_kind
+from typed import of_kind, some
 
 from pitp_jax import BadInput, ComputationFailed, Record
 from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.identification import identify
+from pitp_jax._identify.linear_ode import logs_from_roots
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
 TIME = np.arange(SAMPLES) * DT
@@ -222,3 +223,14 @@ def test_what_a_search_costs(coefficients):
     # the grid of starts stays for beginnings: without it an order three behind a delay was called at rest
     assert calls(lambda: find_beginnings([record], "square"), "_linear_filter") < 250
     assert calls(lambda: identify([record]), "_linear_filter") < 1500
+
+
+def test_a_wrong_start_from_the_response_does_not_decide_how_a_record_begins(coefficients, monkeypatch):
+    """Behind a delay it may lie far off: an order three was called at rest, and its model was useless."""
+    record = sweep(coefficients(2), 31)
+    told, poles, _ = find_beginnings([record], "square")
+    wrong = logs_from_roots(np.array([-40.0 + 400.0j, -40.0 - 400.0j]))
+    monkeypatch.setattr("pitp_jax._identify.beginnings._from_response", lambda problem: wrong)
+    again, found, _ = find_beginnings([record], "square")
+    assert [b.begins for b in again] == [b.begins for b in told]
+    np.testing.assert_allclose(some(found), some(poles), rtol=1e-2)
