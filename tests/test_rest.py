@@ -9,16 +9,7 @@ from scipy.signal import cont2discrete, lfilter, lsim
 from pitp_jax import Record
 from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.identification import identify
-from pitp_jax._record.initial_state import (
-    first_known,
-    first_states,
-    is_still,
-    level_groups,
-    noise_std,
-    settled_samples,
-    starts_at_rest,
-)
-from pitp_jax._simulate.beginnings import beginnings
+from pitp_jax._record.initial_state import first_known, first_states, level_groups, noise_std, starts_at_rest
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
 TIME = np.arange(3000) * DT
@@ -55,13 +46,13 @@ def test_noise_under_motion_and_gaps():
 @pytest.mark.parametrize("zero", [0.0, -7.3e-3])
 def test_rest_is_found(voltage, zero):
     found = [record(voltage, motion(voltage) + zero, seed) for seed in range(10)]
-    assert all(starts_at_rest(r, zero, OMEGA) for r in found)
-    assert not any(starts_at_rest(r, zero + 1e-4, OMEGA) for r in found)  # 3 % of the range away from the sensor's zero
+    assert all(starts_at_rest(r, zero) for r in found)
+    assert not any(starts_at_rest(r, zero + 1e-4) for r in found)  # 3 % of the range away from the sensor's zero
 
 
 @pytest.mark.parametrize("start", [700, 830, 910])
 def test_a_moving_start_is_found(start):
-    assert not starts_at_rest(record(SINE, motion(SINE), start=start), 0.0, OMEGA)
+    assert not starts_at_rest(record(SINE, motion(SINE), start=start), 0.0)
 
 
 def test_first_state_of_a_moving_start():
@@ -100,50 +91,16 @@ SLOW = 1000 * (1 - np.cos(2 * np.pi * 0.3 * TIME))
 @pytest.mark.parametrize("others", [1, 2])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_slow_start_in_mid_motion_is_not_at_rest(start, others, sign):
-    """It follows its force so closely that settled at u(0) explains as much as a motion."""
+    """Below 0.64 Hz at 1 kHz no motion is faster than 0.2 % of range a sample: as still as rest, but under force.
+
+    It follows its force so closely that settled at u(0) explains as much as a motion.
+    """
     zero, x = 1e-3, sign * motion(SLOW)
     slow = record(SLOW, x + zero, 20, start=start)
+    assert starts_at_rest(slow, slow.displacement[0])
     found, *_ = find_beginnings([slow, *[record(SINE, sign * motion(SINE) + zero, k) for k in range(others)]], "square")
     assert [b.begins != "rest" for b in found] == [True] + [False] * others
     assert all(b.zero == pytest.approx(zero, abs=3 * NOISE) for b in found)
-
-
-@pytest.mark.parametrize("rate", [500.0, 10_000.0])
-def test_a_running_motion_that_is_cut_is_still_once_in_fifty(rate):
-    """At any sampling rate: the velocity counts by what it moves the mode, not by the sample."""
-    t, rng = np.arange(2000) / rate, np.random.default_rng(0)
-    cuts = [
-        Record("a", t, 1 + t, 1e-3 * np.sin(OMEGA * t + phase) + 1e-6 * rng.standard_normal(len(t)))
-        for phase in rng.uniform(0, 2 * np.pi, 200)
-    ]
-    assert sum(is_still(cut, OMEGA) for cut in cuts) <= 4
-
-
-@pytest.mark.parametrize("held", [0.0, 800.0])
-def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leaves(held):
-    """Half a second of it before the motion of another actuator than the model's, and another zero."""
-    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
-    drive = np.where(TIME < 0.5, held, held + 600 * np.sin(2 * np.pi * 3 * (TIME - 0.5)))
-    ahead = np.concatenate([np.full(len(TIME), held), drive])
-    other = lsim(([4e-9], [1 / (3 * OMEGA) ** 2, 0.2 / OMEGA, 1]), ahead**2, np.arange(len(ahead)) * DT)[1]
-    r = record(drive, other[len(TIME) :] + 1e-3)
-    assert settled_samples(r, OMEGA) == pytest.approx(500, abs=5)
-    (begun,), _ = beginnings(model, [r], [0.0])
-    assert begun.begins == ("held" if held else "rest")
-    running = record(drive, motion(SINE))  # the drive stands, the output does not
-    assert settled_samples(running, OMEGA) == 0
-
-
-@pytest.mark.parametrize("ahead", [0, 3000])
-@pytest.mark.parametrize("direction", [1, -1])
-def test_the_direction_is_that_of_the_first_motion_wherever_it_begins(ahead, direction):
-    """Three seconds of a trigger's lead hide it as little as none."""
-    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
-    drive, x = np.concatenate([np.zeros(ahead), SINE]), np.concatenate([np.zeros(ahead), motion(SINE)])
-    y = direction * x + 1e-3 + NOISE * np.random.default_rng(5).standard_normal(len(x))
-    (begun,), _ = beginnings(model, [Record("late", np.arange(len(x)) * DT, drive, y)], [0.0])
-    assert (begun.begins, begun.direction) == ("rest", direction)
-    assert begun.zero == pytest.approx(1e-3, abs=3 * NOISE)
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -230,4 +187,4 @@ def test_missing_first_samples():
     for start, still in ((0, True), (830, False)):
         r = record(SINE, motion(SINE) + zero, 7, start=start)
         r.displacement[:4] = np.nan
-        assert starts_at_rest(r, zero, OMEGA) is still
+        assert starts_at_rest(r, zero) is still

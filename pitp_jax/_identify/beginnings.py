@@ -18,7 +18,7 @@ from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, criterion, project, whitener
 from .._record.averaged import averaged
 from .._record.excitation_kind import spread_over_kinds
-from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level, settled_samples
+from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
 from .._record.preprocess import force_band
 from .._record.record import Record
 from .frequency_fit import linear_start
@@ -31,7 +31,6 @@ _PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that t
 _MOST = 100_000  # samples from which the poles are found
 _STARTS = 3  # of the guesses, each with the directions that it tells, that are followed
 _STRUCTURE, _ROUNDS = Structure(2), 4
-_NONE = 1e-3  # of the largest drive is none
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
 
@@ -51,7 +50,7 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     for _ in range(_ROUNDS):
         rows = [_columns(r, input_map, *poles) for r in begun]
         known = [r is b for r, b in zip(records, begun, strict=True)]
-        kinds = [_kind(row, r, whole, poles[0]) for row, r, whole in zip(rows, begun, known, strict=True)]
+        kinds = [_kind(row, whole) for row, whole in zip(rows, known, strict=True)]
         before, found = found, _with_zeros(begun, rows, kinds)
         if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in found]:
             break
@@ -180,14 +179,9 @@ def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _
     return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1], float(y.std()))
 
 
-def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple[Begins, float]:
-    """The simplest beginning and the direction, zero fitted; "moving" where the first samples are missing.
-
-    A flat reading under a flat drive is rest or held by the data, whatever the model leaves of the motion after it.
-    """
+def _kind(row: _Columns, whole: bool) -> tuple[Begins, float]:
+    """The simplest beginning and the direction, zero fitted; "moving" where the first samples are missing."""
     kinds: tuple[Begins, ...] = ("rest", "held", "moving") if whole else ("moving",)
-    if whole and settled_samples(record, float(np.exp(logs[1] / 2))):
-        kinds = ("rest",) if abs(record.voltage[0]) <= _NONE * np.abs(record.voltage).max() else ("held",)
     return min(((b, d) for d in (1.0, -1.0) for b in kinds), key=lambda k: row.score(*k))
 
 

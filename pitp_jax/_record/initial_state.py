@@ -21,8 +21,6 @@ from .record import Record
 Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
 _STILL, _SMALL = 10.0, 0.2
-_SLOW = 0.01  # of omega times the range: a velocity below it moves the mode by a hundredth of the range
-_FLAT, _LEVEL, _FEWEST_FLAT = 1e-3, 0.02, 24  # of the drive's range; of the output's; samples of a stretch that stands
 _WINDOWS, _FEWEST = (7, 12, 24, 48), 6  # samples a first state is fitted over; and how many of them must be observed
 
 
@@ -86,9 +84,9 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
 
 
 def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Quartic least squares over the first 7, 12, 24, 48, ... samples: (y(0), y'(0)) and their standard errors.
+    """Quartic least squares over the first 7, 12, 24 and 48 samples: (y(0), y'(0)) and their standard errors.
 
-    A roll sampled at 5 kHz has turned by 2 rad in 12 samples, a cone at 10 kHz needs 200 to beat the noise, so every
+    A roll sampled at 5 kHz has turned by 2 rad in 12 samples, a cone at 1 kHz needs 24 to beat the noise, so every
     window over which the quartic leaves no more than the noise (or 0.1 % of range) gives its own estimate.
 
     Returns:
@@ -97,78 +95,39 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
     span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
     noise = min(noise_std(record.displacement), 0.01 * span)
     values, errors = [], []
-    longer = (_WINDOWS[-1] << k for k in range(1, int(np.log2(max(record.samples / 4 / _WINDOWS[-1], 1))) + 1))
-    for window in (*_WINDOWS, *longer):
+    for window in _WINDOWS:
         t, y = np.arange(window) / window, record.displacement[:window]
         keep = np.isfinite(y)
         if keep.sum() < _FEWEST:
             continue
         basis = np.vander(t[keep], 5, increasing=True)
         fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
-        misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / max(keep.sum() - 5, 1))
-        if misfit > max(noise * (1 + 1.5 / np.sqrt(2 * keep.sum())), 0.001 * span) and values:
+        left = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / max(keep.sum() - 5, 1))
+        if left > max(1.15 * noise, 0.001 * span) and values:
             break
         unit = np.array([1.0, 1.0 / (window * record.dt)])
         values.append(fit[:2] * unit)
-        errors.append(max(noise, misfit) * np.sqrt(np.diag(np.linalg.inv(basis.T @ basis)))[:2] * unit)
+        errors.append(max(noise, left) * np.sqrt(np.diag(np.linalg.inv(basis.T @ basis)))[:2] * unit)
     return (np.array(values), np.array(errors)) if values else (np.full((1, 2), np.nan), np.full((1, 2), np.inf))
 
 
-def _still(record: Record, omega: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per window: no velocity within 4 standard errors and a hundredth of omega times the range; value; its tolerance.
-
-    v / omega is what the velocity still moves a mode of that frequency: of a motion that is cut somewhere, one in 150
-    is as slow, at any sampling rate.
-    """
+def _still(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Per window: no velocity within 4 standard errors and 0.2 % of range a sample; value; its tolerance."""
     values, errors = first_states(record)
     span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
-    still = np.abs(values[:, 1]) <= 4 * errors[:, 1] + _SLOW * omega * span
+    still = np.abs(values[:, 1]) <= 4 * errors[:, 1] + 0.002 * span / record.dt
     return still, values[:, 0], np.minimum(4 * errors[:, 0], 0.015 * span) + 0.002 * span
 
 
-def is_still(record: Record, omega: float) -> bool:
-    """True when some window finds no velocity at the first sample, and that sample is known.
-
-    Args:
-        record: in base units.
-        omega: of the dominant mode, rad/s.
-    """
-    return first_known(record) == 0 and bool(_still(record, omega)[0][-1])
+def is_still(record: Record) -> bool:
+    """True when some window finds no velocity at the first sample, and that sample is known."""
+    return first_known(record) == 0 and bool(_still(record)[0].any())
 
 
-def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
-    """True when some window finds the first displacement at `offset` and the first velocity zero.
-
-    Args:
-        record: in base units.
-        offset: the sensor's zero, output unit.
-        omega: of the dominant mode, rad/s.
-    """
-    still, value, tolerance = _still(record, omega)
+def starts_at_rest(record: Record, offset: float) -> bool:
+    """True when some window finds the first displacement at `offset` (output unit) and the first velocity zero."""
+    still, value, tolerance = _still(record)
     return bool((still & (np.abs(value - offset) <= tolerance)).any())
-
-
-def settled_samples(record: Record, omega: float) -> int:
-    """Number of first samples in which a flat reading stands under a flat drive; 0 where the record shows no such rest.
-
-    By the data alone, whatever a model says: flat for half a period at least, within 2 % of the range beyond the noise.
-    Then the record begins at rest, or settled where it is held.
-
-    Args:
-        record: in base units.
-        omega: of the dominant mode, rad/s.
-    """
-    steps = np.abs(record.voltage - record.voltage[0]) > _FLAT * np.ptp(record.voltage)
-    count = int(np.argmax(steps)) if steps.any() else record.samples
-    seen = record.displacement[:count]
-    seen = seen[np.isfinite(seen)]
-    if first_known(record) > 0 or count * record.dt * omega < np.pi or len(seen) < _FEWEST_FLAT:
-        return 0
-    span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
-    near = _LEVEL * span + 1.5 * noise_std(record.displacement)
-    # an end of the stretch that has drifted away from the other is creep or a slow motion
-    thirds = np.array([part.mean() for part in np.array_split(seen, 3)])
-    return count if seen.std() <= near and np.ptp(thirds) <= near else 0
 
 
 def first_known(record: Record) -> int:
@@ -208,17 +167,15 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
     levels = np.array([rest_level(r) for r in records]).reshape(-1, 2)
     spans = np.array([np.nanmax(r.displacement) - np.nanmin(r.displacement) for r in records])
     tolerance = np.minimum(4 * levels[:, 1], 0.015 * spans) + 0.002 * spans
-    open_, groups = list(range(len(records))), []
-    while open_:
-        near = [
-            [m for m in open_ if abs(levels[m, 0] - levels[k, 0]) <= max(tolerance[k], tolerance[m])] for k in open_
-        ]
+    left, groups = list(range(len(records))), []
+    while left:
+        near = [[m for m in left if abs(levels[m, 0] - levels[k, 0]) <= max(tolerance[k], tolerance[m])] for k in left]
         members = max(near, key=len)
         value, weights = levels[members, 0], 1 / (levels[members, 1] ** 2 + 1e-30)
         zero = float(np.average(value, weights=weights))
         scatter = float(weights @ (value - zero) ** 2) / max(len(members) - 1, 1)
         groups.append((members, zero, float(1.5 * np.sqrt(max(scatter, 1.0) / weights.sum()))))
-        open_ = [k for k in open_ if k not in members]
+        left = [k for k in left if k not in members]
     return sorted(groups, key=lambda g: -len(g[0]))
 
 
@@ -236,10 +193,10 @@ def rest_level(record: Record) -> tuple[float, float]:
         if keep.sum() >= 8:
             basis = np.stack([t**0, t**2, t**3, t**4], -1)[keep]
             fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
-            misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))
-            if np.isfinite(best[1]) and misfit > noise * (1 + 1.5 / np.sqrt(2 * keep.sum())):
+            left = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))
+            if np.isfinite(best[1]) and left > noise * (1 + 1.5 / np.sqrt(2 * keep.sum())):
                 break
-            error = max(misfit, noise) * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
+            error = max(left, noise) * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
             if error < best[1]:
                 best = float(fit[0]), float(error)
         window *= 2
