@@ -31,6 +31,7 @@ import pitp_jax as pitp
 RATE, SECONDS, FINE, COLOUR = 500.0, 20.0, 20, 0.9
 KINDS = ("creep", "friction", "backlash", "folded")
 DELAYS = (0, 1, 2, 4, 8)  # samples, of SciPy's models
+FARTHEST = 2 * np.log(2 * np.pi * RATE)  # logarithm of omega^2 at one turn a sample: no coefficient goes beyond
 
 
 def plant(rng: np.random.Generator, order: int) -> np.ndarray:
@@ -161,6 +162,8 @@ def peers(drive: np.ndarray, output: np.ndarray, other: np.ndarray):
     """What SciPy's model of every order, under the hold and delay that leave least, makes of another drive."""
 
     def residual(logs, hold, late):
+        if np.abs(logs).max() > FARTHEST:
+            return np.full(len(drive), 1e3)
         with np.errstate(all="ignore"):
             run = run_of(logs, hold, late, drive)
         if not np.isfinite(run).all():
