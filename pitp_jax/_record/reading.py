@@ -219,8 +219,8 @@ def _unfolded(paths: Sequence[str | os.PathLike]) -> Iterator[str | os.PathLike]
     """Paths with `*` and `?` spelt out, which the shells of Windows leave to the program."""
     for path in paths:
         pattern = isinstance(path, (str, os.PathLike)) and not os.path.exists(path) and str(path)
-        found = sorted(glob(pattern)) if pattern and set("*?") & set(pattern) else []
-        yield from found or [path]
+        matches = sorted(glob(pattern)) if pattern and set("*?") & set(pattern) else []
+        yield from matches or [path]
 
 
 def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
