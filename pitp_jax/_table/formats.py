@@ -12,7 +12,7 @@ import io
 import re
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from datetime import datetime, time, timedelta
+from datetime import timedelta
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,8 @@ from .matlab import flat
 from .names import read_header
 from .options import ReadOptions
 from .robot import bag, is_bag, parquet
-from .stamps import over_midnight
 from .table import Table, array_table
-from .text import text_tables
+from .text import numbers_of, text_tables
 from .units import kind_of, spelt
 
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".lvm")
@@ -77,21 +76,21 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
     source, filled = cleaned(path), [(k, row) for k, row in rows if any(cell is not None for cell in row)]
     check_columns(max((len(row) for _, row in filled), default=0), source)
     width = max((len(row) for _, row in filled[:_HEAD]), default=0)
-    cells = [[*map(_shown, row), *[""] * (width - len(row))] for _, row in filled[:_HEAD]]
-    head = Rows(cells, [k for k, _ in filled[:_HEAD]], [False] * len(cells))
     decimal = options.decimal or ("," if _texts_with_commas(filled) else ".")
+    cells = {k: [_shown(cell, decimal) for cell in (*row, *[None] * width)[:width]] for k, row in rows}
+    numbers = [k for k, _ in filled[:_HEAD]]
+    head = Rows([cells[k] for k in numbers], numbers, [False] * len(numbers))
     made = layouts(head, "\t", decimal, source, options.header_line, options.units_line)
-    start = filled[made[0].first][0]
-    body = [(k, row) for k, row in rows if start <= k <= filled[-1][0]]
+    body = [k for k in cells if numbers[made[0].first] <= k <= filled[-1][0]]
 
     def place(sample: int) -> str:
-        return f"sample {sample} (row {body[sample][0]})" if sample < len(body) else f"sample {sample}"
-
-    def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [_numbers(body, k, made[0].columns[k].name, source, place, decimal) for k in places]
+        return f"sample {sample} (row {body[sample]})" if sample < len(body) else f"sample {sample}"
 
     def texts(k: int) -> np.ndarray:
-        return np.array([_shown(row[k]) if k < len(row) else "" for _, row in body])
+        return np.array([cells[row][k] for row in body])
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        return [numbers_of(texts(k).tolist(), made[0], k, source, place) for k in places]
 
     return [
         Table(
@@ -101,38 +100,20 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
     ]
 
 
-def _shown(value: Any) -> str:
-    """A cell as text for the search of the header; a span of time as an hour."""
-    return "" if value is None else "00:00:00" if isinstance(value, timedelta) else cleaned(value).strip()
+def _shown(value: Any, decimal: str) -> str:
+    """A cell as a text has it; a span of time as hours."""
+    if isinstance(value, timedelta):
+        minutes, seconds = divmod(value.total_seconds(), 60)
+        return f"{minutes // 60:02.0f}:{minutes % 60:02.0f}:{seconds:09.6f}"
+    if isinstance(value, float):
+        return repr(value).replace(".", decimal)
+    return "" if value is None else cleaned(value).strip()
 
 
 def _texts_with_commas(rows: list[tuple[int, tuple]]) -> bool:
     """Whether the numbers of a sheet are texts with a decimal comma."""
     cells = [cell for _, row in rows[-_HEAD:] for cell in row if cell is not None]
     return 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in cells) > len(cells)
-
-
-def _numbers(body, k: int, column: str, source: str, place, decimal: str) -> np.ndarray:
-    """One column of a sheet; dates and hours become seconds."""
-    values, daily = np.full(len(body), np.nan), False
-    for sample, (_, row) in enumerate(body):
-        cell = row[k] if k < len(row) else None
-        if cell is None or (isinstance(cell, str) and cell.strip().lower() in ("", "nan", "na", "n/a")):
-            continue
-        if isinstance(cell, datetime):
-            cell = (cell.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds()
-        elif isinstance(cell, timedelta):
-            cell = cell.total_seconds()
-        elif isinstance(cell, time):
-            cell, daily = cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond * 1e-6, True
-        try:
-            values[sample] = float(cell.replace(",", ".") if decimal == "," and isinstance(cell, str) else cell)
-        except (TypeError, ValueError, OverflowError):
-            raise BadInput(
-                f"{source}: column {column!r}, {place(sample)}: text {cleaned(cell)[:20]!r} where a number "
-                "belongs; write a number (leave a missing output empty)"
-            ) from None
-    return over_midnight(values) if daily else values
 
 
 def tdms(path: Path, options: ReadOptions) -> Parts:

@@ -373,11 +373,15 @@ def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int],
     except csv.Error as error:
         raise BadInput(f"{source}: sample {len(values)}: not readable as CSV ({error}); save it as plain CSV") from None
     columns = list(zip(*values, strict=True)) or [()] * len(places)
-    return [_column(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
+    return [numbers_of(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
 
 
-def _column(cells: Sequence[str], layout: Layout, k: int, source: str, place) -> np.ndarray:
-    """One column of cells as numbers."""
+def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place: Callable[[int], str]) -> np.ndarray:
+    """The cells of column k as numbers, dates and hours as seconds.
+
+    Raises:
+        BadInput: with the first cell that is none.
+    """
     column = layout.columns[k]
     if column.form == "stamp":
         try:
