@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
-from .._shown import Shown
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
 from .._table.guard import cleaned
@@ -29,7 +28,7 @@ from .checks import TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
 from .outliers import Masked, at_limit, mask_faults
 from .plausible import questions, refuse_implausible
-from .record import Record
+from .record import Record, Timed, range_in
 from .remarks import Remark
 from .sets import check_set
 
@@ -38,7 +37,7 @@ _QUANTITIES = ("time", "voltage", "displacement")
 
 
 @dataclass(frozen=True, eq=False)
-class Target(Shown):
+class Target(Timed):
     """A wanted trajectory, for the inverse model.
 
     Attributes:
@@ -63,14 +62,8 @@ class Target(Shown):
         check_wanted(self.time, self.displacement, self.source or "target")
 
     def __repr__(self) -> str:
-        ends = [from_base(float(f(self.displacement)), self.displacement_unit) for f in (np.min, np.max)]
-        span = f"{ends[0]:.4g} to {ends[1]:.4g} {self.displacement_unit}"
+        span = range_in(self.displacement, self.displacement_unit)
         return f"Target({len(self.time)} samples at {1 / self.dt:.6g} Hz, {span})"
-
-    @property
-    def dt(self) -> float:
-        """Sampling interval in s."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
 
 def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:

@@ -9,19 +9,18 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
-from .._shown import Shown
 from .._table import Loaded, ReadOptions, together
 from .._table.choice import choose_columns
 from .._table.options import OPTIONS
 from .._table.table import Table
-from .._table.units import from_base
 from .checks import TIME_TOLERANCE
 from .reading import attempted, mended, options_of
+from .record import Timed, range_in
 from .remarks import Remark, counted
 
 
 @dataclass(frozen=True, eq=False)
-class Drive(Shown):
+class Drive(Timed):
     """A voltage without a measurement.
 
     Attributes:
@@ -40,14 +39,8 @@ class Drive(Shown):
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        ends = [from_base(float(f(self.voltage)), self.voltage_unit) for f in (np.min, np.max)]
-        span = f"{ends[0]:.4g} to {ends[1]:.4g} {self.voltage_unit}"
+        span = range_in(self.voltage, self.voltage_unit)
         return f"Drive({self.name!r}: {len(self.time)} samples at {1 / self.dt:.6g} Hz, {span})"
-
-    @property
-    def dt(self) -> float:
-        """Sampling interval in s."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
 
 def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:

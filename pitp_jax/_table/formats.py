@@ -145,37 +145,33 @@ def npz(path: Path, options: ReadOptions) -> Parts:
     check_archive(path)
     with zipfile.ZipFile(path) as archive:
         members = [name for name in archive.namelist() if name.endswith(".npy")]
-    stored = {name.removesuffix(".npy"): (lambda name=name: _npy(path, name)) for name in members}
-    shapes = {name.removesuffix(".npy"): _npy_shape(path, name) for name in members}
-    return [[array_table(path, stored, "NumPy archive", shapes=shapes)]]
+        stored = {name.removesuffix(".npy"): _npy(archive, name) for name in members}
+    return [[array_table(path, stored, "NumPy archive")]]
 
 
-def _npy_header(data: Any) -> tuple:
-    """Shape, order and type of an array that a stream of bytes holds."""
-    version = np.lib.format.read_magic(data)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    return read(data)
+def _npy(archive: zipfile.ZipFile, name: str) -> np.ndarray | Callable[[], np.ndarray]:
+    """One array of an archive, whose header may not promise more than the member holds.
 
-
-def _npy_shape(path: Path, name: str) -> tuple[int, ...]:
+    What is wrong with it is told only where its column is asked for.
+    """
     try:
-        with zipfile.ZipFile(path) as archive, archive.open(name) as file:
-            return _npy_header(file)[0]
-    except (ValueError, OSError, zipfile.BadZipFile):
-        return ()  # told where the column is chosen
+        data = io.BytesIO(archive.read(name))
+        first = np.lib.format.read_magic(data) == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(data)
+        if dtype.hasobject:
+            return np.empty(0, dtype=object)  # refused as "not plain numbers"
+        if int(np.prod(shape, dtype=object)) * dtype.itemsize > len(data.getbuffer()) - data.tell():
+            raise ValueError(f"{name} ends too early")
+        data.seek(0)
+        return np.lib.format.read_array(data, allow_pickle=False)
+    except Exception as error:  # zipfile and NumPy raise nearly anything on damaged members
+        damage = error
 
+    def broken() -> np.ndarray:
+        raise damage
 
-def _npy(path: Path, name: str) -> np.ndarray:
-    """One array of an archive, whose header may not promise more than the member holds."""
-    with zipfile.ZipFile(path) as archive, archive.open(name) as file:
-        data = io.BytesIO(file.read())
-    shape, _, dtype = _npy_header(data)
-    if dtype.hasobject:
-        return np.empty(0, dtype=object)  # refused as "not plain numbers"
-    if int(np.prod(shape, dtype=object)) * dtype.itemsize > len(data.getbuffer()) - data.tell():
-        raise ValueError(f"{name} ends too early")
-    data.seek(0)
-    return np.lib.format.read_array(data, allow_pickle=False)
+    return broken
 
 
 def mat(path: Path, options: ReadOptions) -> Parts:
