@@ -189,6 +189,7 @@ def _unique(records: list[Record]) -> list[Record]:
     kept = []
     for record in records:
         name = record.name
+        # a mark that no suffix and no split makes
         while name in taken:
             name += "'"
         taken.add(name)
@@ -272,6 +273,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
             raise BadInput(
                 f"{cleaned(path)}: cannot list the folder: {error.strerror or error}; check its rights"
             ) from None
+        # read-mes and pictures beside the recordings are no records
         inside = [file for file in inside if _is_record(file)]
         if not inside:
             raise BadInput(
@@ -296,6 +298,7 @@ def names_of(files: Sequence[Path]) -> list[str]:
     Raises:
         BadInput: a file given twice, or two of one folder that differ by their suffix alone.
     """
+    # links and relative paths: the file itself counts
     real = [Path(os.path.realpath(file)) for file in files]
     stems, depth = [cleaned(split_suffix(file.name)[0]) for file in files], [0] * len(files)
     names = list(stems)
@@ -311,6 +314,7 @@ def names_of(files: Sequence[Path]) -> list[str]:
                     "rename one of the two"
                 )
             for k in same:
+                # one folder more in front, until the names differ
                 depth[k] += 1
                 folders = [cleaned(part) for part in real[k].parent.parts[1:][-depth[k] :]]
                 names[k] = "/".join((*folders, stems[k]))
@@ -331,6 +335,7 @@ def mended(one: Loaded) -> tuple[Masked, Gridded]:
     check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
     units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
     refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
+    # before the grid: interpolating over a spike would smear it
     masked = Masked(displacement) if output is None else mask_faults(displacement, voltage)
     try:
         return masked, on_grid(time, voltage, masked.displacement, source, columns[0], one.place)

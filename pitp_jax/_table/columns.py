@@ -114,6 +114,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
             refusals.append(error)
     if not good:
         raise refusals[0]
+    # several encodings fit most bytes: the one whose names are words
     table, chosen = max(good, key=lambda one: _legible(one[0].columns))
     for other, choices in good:
         if {q: c.reading for q, c in choices.items()} != {q: c.reading for q, c in chosen.items()}:
@@ -147,6 +148,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
             if choice.clock is not None and choice.place is None:
                 loaded[quantity] = choice.clock[0] + choice.clock[1] * np.arange(count)
             elif choice.place is not None:
+                # unit first, scale second: 2 V of a monitor of 1000 V per V
                 base = to_base(values[choice.place], choice.unit)
                 scale = options.scale(quantity)
                 loaded[quantity] = base if scale is None else base * scale
@@ -203,6 +205,7 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
             raise Refused(source, f"{how}; give --rate HZ", [*options.words(), "--rate", "RATE"])
     if choice.clock is not None or not len(steps):
         return choice
+    # the usual step: lost samples and jitter do not move it
     step = float(np.median(steps))
     if choice.note.startswith("no unit") and (strange := clock_question(time, name)):
         raise Refused(source, strange, [*options.words(), "--time-unit", "UNIT"])
@@ -218,6 +221,7 @@ def _without_empty_rows(loaded: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Rows without a filled cell taken out: the clock shows the gap."""
     if len({len(v) for v in loaded.values()}) > 1:
         return loaded
+    # only rows empty in all columns: an empty input alone must be refused later
     empty = np.all([np.isnan(v) for v in loaded.values()], axis=0)
     return {q: v[~empty] for q, v in loaded.items()} if empty.any() else loaded
 
@@ -235,6 +239,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     keys = table.texts(places[0]) if table.texts is not None else table.load(places)[0]
     if len(keys) != count:
         raise BadInput(f"{table.source}: column {name!r} of --split-by has {len(keys)} values for {count} samples")
+    # run 1.0 of a float column is called 1
     labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
     first = list(dict.fromkeys(labels))
     if len(first) > _MOST_PARTS:
@@ -243,6 +248,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
         )
     parts = []
     for label in first:
+        # a run may be taken up again later in the file
         rows = np.flatnonzero(np.array(labels) == label)
         parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=rows))
     return parts

@@ -58,6 +58,7 @@ def xlsx(path: Path, options: ReadOptions) -> Parts:
             raise BadInput(f"{cleaned(path)}: has no sheet {options.sheet!r}; give --sheet one of {', '.join(titles)}")
         for sheet in book.worksheets:
             if options.sheet in (None, cleaned(sheet.title)):
+                # what a sheet says of its size is often wrong
                 sheet.reset_dimensions()
                 rows = list(enumerate(islice(sheet.iter_rows(values_only=True), _ROWS), 1))
                 try:
@@ -181,6 +182,7 @@ def mat(path: Path, options: ReadOptions) -> Parts:
     _signed(path, b"MATLAB", "a MATLAB file", "save it from MATLAB with -v7 or -v7.3")
     source = cleaned(path)
     stored = {n: v for n, v in scipy.io.loadmat(flat(file_bytes(path), source)).items() if not n.startswith("__")}
+    # tables, strings and datetimes are stored in a form that MathWorks does not publish
     objects = [n for n, v in stored.items() if type(v).__name__ == "MatlabOpaque"]
     plain = {n: v for n, v in stored.items() if not v.dtype.names and n not in objects}
     groups = {n: dict(_fields(v)) for n, v in stored.items() if v.dtype.names and n not in objects}
@@ -192,6 +194,7 @@ def mat(path: Path, options: ReadOptions) -> Parts:
         )
     if options.split_by == "group" and groups:
         return [[_variables(path, fields, ", fields of a struct", n)] for n, fields in groups.items()]
+    # one struct is what the user saved; of several the struct names the column too
     if len(groups) == 1:
         return [[_variables(path, plain | next(iter(groups.values())), ", fields of a struct")]]
     return [[_variables(path, plain | {f"{n}/{f}": v for n, fields in groups.items() for f, v in fields.items()}, "")]]
@@ -201,6 +204,7 @@ def _fields(structs: np.ndarray, place: str = "") -> Iterator[tuple[str, np.ndar
     """Fields of structs by their places; of ControlDesk and Simulink, the data by the name that stands beside them."""
     for k, one in enumerate(structs.reshape(-1)):
         fields = {f: np.asarray(one[f]) for f in structs.dtype.names or ()}
+        # X(k).Data beside X(k).Name: the name is a value, not a field
         data = next((v for f, v in fields.items() if f.lower() in ("data", "values") and v.dtype.kind in "fiu"), None)
         names = [v for f, v in fields.items() if f.lower() in ("name", "label") and v.dtype.kind == "U" and v.size == 1]
         if data is not None and names:
@@ -264,6 +268,7 @@ def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
 def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
     """Paths of the datasets in a group and in those below it, by group."""
     check_columns(len(group), source)
+    # by group, so that the same names in two groups stay apart
     groups: dict[str, list[str]] = {above: []}
     for name in group:
         if not above and name.startswith("#"):  # what MATLAB keeps for itself
@@ -273,6 +278,7 @@ def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
             groups[above].append(place)
         elif kind is h5py.Group and above.count("/") < _DEEPEST:
             groups |= _datasets(group[name], source, place)
+        # while walking: a hostile tree ends here
         check_columns(sum(map(len, groups.values())), source)
     return {name: places for name, places in groups.items() if places}
 
