@@ -71,10 +71,9 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
         input_map: "square" or "linear".
         resonance: in Hz.
     """
-    found = [p for r in records for p in _points(r, input_map, resonance)]
-    if not found:
+    points = np.array([p for r in records for p in _points(r, input_map, resonance)])
+    if not len(points):
         return None
-    points = np.array(found)
     largest = float(points[:, 1].max())
     points = points[points[:, 1] > _STILL * largest]
     doubled = input_map == "square" and all(abs(r.voltage.mean()) < 0.1 * r.voltage.std() for r in records)
@@ -84,7 +83,7 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
 
 def _points(record: Record, input_map: str, resonance: float) -> list[tuple[float, float, float]]:
     size = int(min(max(_PERIODS / (resonance * record.dt), 64), record.samples))
-    force, window, found = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
+    force, window, excited = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
     for first in range(0, record.samples - size + 1, max(size // 2, 1)):
         part = np.asarray(force[first : first + size], np.float64)
         power = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] ** 2
@@ -95,8 +94,8 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
         many = int(np.searchsorted(np.cumsum(power[order]), _ENERGY * power.sum())) + 1
         beside = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
         lines = [k for k in order[:many] if power[k] >= _LEAK * beside[k]]
-        found += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]
-    return found
+        excited += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]
+    return excited
 
 
 def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:

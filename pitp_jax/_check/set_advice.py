@@ -78,7 +78,11 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
     middle, far = float(np.median(resting or zeros)), False
     for r, zero, error in zip(known, zeros, errors, strict=True):
         y = r.displacement[r.observed]
-        blur = fitted.records[r.name].left * y.std() if fitted is not None and rows[r.name].begins != "rest" else 0.0
+        blur = (
+            fitted.records[r.name].unexplained * y.std()
+            if fitted is not None and rows[r.name].begins != "rest"
+            else 0.0
+        )
         far = far or abs(zero - middle) > _STDERRS * error + _SMALL * np.ptp(y) + blur
     unit = known[0].displacement_unit
     low, high, most = (from_base(float(v), unit) for v in (zeros.min(), zeros.max(), middle))
