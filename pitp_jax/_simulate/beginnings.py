@@ -11,6 +11,7 @@ leaves a fifth of what the model's leaves: a delay of half a period turns a moti
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ from .._record.initial_state import (
     INITIAL_SAMPLES,
     Beginning,
     Begins,
+    first_states,
     is_still,
     noise_std,
     rest_level,
@@ -153,3 +155,29 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
     error = np.concatenate([before, y[:first] - direction * runs["held"][:first]])
     known = int(np.isfinite(error).sum())
     return Beginning("held", direction, float(np.nanmean(error)), float(np.nanstd(error)) / np.sqrt(max(known, 1)))
+
+
+def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> list[Beginning]:
+    """Give held records the zero of the set's records at rest; `free` marks those whose zero stays their own.
+
+    x(0) = d (y(0) - zero)        beside the model's own equilibrium of u(0), within a factor of two
+
+    Without it a held record says of the static curve what the model said before: its equilibrium gave the zero. A
+    sensor that was zeroed anew under the held drive reads no displacement there, which no factor of two explains.
+    """
+    known = sorted((b.zero, b.stderr) for b in begun if b.begins == "rest")
+    if not known:
+        return [replace(b, free=True) for b in begun]
+    zero, stderr = known[len(known) // 2]
+    found = []
+    for record, b in zip(records, begun, strict=True):
+        level = first_level(record)
+        same = b.begins == "held" and 0.5 < (level - zero) / ((level - b.zero) or np.inf) < 2.0
+        found.append(replace(b, zero=zero, stderr=stderr) if same else replace(b, free=b.begins != "rest"))
+    return found
+
+
+def first_level(record: Record) -> float:
+    """Compute y(0) from the window that tells it best."""
+    values, errors = first_states(record)
+    return float(values[np.argmin(errors[:, 0]), 0])
