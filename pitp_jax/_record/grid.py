@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from .._errors import BadInput
-from .checks import MIN_SAMPLES, TIME_TOLERANCE, refuse_time
+from .checks import MIN_SAMPLES, TIME_TOLERANCE, line, refuse_time
 from .preprocess import force_band
 
 _HALF, _ROUNDING = 0.55, 1e-6  # of a sample: a half, and what the line may be off that was fitted to such times
@@ -143,16 +143,9 @@ def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]
 
 def _distances(index: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, float, float, np.ndarray]:
     """Places, the start and step of their line, and how far every time is from it, in samples."""
-    start, dt = _line(index, time)
+    start, dt = line(index, time)
     off = np.abs(time - start - dt * index) / dt if dt > 0 else np.full(len(time), np.inf)
     return index, start, dt, off
-
-
-def _line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
-    """a, b of the line a + b k nearest to the times; sums, not BLAS products, whose threads cost more."""
-    k, t = index - index.mean(), time - time.mean()
-    b = float(np.sum(k * t) / np.sum(k * k))
-    return float(time.mean() - b * index.mean()), b
 
 
 def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
