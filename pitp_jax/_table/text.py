@@ -33,6 +33,7 @@ _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are no comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
+_ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
 _BROKEN = 50  # lines looked through for names that are broken within their quotes
 _FOOTER = 50  # lines below the rows of numbers that may be a summary
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
@@ -112,6 +113,8 @@ def _text(path: Path, source: str) -> bytes:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = _unbroken(data.rstrip(b"\x1a\x00"))  # the end of a DOS file
+    if _ARROW.match(data):  # what a serial monitor puts before every line
+        data = data.replace(b" -> ", b",")
     if len(data.translate(None, _CONTROL)) != len(data):
         bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
         raise BadInput(f"{source}: line {bad}: not UTF-8 text as its suffix says (control characters); save it as CSV")
