@@ -128,6 +128,14 @@ def _either(x, v, u, s, p):
     return (v - (abs(v) * s[0] + p.gamma * v * abs(s[0])) / p.width,)
 
 
+def _drive_plays(x, v, u, s, p):
+    """Each is pushed along within a tenth of a millisecond when u stands off by more than its half width."""
+    off = u - np.asarray(s)
+    return 1e4 * (
+        off - np.clip(off, -np.array([0.04, 0.125, 0.25, 0.4]) * p.width, np.array([0.04, 0.125, 0.25, 0.4]) * p.width)
+    )
+
+
 def _dahl(width):
     return lambda x, v, u, s, p: (v - abs(v) * s[0] / getattr(p, width),)
 
@@ -293,6 +301,15 @@ EQUATIONS = {
     ),
     "charge_retention: one store": Equation(
         ((0.2, 0.1),), {2: 1e-3}, begin=lambda x, u, p: (p.k * abs(u),), rates=_store, film=lambda u, s, p: u + s[0]
+    ),
+    "hysteresis: plays of the drive": Equation(
+        ((0.1, 0.2, -0.05, 0.1, 500.0),), {2: 1e-3}, begin=lambda x, u, p: (u,) * 4, rates=_drive_plays, stiff=True,
+        film=lambda u, s, p: u + np.dot([p.w1, p.w2, p.w3, p.w4], np.asarray(s) - u),
+    ),
+    "hysteresis: Dahl of the command's integral": Equation(
+        ((80.0, 30.0),), {2: 1e-3}, begin=lambda x, u, p: (0.0,),
+        rates=lambda x, v, u, s, p: ((u - abs(u) * s[0]) / p.width,),
+        film=lambda u, s, p: u + p.level * s[0],
     ),
     "stretch_coupling: linear": Equation(((0.3,), (-0.3,)), {2: 2e-4}, couple=lambda f, x, p: f * (1 + p.b * x)),
     "stretch_coupling: quadratic": Equation(
