@@ -26,7 +26,7 @@ from pitp_jax._effects import CATALOGUE
 from pitp_jax._effects.spec import EffectSpec
 from pitp_jax._model.domain import Domain
 from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, linear_model
+from pitp_jax._model.model import Model, Output, linear_model
 from pitp_jax._report.lines import ERROR, MEASURED
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout

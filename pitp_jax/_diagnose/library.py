@@ -17,6 +17,7 @@ from .._model.model import Model, Provenance, linear_model
 from .simulator import INDEX, NAMES, OFF
 
 BORDER = 15.0  # tau omega: creep above, relaxation below
+GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
 FREE = "term"  # a force without a name
 # names that one linear plant, or one sensor, cannot tell apart whatever is played
 TWINS = (
@@ -95,6 +96,7 @@ def forms(s: Scale) -> list[Form]:
     for strength, times in ((0.2, 3.0), (1.0, 3.0), (0.2, 20.0), (1.0, 20.0), (0.3, 100.0)):
         add("viscoelastic", {"branch": strength, "branch_tau": times * s.tau})
     add("viscoelastic", {"branch": 0.3, "branch_tau": 2 * s.tau, "branch2": 0.3, "branch2_tau": 30 * s.tau})
+    add("hysteresis", {"bouc": 5.0, "yield": 0.01 * x})
     for width in (0.1, 0.5):
         add("hysteresis", {"bouc": 0.3, "yield": width * x}, {"bouc": 0.5, "yield": width * x, "gamma": -0.5})
         add("hysteresis", {"plays": 0.4, "plays_width": 0.6 * width * x})
@@ -140,6 +142,7 @@ def forms(s: Scale) -> list[Form]:
         {"s2": -0.05 / x},
         {"s3": 0.03 / x**2},
         {"s2": 0.03 / x, "s3": 0.03 / x**2},
+        {"bend": 0.5 / x},
         {"fold": 1.0},
     )
     add("backlash", *({"backlash": f * x} for f in (0.04, 0.2, 0.5)))
@@ -162,6 +165,10 @@ def named(name: str, slots: np.ndarray, scale: Scale) -> str:
     if name == "viscoelastic":
         taus = [t for k, t in ((v["branch"], v["branch_tau"]), (v["branch2"], v["branch2_tau"])) if k]
         return "creep" if max(taus) > BORDER * scale.tau else "relaxation"
+    if name == "hysteresis" and v["bouc"] > 0 and v["yield"] < GIVE:
+        return "coulomb_friction"
+    if name == "hysteresis" and v["drive_bouc"] and v["drive_yield"] < GIVE * scale.area:
+        return "voltage_offset"  # a loop that is run through at once is the level it ends at
     if name == "charge":
         return "charge_leak" if v["charge"] < 0 else "charge_retention"
     if name == "spring":
@@ -224,13 +231,14 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
     ("coulomb_friction", "smooth"): ("dry", "dry_speed"),
     ("coulomb_friction", "Stribeck"): ("dry", "rise", "rise_speed"),
     ("slack", "free fall"): ("slack",),
-    ("second_mode", "attached"): ("mode_force", "mode_w", "mode_zeta"),
+    ("second_mode", "hung on"): ("mode_force", "mode_w", "mode_zeta"),
     ("second_mode", "between film and sensor"): ("mode_gain", "mode_w", "mode_zeta"),
     ("backlash", "play"): ("backlash",),
     ("sensor_lag", "one lag"): ("lag",),
     ("sensor_lag", "second order"): ("filter", "filter_zeta"),
     ("sensor_gain", "share"): ("gain",),
     ("sensor_nonlinearity", "quadratic and cubic"): ("s2", "s3"),
+    ("sensor_nonlinearity", "saturating"): ("bend",),
     ("sensor_nonlinearity", "quadratic"): ("s2",),
     ("sensor_nonlinearity", "cubic"): ("s3",),
 }
@@ -276,6 +284,17 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
             found.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
             used.update(keys)
 
+    if slots[INDEX["bouc"]] > 0 and "bouc" in on:
+        kappa, give, gamma = (slots[INDEX[k]] for k in ("bouc", "yield", "gamma"))
+        if gamma:  # the simulator bounds it
+            loop = row("hysteresis", "Bouc-Wen, either sign"), (kappa, give, 1.5 * np.tanh(gamma / 1.5))
+        elif give < GIVE:
+            loop = row("coulomb_friction", "bristles"), (slots[INDEX["a0"]] * kappa * give, give)
+        else:
+            loop = row("hysteresis", "Dahl"), (kappa, give)
+        codes = ("bouc", "yield", "gamma")[: 3 if gamma else 2]
+        found.append((loop[0](*loop[1]), codes))
+        used.update(codes)
     for (name, form), codes in sorted(ROWS.items(), key=lambda item: -len(item[1])):  # the fullest form that fits
         signed = name != "charge_leak" or slots[INDEX["charge"]] < 0
         if {_slot(c) for c in codes} - _SHAPES <= on - used and signed:

@@ -231,10 +231,30 @@ class Search:
             groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
         chosen = [min(g, key=lambda f: f.cost) for g in groups.values() if g]
+        chosen = self._richer(chosen)
         found = [h for h in self._judged(chosen) if not self.exclude & set(h.labels)]
         for h in found:
             self.every[frozenset(h.names)] = h
         return found
+
+    def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
+        more: list[tuple[int, Fit]] = []
+        for n, f in enumerate(fits):
+            if f.names[-1] != "viscoelastic" or "branch2" in f.free:
+                continue
+            for ratio in (0.1, 10.0):
+                slots = f.slots.copy()
+                slots[INDEX["branch2"]] = 0.3 * f.value("branch")
+                slots[INDEX["branch2_tau"]] = ratio * f.value("branch_tau")
+                free = (*f.free, "branch2", "branch2_tau")
+                more.append((n, f.again(free=free, slots=slots, unit=np.zeros(0), jacobian=None, cost=np.inf)))
+        self.fitter.fit([f for _, f in more], _STEPS)
+        best = list(fits)
+        for n, f in more:
+            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+                best[n] = f
+        return best
 
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
         """Of every set the starts that promise most go on, and of the sets those whose best start does.
@@ -356,7 +376,13 @@ class Search:
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
         """The best of a level, or one as good that has moved coefficients for a name, or one number for all of them."""
         best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
-        return self._plainer(level, best, lambda h: h.names[0] in LONE) if best.names == (PARAMETERS,) else best
+        if best.names == (PARAMETERS,):
+            return self._plainer(level, best, lambda h: h.names[0] in LONE)
+        if PARAMETERS in best.names:
+            return best
+        few = [h for h in level if len(h.fit.free) < len(best.fit.free)]
+        as_good = [h for h in few if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
+        return min(as_good, key=lambda h: (len(h.fit.free), h.rms), default=best)
 
     @staticmethod
     def _plainer(level: list[Hypothesis], best: Hypothesis, plain: Callable[[Hypothesis], bool]) -> Hypothesis:

@@ -95,7 +95,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     said, tied = [], {}
     order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
     for name, label in order:
-        if fractions[label] < rules.LISTED:
+        if fractions[label] < rules.LISTED or label in said:
             continue
         few = distinct < rules.EXCITATIONS and not settled and rivals[name].rms < rules.TWICE * chosen.rms
         equal = () if p[label] >= rules.SURE else _tie(search, chosen, name, label)
@@ -139,7 +139,12 @@ def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     """The best set no larger than the chosen one that lacks some names, searched anew."""
     for name in without:
         search.without(name, len(chosen.names))
-    found = [h for h in search.every.values() if not without & set(h.names) and len(h.names) <= len(chosen.names)]
+    labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
+    found = [
+        h
+        for h in search.every.values()
+        if not without & set(h.names) and not labels & set(h.labels) and len(h.names) <= len(chosen.names)
+    ]
     fair = [h for h in found if not _nested(h, chosen) and not _nested(chosen, h)] or found
     return min(fair, key=lambda h: h.rms)
 

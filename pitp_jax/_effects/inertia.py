@@ -1,7 +1,8 @@
 """Add masses the nominal does not have, and loads that let go (port M); a_2 is the nominal's mass, k its stiffness.
 
 added_mass    d a_2 x''
-second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass carried along by a spring,
+second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass carried along by a spring and held back,
+              f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w          a mass hung on a spring and a damper,
               f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')          or a part of the mass come loose
 slack         x'' >= -g, sharp or soft: a load that is only pulled falls freely once the film lets go
 """
@@ -23,6 +24,14 @@ def _loosened(p, now: Instant):
     return p.p * now.coefficients[2] / (now.rates[0] * now.rates[1]) * pull
 
 
+def _hung(p, now: Instant):
+    """Compute the pull of a mass whose damper, too, ends at the body: z = q + r q', q the oscillator of the kernel."""
+    r, (q, speed) = 2 * p.zeta / p.omega, now.z
+    # q'' by the equation of the oscillator; then z' = q' + r q''
+    acceleration = p.omega**2 * (now.x - q - r * speed)
+    return now.k * p.kappa * (now.x - q - r * speed + r * (now.rates[0] * now.v - speed - r * acceleration))
+
+
 MODE = Parameter("omega", "rad/s"), Parameter("zeta")
 
 MASSES = (
@@ -37,6 +46,12 @@ MASSES = (
         "A second moving mass resonates beside the first one.",
         "f = k kappa (x - z), z'' = omega^2 (x - z) - 2 zeta omega z'", "inertia", "M", kernel=oscillator(),
         law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]),
+    ),
+    EffectSpec(
+        "second_mode", "hung on", (Parameter("kappa", off=0.0), *MODE),
+        "A second mass hangs on the first one by a spring and a damper.",
+        "f = k kappa (x - z + r (x' - z')), z'' = omega^2 (x - z + r (x' - z')), r = 2 zeta / omega", "inertia", "M",
+        kernel=oscillator(), law=_hung,
     ),
     EffectSpec(
         "second_mode", "come loose", (Parameter("p", off=0.0), *MODE),

@@ -1,6 +1,6 @@
 """Change what the sensor makes of the motion (port OUT): x to the reading y.
 
-sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3
+sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3,  tanh(c x) / c
 sensor_lag            tau y' = x - y, once or twice;   tau^2 y'' + 2 zeta tau y' + y = x
 backlash              y follows x as soon as it is width / 2 away
 second_mode           y = x + gain (z - x),  z'' = omega^2 (x - z) - 2 zeta omega z'
@@ -54,6 +54,15 @@ SENSOR = (
         "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
         "The sensor's scale bends differently on either side.",
         "y = x + c2 x^2 + c3 x^3", "sensor", "OUT", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
+    ),
+    EffectSpec(
+        "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
+        "The sensor reads ever less of the motion towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
+        law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
+        # beyond its range the sensor could not read what is asked for: the last place that it could
+        inverse=lambda p, y, dt: jnp.where(
+            p.c > 0, jnp.arctanh(jnp.clip(p.c * y, -0.999, 0.999)) / jnp.maximum(p.c, 1e-6), y
+        ),
     ),
     # no inverse: of two displacements that read alike the one that is not folded is taken
     EffectSpec(
