@@ -139,9 +139,9 @@ def _either(x, v, u, s, p):
 
 
 def _drive_plays(x, v, u, s, p):
-    """Each is pushed along within a tenth of a millisecond when u stands off by more than its half width."""
+    """Each is pushed along within a microsecond when u stands off by more than its half width."""
     off = u - np.asarray(s)
-    return 1e4 * (
+    return 1e6 * (
         off - np.clip(off, -np.array([0.04, 0.125, 0.25, 0.4]) * p.width, np.array([0.04, 0.125, 0.25, 0.4]) * p.width)
     )
 
@@ -315,11 +315,12 @@ EQUATIONS = {
         ((0.2, 0.1),), {2: 1e-3}, begin=lambda x, u, p: (p.k * abs(u),), rates=_store, film=lambda u, s, p: u + s[0]
     ),
     "hysteresis: plays of the drive": Equation(
-        ((0.1, 0.2, -0.05, 0.1, 500.0),), {2: 1e-3}, begin=lambda x, u, p: (u,) * 4, rates=_drive_plays, stiff=True,
+        ((0.1, 0.2, -0.05, 0.1, 500.0), (-0.1, -0.2, 0.05, -0.1, 500.0)), {2: 1e-3},
+        begin=lambda x, u, p: (u,) * 4, rates=_drive_plays, stiff=True,
         film=lambda u, s, p: u + np.dot([p.w1, p.w2, p.w3, p.w4], np.asarray(s) - u),
     ),
     "hysteresis: Dahl of the command's integral": Equation(
-        ((80.0, 30.0),), {2: 1e-3}, begin=lambda x, u, p: (0.0,),
+        ((80.0, 30.0), (-80.0, 30.0)), {2: 1e-3}, begin=lambda x, u, p: (0.0,),
         rates=lambda x, v, u, s, p: ((u - abs(u) * s[0]) / p.width,),
         film=lambda u, s, p: u + p.level * s[0],
     ),

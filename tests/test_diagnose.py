@@ -12,6 +12,8 @@ from typed import some
 import pitp_jax as pitp
 from pitp_jax._effects import CATALOGUE, lookup
 from pitp_jax._effects.found_term import FOUND_TERM, NAMES, sparse_term
+from pitp_jax._model.fitted import Fitted
+from pitp_jax._model.origin import Origin
 
 
 def effect(name, form, *values):
@@ -22,7 +24,7 @@ def effect(name, form, *values):
 def nominal(linear):
     """With an error of its own, as identification leaves it."""
     model = nominal_of(linear)
-    return replace(model, provenance=model.provenance.with_(misfit=1.0))
+    return Fitted(model, Origin(misfit=1.0))
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,8 @@ from pitp_jax._diagnose.select_records import usable
 from pitp_jax._diagnose.simulator import INDEX
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._errors import BadInput
+from pitp_jax._model.fitted import Fitted
+from pitp_jax._model.origin import Origin
 from pitp_jax._record.excitation_kind import kind
 
 OTHERS = sorted({c.name for c in CATALOGUE} - {"drag"})
@@ -104,7 +106,7 @@ def test_a_rig_of_negative_voltage_is_inverted(nominal):
 
 @pytest.mark.slow
 def test_notes_are_in_the_words_and_in_the_file(nominal):
-    known = replace(nominal, provenance=nominal.provenance.with_(misfit=1.0))
+    known = Fitted(nominal, Origin(misfit=1.0))
     found = pitp.diagnose(known, [*play(nominal, seed=7), resting("rest", 2e-6)], exclude=OTHERS)
     assert found.verdict == "no_gap" and "rest" not in (*found.fitted, *found.heldout)
     assert "note: left out" in str(found) and json.loads(json.dumps(found.as_json()))["notes"] == list(found.notes)

@@ -19,7 +19,7 @@ from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
 BEAM, DEPTH, NAMES = 2, 4, 8  # fronts, names of a set, names that are fitted beside each front
-_STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 3, 4, 14, 2
+_STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 2
 _AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
@@ -221,7 +221,7 @@ class Search:
         groups = {
             key: [
                 f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
-                for f in _distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost))[:2]
+                for f in _varied(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))[:2]
             ]
             for key, g in groups.items()
         }
@@ -230,12 +230,16 @@ class Search:
             least = [self.every[key - {f.names[-1]}].fit.cost - 2 * rules.GAIN * self.samples for f in group]
             groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
-        chosen = [min(g, key=lambda f: f.cost) for g in groups.values() if g]
-        chosen = self._richer(chosen)
+        chosen = self._richer([self._plainest(g) for g in groups.values() if g])
         found = [h for h in self._judged(chosen) if not self.exclude & set(h.labels)]
         for h in found:
             self.every[frozenset(h.names)] = h
         return found
+
+    def _plainest(self, forms: Sequence[Fit]) -> Fit:
+        """The form with the fewest numbers of those that leave at most GAIN more than the best."""
+        most = min(f.cost for f in forms) + 2 * rules.GAIN * self.samples
+        return min((f for f in forms if f.cost <= most), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
         """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
@@ -266,7 +270,7 @@ class Search:
         ranked: dict[frozenset, list[Fit]] = {}
         for n in np.argsort(costs, kind="stable"):
             ranked.setdefault(many[n][0], []).append(many[n][1])
-        return {key: group[:_STARTS] for key, group in list(ranked.items())[:most]}
+        return {key: _varied(group)[:_STARTS] for key, group in list(ranked.items())[:most]}
 
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
@@ -418,6 +422,15 @@ class Search:
 
 def _written(h: Hypothesis) -> str:
     return "+".join(h.labels) or "the linear model"
+
+
+def _varied(fits: Sequence[Fit]) -> list[Fit]:
+    """Best first, one of every form before a second one: the first steps of a polynomial look like any curve's."""
+    seen: dict[frozenset, int] = {}
+    turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
+    return [
+        f for f, first, n in sorted(zip(fits, turns, range(len(fits)), strict=True), key=lambda t: (t[1] != t[2], t[2]))
+    ]
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:

@@ -26,7 +26,8 @@ FAR = 1e4  # scaled displacement from which a run has diverged
 _NEVER = 1e30
 # slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
 _COSTLY = (
-    "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc bend"
+    "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc "
+    "bend"
 ).split()
 
 # name: (value that switches it off, whether it is fitted by its logarithm)
@@ -62,8 +63,8 @@ _CONSTANTS = (
     "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age "
     "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry "
     "dry_speed drive_bouc drive_yield rise rise_speed dry_load place_damping place_damping2 field_damping slack "
-    "mode_gain mode_force mode_w mode_zeta m11 m12 m21 m22 mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 n21 n22 nb1 nd1 "
-    "nb2 nd2 filtered gain s2 s3 fold bend "
+    "mode_gain mode_force mode_w mode_zeta m11 m12 m21 m22 mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 "
+    "n21 n22 nb1 nd1 nb2 nd2 filtered gain s2 s3 fold bend "
 ).split()
 _PLACE = {name: k for k, name in enumerate(_CONSTANTS)}
 _STATES = "x v vm zd rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play lag fy fv".split()
@@ -374,7 +375,7 @@ def _advance(square, costly, constants, state, volts, clock):
         shape = (
             shape + c["branch"] * (x - s["z"]) * (1 - c["z_half"]) + c["branch2"] * (x - s["z2"]) * (1 - c["y_half"])
         )
-        # a mass on a spring and a damper, z = q + r q' with q the oscillator of the sensor's mode and r = 2 zeta / omega:
+        # a mass on a spring and a damper: z = q + r q', q the oscillator of the sensor's mode, r = 2 zeta / omega,
         # f = kappa (x - z + r (x' - z')), q and q' at the middle of the step
         w, r = c["mode_w"], 2 * c["mode_zeta"] / c["mode_w"]
         q = s["my"] + h / 2 * s["mv"]

@@ -1,7 +1,7 @@
 """Add masses the nominal does not have, and loads that let go (port M); a_2 is the nominal's mass, k its stiffness.
 
 added_mass    d a_2 x''
-second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass carried along by a spring and held back,
+second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass that a spring carries and air holds,
               f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w          a mass hung on a spring and a damper,
               f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')          or a part of the mass come loose
 slack         x'' >= -g, sharp or soft: a load that is only pulled falls freely once the film lets go
