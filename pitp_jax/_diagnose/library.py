@@ -72,7 +72,7 @@ def forms(s: Scale) -> list[Form]:
         "spring",
         {"k2": 0.05 / x, "k3": 0.1 / x**2},
         {"k3": 0.1 / x**2, "k5": 0.1 / x**4},
-        {"gent": 0.5 / x},
+        {"gent": 0.3 / x},
         {"gent": 0.85 / x},
     )
     add(
