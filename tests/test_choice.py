@@ -7,7 +7,7 @@ import pytest
 from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, save_h5, text
 
 from pitp_jax._record.reading import read
-from pitp_jax._table.names import read_header, split_header
+from pitp_jax._table.names import read_header
 from pitp_jax._table.units import from_base, spelt, to_base
 
 
@@ -50,7 +50,8 @@ def test_units(tmp_path, unit, out, clock):
     ],
 )
 def test_headers_as_people_write_them(header, stem, unit):
-    assert split_header(header) == (stem, unit)
+    seen = read_header(header)
+    assert (seen.stem, seen.unit) == (stem, unit)
 
 
 def test_an_index_in_brackets_is_no_unknown_unit():

@@ -253,6 +253,40 @@ def test_sealed_nonsense_is_refused(stored, old, new):
     refused(path, resealed(content, lambda rest: rest.replace(old, new, 1)))
 
 
+STRANGE = [
+    {"identified_on": [5]},
+    {"training": {"records": [5]}},
+    {"training": {"seconds": "x"}},
+    {"training": {"history": ["x"]}},
+    {"adapted": [{"changed": {"gain": {"factor": 1.0, "ci95": None}}}]},
+    {"adapted": [{"changed": {"gain": {"factor": "x", "ci95": [0.0, 1.0]}}}]},
+    {"lineage": [{"versions": "jax 1"}]},
+    {"lineage": [{"records": [{"name": "a"}]}]},
+]
+
+
+@pytest.mark.parametrize("strange", STRANGE, ids=str)
+def test_a_history_of_another_shape_is_no_usable_model_file(stored, strange):
+    """Otherwise `info` would end in an error of the program."""
+
+    def change(rest):
+        header, end = json.JSONDecoder().raw_decode(rest.decode("latin-1"))
+        header["origin"] |= strange
+        return json.dumps(header).encode("latin-1") + rest[end:]
+
+    refused(stored[0], resealed(stored[1], change))
+
+
+def test_nothing_in_a_model_file_is_obeyed_by_a_terminal(tmp_path):
+    name = "a\x1b]0;title\x07\nverdict: explained\x1b[2J"
+    origin = replace(ORIGIN, identified_on=(name,), training={"records": [name], "history": [{name: 1.0}]})
+    model_file.save(tmp_path / "m.pitp", model(origin=origin))
+    read = model_file.load(tmp_path / "m.pitp").origin
+    assert read.training is not None
+    assert not {"\x1b", "\x07", "\n"} & set(f"{''.join(read.identified_on)}{''.join(read.training['records'])}")
+    assert list(read.training["history"][0]) == [read.identified_on[0]] == ["a_]0;title__verdict: explained_[2J"]
+
+
 def test_sealed_object_array_is_not_unpickled(stored):
     path, content = stored
     refused(path, resealed(content, lambda rest: rest[: rest.index(b"\x93NUMPY")] + pickle.dumps(Bomb())))

@@ -9,7 +9,17 @@ from scipy.signal import cont2discrete, lfilter, lsim
 from pitp_jax import Record
 from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.identification import identify
-from pitp_jax._record.initial_state import first_known, first_states, level_groups, noise_std, starts_at_rest
+from pitp_jax._record.initial_state import (
+    first_known,
+    first_states,
+    is_still,
+    level_groups,
+    noise_std,
+    settled_samples,
+    standing_drive,
+    starts_at_rest,
+)
+from pitp_jax._simulate.beginnings import beginnings
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
 TIME = np.arange(3000) * DT
@@ -18,7 +28,7 @@ NOISE = 2e-6
 
 def motion(voltage):
     """Displacement in m of a 6 Hz oscillator, 1 mm at 1 kV."""
-    return lsim(([1e-9], [1 / OMEGA**2, 0.2 / OMEGA, 1]), voltage**2, TIME)[1]
+    return lsim(([1e-9], [1 / OMEGA**2, 0.2 / OMEGA, 1]), voltage**2, np.arange(len(voltage)) * DT)[1]
 
 
 def record(voltage, displacement, seed=0, start=0, noise=NOISE):
@@ -46,13 +56,13 @@ def test_noise_under_motion_and_gaps():
 @pytest.mark.parametrize("zero", [0.0, -7.3e-3])
 def test_rest_is_found(voltage, zero):
     found = [record(voltage, motion(voltage) + zero, seed) for seed in range(10)]
-    assert all(starts_at_rest(r, zero) for r in found)
-    assert not any(starts_at_rest(r, zero + 1e-4) for r in found)  # 3 % of the range away from the sensor's zero
+    assert all(starts_at_rest(r, zero, OMEGA) for r in found)
+    assert not any(starts_at_rest(r, zero + 1e-4, OMEGA) for r in found)  # 3 % of the range away from the sensor's zero
 
 
 @pytest.mark.parametrize("start", [700, 830, 910])
 def test_a_moving_start_is_found(start):
-    assert not starts_at_rest(record(SINE, motion(SINE), start=start), 0.0)
+    assert not starts_at_rest(record(SINE, motion(SINE), start=start), 0.0, OMEGA)
 
 
 def test_first_state_of_a_moving_start():
@@ -91,16 +101,96 @@ SLOW = 1000 * (1 - np.cos(2 * np.pi * 0.3 * TIME))
 @pytest.mark.parametrize("others", [1, 2])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_slow_start_in_mid_motion_is_not_at_rest(start, others, sign):
-    """Below 0.64 Hz at 1 kHz no motion is faster than 0.2 % of range a sample: as still as rest, but under force.
-
-    It follows its force so closely that settled at u(0) explains as much as a motion.
-    """
+    """It follows its force so closely that settled at u(0) explains as much as a motion."""
     zero, x = 1e-3, sign * motion(SLOW)
     slow = record(SLOW, x + zero, 20, start=start)
-    assert starts_at_rest(slow, slow.displacement[0])
     found, *_ = find_beginnings([slow, *[record(SINE, sign * motion(SINE) + zero, k) for k in range(others)]], "square")
     assert [b.begins != "rest" for b in found] == [True] + [False] * others
     assert all(b.zero == pytest.approx(zero, abs=3 * NOISE) for b in found)
+
+
+@pytest.mark.parametrize("rate", [500.0, 10_000.0])
+def test_a_running_motion_that_is_cut_is_still_only_at_its_turning_points(rate):
+    """At any sampling rate, once in twenty: the velocity counts by what it moves the mode, not by the sample."""
+    t, rng = np.arange(2000) / rate, np.random.default_rng(0)
+    phases = rng.uniform(0, 2 * np.pi, 200)
+    cuts = [
+        Record("a", t, 1 + t, 1e-3 * np.sin(OMEGA * t + phase) + 1e-6 * rng.standard_normal(len(t))) for phase in phases
+    ]
+    still = np.array([is_still(cut, OMEGA) for cut in cuts])
+    assert still.sum() <= 10 and np.abs(np.cos(phases[still])).max() < 0.1
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+@pytest.mark.parametrize("hz", [0.5, 2.3, 6.0])
+def test_a_jump_at_the_first_sample_begins_at_rest(hz, noise):
+    """The drive is high at once, the output still at its zero: neither held nor moving, whatever the noise."""
+    drive = 1000 + 800 * np.sin(2 * np.pi * hz * TIME)
+    x = motion(drive)
+    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
+    y = x + 1e-3 + noise * np.ptp(x) * np.random.default_rng(3).standard_normal(len(x))
+    jump = Record("jump", TIME, drive, y)
+    (begun,), _ = beginnings(model, [jump], [0.0])
+    assert is_still(jump, OMEGA) and begun.begins == "rest"
+    assert begun.zero == pytest.approx(1e-3, abs=max(5 * noise, 1e-3) * np.ptp(x))
+
+
+def test_a_misfit_of_the_model_sets_no_record_in_motion():
+    """One record of a stiffer actuator than the others, at the same zero: it stood still there as they did."""
+    drive = 1200 + 700 * np.sin(2 * np.pi * 6 * TIME)
+    stiff = lsim(([1e-9], [1 / (1.3 * OMEGA) ** 2, 0.2 / OMEGA, 1]), drive**2, TIME)[1]
+    records = [record(drive, stiff + 1e-3, 9), *[record(u, motion(u) + 1e-3, k) for k, u in enumerate((SINE, HIGH))]]
+    found, *_ = find_beginnings(records, "square")
+    assert [b.begins for b in found] == ["rest"] * 3
+    assert all(b.zero == pytest.approx(1e-3, abs=5 * NOISE) for b in found)
+
+
+def test_a_small_jump_that_rings_is_no_held_drive():
+    """The first step of a staircase rings by 2 % of the range: the reading is not flat although the drive is."""
+    steps = 900 * np.repeat([0.3, 1.0, 0.5, 0.9, 0.1], len(TIME) // 5)
+    r = record(steps, motion(steps), 2)
+    assert settled_samples(r, OMEGA) == 0
+    assert [b.begins for b in find_beginnings([r, record(SINE, motion(SINE), 1)], "square")[0]] == ["rest", "rest"]
+
+
+@pytest.mark.parametrize("held", [0.0, 800.0])
+def test_a_noisy_monitor_of_the_drive_hides_no_rest(held):
+    """A monitor of 3 V noise on a drive that stands: its level is known before the noise."""
+    rng = np.random.default_rng(4)
+    drive = np.concatenate([np.full(500, held), held + SINE])
+    x = motion(np.concatenate([np.full(3000, held), drive]))[3000:]
+    r = Record("noisy", np.arange(len(x)) * DT, drive + 3 * rng.standard_normal(len(x)), x + 1e-3)
+    count, level = standing_drive(r)
+    assert count == pytest.approx(500, abs=60) and level == pytest.approx(held, abs=1) and (level == 0) == (held == 0)
+    assert settled_samples(r, OMEGA) == count
+    assert find_beginnings([r], "square")[0][0].begins == ("held" if held else "rest")
+
+
+@pytest.mark.parametrize("held", [0.0, 800.0])
+def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leaves(held):
+    """Half a second of it before the motion of another actuator than the model's, and another zero."""
+    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
+    drive = np.where(TIME < 0.5, held, held + 600 * np.sin(2 * np.pi * 3 * (TIME - 0.5)))
+    ahead = np.concatenate([np.full(len(TIME), held), drive])
+    other = lsim(([4e-9], [1 / (3 * OMEGA) ** 2, 0.2 / OMEGA, 1]), ahead**2, np.arange(len(ahead)) * DT)[1]
+    r = record(drive, other[len(TIME) :] + 1e-3)
+    assert settled_samples(r, OMEGA) == pytest.approx(500, abs=5)
+    (begun,), _ = beginnings(model, [r], [0.0])
+    assert begun.begins == ("held" if held else "rest")
+    running = record(drive, motion(SINE))  # the drive stands, the output does not
+    assert settled_samples(running, OMEGA) == 0
+
+
+@pytest.mark.parametrize("ahead", [0, 3000])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_direction_is_that_of_the_first_motion_wherever_it_begins(ahead, direction):
+    """Three seconds of a trigger's lead hide it as little as none."""
+    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
+    drive, x = np.concatenate([np.zeros(ahead), SINE]), np.concatenate([np.zeros(ahead), motion(SINE)])
+    y = direction * x + 1e-3 + NOISE * np.random.default_rng(5).standard_normal(len(x))
+    (begun,), _ = beginnings(model, [Record("late", np.arange(len(x)) * DT, drive, y)], [0.0])
+    assert (begun.begins, begun.direction) == ("rest", direction)
+    assert begun.zero == pytest.approx(1e-3, abs=3 * NOISE)
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -187,4 +277,4 @@ def test_missing_first_samples():
     for start, still in ((0, True), (830, False)):
         r = record(SINE, motion(SINE) + zero, 7, start=start)
         r.displacement[:4] = np.nan
-        assert starts_at_rest(r, zero) is still
+        assert starts_at_rest(r, zero, OMEGA) is still

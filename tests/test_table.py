@@ -58,6 +58,8 @@ def test_every_factor_is_pints(unit):
         ("HV, kV (LGR S/N: 10, SEN S/N: 11)", "kV", None),
         ("Displacement (in)", "inch", None),
         ("travel in", None, None),
+        ("Position [cnt]", "counts", None),
+        ("Time (sec.)", "s", None),
     ],
 )
 def test_units_in_headers(header, unit, unknown):
@@ -417,6 +419,25 @@ def test_rows_that_begin_with_a_key(tmp_path, data):
     rows = [["", *(f"{v:.9g}" for v in row)] for row in zip(*values, strict=True)]
     (tmp_path / "a.csv").write_text("\n".join(separator.join(row) for row in (*head, *rows)) + "\n")
     same(read(tmp_path / "a.csv", rate=1 / (TIME[1] - TIME[0]))[0], VOLTAGE, OUTPUT / 50)
+
+
+def test_settings_among_the_names_are_no_columns(tmp_path):
+    heads = ("CH1 (V)", "CH2 (V)", "t0 =-0.2s", "tInc = 0.001")
+    lines = [f"{u / 1000},{x / 2},," for u, x in zip(VOLTAGE, OUTPUT, strict=True)]
+    message = refused(csv_of(tmp_path / "a.csv", heads, (), below=lines))
+    assert "the file says t0 =-0.2s, tInc = 0.001" in message and tried(message)["rate"] == "RATE"
+
+
+def test_stamps_with_their_zone(tmp_path):
+    begin = datetime(2026, 11, 24, 10)
+    for zone in ("Z", " UTC", "+01:00"):
+        lines = [
+            f"{begin + timedelta(seconds=float(t) + 1e-6):%Y-%m-%d %H:%M:%S.%f}{zone},{u},{x}"
+            for t, u, x in zip(TIME, VOLTAGE, OUTPUT, strict=True)
+        ]
+        (record,) = read(csv_of(tmp_path / "a.csv", ("created_at", "U (V)", "x (mm)"), (), below=lines))
+        np.testing.assert_array_equal(record.voltage, VOLTAGE)
+        assert record.dt == pytest.approx(1e-3, rel=1e-4) and record.time[0] == pytest.approx(1795514400, abs=3600)
 
 
 def test_settings_beside_the_header_and_below_it(tmp_path):

@@ -172,11 +172,11 @@ def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Ma
 
 def _named(records: Sequence[Record]) -> list[Record]:
     """Records of one name told apart."""
-    count, seen, found = Counter(r.name for r in records), Counter(), []
+    count, seen, named = Counter(r.name for r in records), Counter(), []
     for r in records:
         seen[r.name] += 1
-        found.append(r if count[r.name] == 1 else replace(r, name=f"{r.name} ({seen[r.name]})"))
-    return found
+        named.append(r if count[r.name] == 1 else replace(r, name=f"{r.name} ({seen[r.name]})"))
+    return named
 
 
 def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
@@ -187,15 +187,15 @@ def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
     most = Counter(rates).most_common(1)[0][0]
     dt = next(r.dt for r, rate in zip(records, rates, strict=True) if rate == most)
     kind = unit or Counter(base_unit(r.displacement_unit) for r in records).most_common(1)[0][0]
-    found = {}
+    apart = {}
     for r in records:
         if abs(r.dt / dt - 1) > RATE_TOLERANCE:
-            found[r.name] = f"sampled at {1 / r.dt:.6g} Hz, most others at {1 / dt:.6g} Hz: give it in another call"
+            apart[r.name] = f"sampled at {1 / r.dt:.6g} Hz, most others at {1 / dt:.6g} Hz: give it in another call"
         elif base_unit(r.displacement_unit) != kind:
-            found[r.name] = (
+            apart[r.name] = (
                 f"its output is in {r.displacement_unit}, that of the others in {kind}: choose --output-column"
             )
-    return found
+    return apart
 
 
 def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | None) -> CheckedRecord:

@@ -13,6 +13,7 @@ import numpy as np
 
 from .._model.input_map import INPUT_MAPS
 from .._record.record import Record
+from .._table.units import from_base
 
 _PERIODS, _ENERGY, _LEAK = 16, 0.8, 0.3
 _STILL = 0.02  # of the largest amplitude: a window that is no excitation
@@ -26,10 +27,11 @@ class Coverage:
 
     Attributes:
         resonance: in Hz.
-        points: force frequency (Hz), voltage amplitude (V), seconds; shape (points, 3).
+        points: force frequency (Hz), amplitude of the drive (its base unit), seconds; shape (points, 3).
         gaps: intervals in Hz beside the resonance without a point above half the largest amplitude.
-        largest: amplitude, V.
+        largest: amplitude, in the drive's base unit.
         doubled: whether the force runs at twice the drive's frequency (a squared drive without bias).
+        unit: of the drive, in which amplitudes are told.
     """
 
     resonance: float
@@ -37,6 +39,7 @@ class Coverage:
     gaps: tuple[tuple[float, float], ...]
     largest: float
     doubled: bool
+    unit: str = "V"
 
     def advice(self) -> list[str]:
         """A sentence for every gap, and one where the amplitude beside the resonance never changes."""
@@ -45,17 +48,21 @@ class Coverage:
             by = " (of the force: a drive without bias runs at half of that)" if self.doubled else ""
             one, other, half = (low + (high - low) / 3, high - (high - low) / 3, self.largest / 2)
             lines.append(
-                f"nothing between {_two(low)} and {_two(high)} Hz above half the amplitude ({_two(half)} V), "
+                f"nothing between {_two(low)} and {_two(high)} Hz above half the amplitude ({self._size(half)}), "
                 f"beside the resonance at {_two(f0)} Hz: take a slow sweep, or sines at {_two(one)} and {_two(other)} "
-                f"Hz, of {_two(1.6 * half)} V{by}"
+                f"Hz, of {self._size(1.6 * half)}{by}"
             )
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
         if len(near) and near.min() > 0.7 * near.max():
             lines.append(
-                f"all drives beside the resonance at {_two(f0)} Hz have nearly one amplitude ({_two(near.max())} V): "
-                f"add some of {_two(near.max() / 2)} V, or what depends on the amplitude cannot be learned"
+                f"all drives beside the resonance at {_two(f0)} Hz have nearly one amplitude "
+                f"({self._size(near.max())}): add some of {self._size(near.max() / 2)}, or what depends on the "
+                "amplitude cannot be learned"
             )
         return lines
+
+    def _size(self, amplitude: float) -> str:
+        return f"{_two(from_base(float(amplitude), self.unit))} {self.unit}"
 
 
 def _two(value: float) -> str:
@@ -71,20 +78,19 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
         input_map: "square" or "linear".
         resonance: in Hz.
     """
-    found = [p for r in records for p in _points(r, input_map, resonance)]
-    if not found:
+    points = np.array([p for r in records for p in _points(r, input_map, resonance)])
+    if not len(points):
         return None
-    points = np.array(found)
     largest = float(points[:, 1].max())
     points = points[points[:, 1] > _STILL * largest]
     doubled = input_map == "square" and all(abs(r.voltage.mean()) < 0.1 * r.voltage.std() for r in records)
     strong = np.unique(points[points[:, 1] >= _HALF * largest, 0])
-    return Coverage(resonance, points, tuple(_gaps(strong, resonance)), largest, doubled)
+    return Coverage(resonance, points, tuple(_gaps(strong, resonance)), largest, doubled, records[0].voltage_unit)
 
 
 def _points(record: Record, input_map: str, resonance: float) -> list[tuple[float, float, float]]:
     size = int(min(max(_PERIODS / (resonance * record.dt), 64), record.samples))
-    force, window, found = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
+    force, window, excited = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
     for first in range(0, record.samples - size + 1, max(size // 2, 1)):
         part = np.asarray(force[first : first + size], np.float64)
         power = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] ** 2
@@ -95,8 +101,8 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
         many = int(np.searchsorted(np.cumsum(power[order]), _ENERGY * power.sum())) + 1
         beside = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
         lines = [k for k in order[:many] if power[k] >= _LEAK * beside[k]]
-        found += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]
-    return found
+        excited += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]
+    return excited
 
 
 def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:

@@ -56,11 +56,11 @@ class Facts:
 
 def masked(record: Record) -> Record:
     """The record with its sensor's faults masked and counted, as the reader does; as it is where there are none."""
-    found, seen = mask_faults(record.displacement, record.voltage), record.recognised
-    if not (found.outliers or found.clipped):
+    faults, seen = mask_faults(record.displacement, record.voltage), record.recognised
+    if not (faults.outliers or faults.clipped):
         return record
-    counts = {key: int(seen.get(key, 0)) + getattr(found, key) for key in ("outliers", "clipped")}
-    return replace(record, displacement=found.displacement, recognised={**seen, **counts})
+    counts = {key: int(seen.get(key, 0)) + getattr(faults, key) for key in ("outliers", "clipped")}
+    return replace(record, displacement=faults.displacement, recognised={**seen, **counts})
 
 
 def facts(record: Record) -> Facts:
@@ -136,18 +136,18 @@ def drive_band(record: Record) -> tuple[float, float]:
     return low / (record.samples * record.dt), high / (record.samples * record.dt)
 
 
-def coloured_noise(left: np.ndarray, seen: np.ndarray, dt: float, top: float, resonance: float) -> float | None:
-    """Standard deviation of coloured noise in what a model left of a record; None where it is white or not to tell.
+def coloured_noise(residual: np.ndarray, seen: np.ndarray, dt: float, top: float, resonance: float) -> float | None:
+    """Standard deviation of coloured noise in what a model leaves of a record; None where it is white or not to tell.
 
     Args:
-        left: residual, shape (T,), 0 where not `seen`.
+        residual: shape (T,), 0 where not `seen`.
         seen: True where the output was measured, shape (T,).
         dt: sampling interval, s.
         top: the fastest drive's force, Hz.
         resonance: of the actuator, Hz.
     """
-    edges = band_edges(int(0.6 * len(left)), dt)
-    levels = band_levels(left, seen, dt, edges)
+    edges = band_edges(int(0.6 * len(residual)), dt)
+    levels = band_levels(residual, seen, dt, edges)
     own = edges[:-1] > max(_ABOVE_DRIVE * top, _ABOVE_RESONANCE * resonance)
     quarter = int(own.sum()) // 4
     if own.sum() < _FEWEST_BANDS or not levels[own][-quarter:].any():

@@ -17,36 +17,36 @@ from .check import Check, CheckedRecord
 _DRAWN = 24  # records; more make no page that anybody reads
 
 
-def page(found: Check) -> str:
+def page(check: Check) -> str:
     """A self-contained HTML page.
 
     Args:
-        found: what `check` found.
+        check: what `pitp check` knows of a set.
     """
-    many, wrong = len(found.records), len(found.problems)
+    many, wrong = len(check.records), len(check.problems)
     title = f"{counted(many, 'record')}, {wrong or 'none'} with problems"
     parts = [
         tag("p", "Check: what was read, and whether it is enough", "soft"),
         tag("h1", title, "unknown" if wrong else "explained"),
-        html.bullets(found.advice),
+        html.bullets(check.advice),
         tag("h2", "Problems of single records") if wrong else "",
-        html.bullets([f"{name}: {line}" for name, lines in found.problems.items() for line in lines]),
-        tag("h2", "Mended as they were read") if found.repaired else "",
-        html.bullets(found.repaired),
+        html.bullets([f"{name}: {line}" for name, lines in check.problems.items() for line in lines]),
+        tag("h2", "Mended as they were read") if check.repaired else "",
+        html.bullets(check.repaired),
         tag("h2", "Records"),
-        *_table(found),
-        *_coverage(found),
-        *_pictures(found),
+        *_table(check),
+        *_coverage(check),
+        *_pictures(check),
     ]
     return html.page(title, parts)
 
 
-def _table(found: Check) -> list[str]:
+def _table(check: Check) -> list[str]:
     header = (
         "record", "drive", "band (Hz)", "samples", "rate (Hz)", "begins", "zero", "direction", "noise", "missing",
         "outliers", "read as",
     )  # fmt: skip
-    rows = [("named" if row.problems else "", (name, *_cells(row))) for name, row in found.records.items()]
+    rows = [("named" if row.problems else "", (name, *_cells(row))) for name, row in check.records.items()]
     note = (
         "Bold: with problems. measured = direction × displacement + zero; a dash where it cannot be known. Columns of "
         "zeros are left out."
@@ -68,8 +68,8 @@ def _cells(row: CheckedRecord) -> Sequence[str]:
     )  # fmt: skip
 
 
-def _coverage(found: Check) -> list[str]:
-    c = found.coverage
+def _coverage(check: Check) -> list[str]:
+    c = check.coverage
     if c is None:
         return []
     ax = own_axes(None, 1, (5.6, 2.8))[0]
@@ -88,14 +88,14 @@ def _picture(name: str, drawn, caption: str) -> str:
     return html.picture(name, drawn, caption)
 
 
-def _pictures(found: Check) -> list[str]:
+def _pictures(check: Check) -> list[str]:
     """Every record's output and drive."""
     shown = [
-        _picture(f"r{k}", _drawn(r), f"{r.name}: {found.records[r.name].excitation}, {_begins(found.records[r.name])}")
-        for k, r in enumerate(found.understood[:_DRAWN])
+        _picture(f"r{k}", _drawn(r), f"{r.name}: {check.records[r.name].excitation}, {_begins(check.records[r.name])}")
+        for k, r in enumerate(check.understood[:_DRAWN])
     ]
-    left = len(found.understood) - len(shown)
-    more = [tag("p", f"and {left} more, which the CSV files hold", "soft")] if left > 0 else []
+    more_records = len(check.understood) - len(shown)
+    more = [tag("p", f"and {more_records} more, which the CSV files hold", "soft")] if more_records > 0 else []
     return [tag("h2", "As they were read"), f'<div class="figures">{"".join(shown)}</div>', *more] if shown else []
 
 

@@ -26,14 +26,14 @@ class Repeat:
 
 def find_repeats(records: Sequence[Record], directions: Mapping[str, float]) -> list[Repeat]:
     """Groups of records whose drive is the same; each record in one group at most."""
-    left, found = list(records[:_MOST]), []
-    while left:
-        first = left.pop(0)
-        same = [r for r in left if _same(first, r)]
-        left = [r for r in left if not any(r is s for s in same)]
+    others, groups = list(records[:_MOST]), []
+    while others:
+        first = others.pop(0)
+        same = [r for r in others if _same(first, r)]
+        others = [r for r in others if not any(r is s for s in same)]
         if same:
-            found.append(_repeat([first, *same], directions))
-    return found
+            groups.append(_repeat([first, *same], directions))
+    return groups
 
 
 def _same(a: Record, b: Record) -> bool:
@@ -55,10 +55,10 @@ def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repea
 
 def cycles(records: Sequence[Record]) -> dict[str, float]:
     """Per record whose drive repeats itself: what its cycles do not share, % of range, creep included."""
-    found = {}
+    scatter = {}
     for r in records:
         y = np.where(r.observed, r.displacement, 0.0)
         square, span = repeat_scatter(r, y, r.observed), float(np.ptp(r.displacement[r.observed]))
         if square is not None and span > 0:
-            found[r.name] = 100 * float(np.sqrt(square)) / span
-    return found
+            scatter[r.name] = 100 * float(np.sqrt(square)) / span
+    return scatter

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._record.record import Record
-from .._table.units import from_base, to_base
+from .._table.units import base_unit, from_base, to_base
 from .coverage import Coverage
 from .repeats import Repeat
 from .set_fit import SetFit
@@ -59,7 +59,11 @@ def set_advice(
             )
     begins = {rows[r.name].begins for r in used} - {None}
     if begins and "rest" not in begins:
-        lines.append("no record begins at rest at 0 V: start one there, or the displacement at 0 V is a guess")
+        none, what = (
+            f"0 {used[0].voltage_unit}",
+            "displacement" if base_unit(used[0].displacement_unit) == "m" else "output",
+        )
+        lines.append(f"no record begins at rest at {none}: start one there, or the {what} at {none} is a guess")
     lines += _floor(repeats, cycles)
     return lines
 
@@ -78,7 +82,11 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
     middle, far = float(np.median(resting or zeros)), False
     for r, zero, error in zip(known, zeros, errors, strict=True):
         y = r.displacement[r.observed]
-        blur = fitted.records[r.name].left * y.std() if fitted is not None and rows[r.name].begins != "rest" else 0.0
+        blur = (
+            fitted.records[r.name].unexplained * y.std()
+            if fitted is not None and rows[r.name].begins != "rest"
+            else 0.0
+        )
         far = far or abs(zero - middle) > _STDERRS * error + _SMALL * np.ptp(y) + blur
     unit = known[0].displacement_unit
     low, high, most = (from_base(float(v), unit) for v in (zeros.min(), zeros.max(), middle))

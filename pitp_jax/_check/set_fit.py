@@ -16,18 +16,18 @@ from .._identify.beginnings import find_beginnings
 from .._identify.linear_ode import coast, logs_from_roots, respond
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, project
-from .._record.initial_state import Beginning, is_still, rest_level, starts_at_rest
+from .._record.initial_state import Beginning, is_still, rest_level, standing_drive, starts_at_rest
 from .._record.preprocess import force_band
 from .._record.record import Record
 
 _PER_PERIOD = 40  # samples of the force band's period that are kept of a record
 _MOST = 300_000  # samples in all
 _ROUNDS = 3
-_NONE = 1e-3  # of the largest drive is none
 _HALVED = 6  # records, from which halves are tried
-_EXACT = 1e-6  # share left of a record without noise
+_EXACT = 1e-6  # fraction unexplained of a record without noise
 _FEWEST = 3  # records, of which one can differ from most
-_SPREADS, _GAIN, _LEFT = 5.0, np.log(2.0), 0.3  # robust deviations; the least change of gain and share left that count
+_SPREADS, _GAIN = 5.0, np.log(2.0)  # robust deviations; the least change of gain that counts
+_UNEXPLAINED = 0.3  # fraction, from which a record may not belong
 _UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
 _TELLS = 4.0  # standard errors of its own gain, from which a record tells a direction
 
@@ -39,7 +39,7 @@ class Beside:
     Attributes:
         beginning: as `identify` would find it, with the rig's direction.
         gain: its own over the median of the set's; nan where there is none.
-        left: share of its standard deviation that the model leaves, gain and zero fitted.
+        unexplained: fraction of its standard deviation that the model leaves, gain and zero fitted.
         tells: whether it tells a direction.
         strange: why it does not belong, or empty.
         error: what the model leaves, at every `step`-th sample; 0 where not `seen`.
@@ -49,7 +49,7 @@ class Beside:
 
     beginning: Beginning
     gain: float
-    left: float
+    unexplained: float
     tells: bool
     error: np.ndarray
     seen: np.ndarray
@@ -59,10 +59,10 @@ class Beside:
 
 @dataclass(frozen=True)
 class SetFit:
-    """The common model: natural frequency in Hz, share left (median), input map, and every record beside it by name."""
+    """The common model: natural frequency in Hz, median fraction unexplained, input map, every record beside it."""
 
     natural_hz: float
-    left: float
+    unexplained: float
     input_map: str
     records: dict[str, Beside]
 
@@ -74,16 +74,16 @@ def fit_set(records: Sequence[Record]) -> SetFit | None:
     """
     best = None
     for name in ("square", "linear"):
-        found = _fitted(records, name)
-        if found is not None and (best is None or found.left < 0.5 * best.left):
-            best = found
-        if best is not None and best.left < 0.2:
+        fit = _fitted(records, name)
+        if fit is not None and (best is None or fit.unexplained < 0.5 * best.unexplained):
+            best = fit
+        if best is not None and best.unexplained < 0.2:
             break
     return best
 
 
 def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
-    """The common poles that suit most records: of all, or of a half, then of those that belong."""
+    """The common poles that fit most records: of all, or of a half, then of those that belong."""
     try:
         step, small = _thinned(records, input_map)
         every = set(range(len(small)))
@@ -112,33 +112,32 @@ def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndar
     begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
-    logs, found = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
+    logs, by_place = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
     resting = [b.zero for b in begun if b.begins == "rest"]
-    beginnings = [_plausible(r, found.get(k), resting) for k, r in enumerate(records)]
+    omega = float(np.exp(logs[1] / 2))
+    beginnings = [_plausible(r, by_place.get(k), resting, omega) for k, r in enumerate(records)]
     return logs, _relative([_beside(r, logs, b, step) for r, b in zip(small, beginnings, strict=True)])
 
 
 def _usual(rows: Sequence[Beside]) -> float:
-    return float(np.median([row.left for row in rows]))
+    return float(np.median([row.unexplained for row in rows]))
 
 
 def _doubtful(rows: Sequence[Beside]) -> bool:
     """Whether one record may have bent the poles of all."""
     directions = {row.beginning.direction for row in rows if row.tells}
-    return len(directions) > 1 or any(row.strange or row.left > _LEFT for row in rows)
+    return len(directions) > 1 or any(row.strange or row.unexplained > _UNEXPLAINED for row in rows)
 
 
-def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float]) -> Beginning:
+def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float], omega: float) -> Beginning:
     """What a linear model takes for motion may be its own error; None: by the first samples alone.
 
     A record that stands still at 0 V, or at the zero of those at rest, begins at rest too.
     """
-    drive = np.abs(record.voltage)
-    if (begun is not None and begun.begins != "moving") or not is_still(record):
+    if (begun is not None and begun.begins != "moving") or not is_still(record, omega):
         return begun or Beginning("moving", 1.0, float(np.nanmedian(record.displacement)), float("inf"))
     level, stderr = rest_level(record)
-    no_drive = drive[0] <= _NONE * drive.max()
-    if no_drive or (resting and starts_at_rest(record, float(np.median(resting)))):
+    if standing_drive(record)[1] == 0 or (resting and starts_at_rest(record, float(np.median(resting)), omega)):
         return Beginning("rest", 1.0, level, 1.5 * stderr)
     return begun or Beginning("held", 1.0, float("nan"), float("inf"))
 
@@ -151,11 +150,11 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
     step = max(1, min(max(fine, -(-total // _MOST)), min(r.samples for r in records) // 64))
     small = []
     for r, force in zip(records, forces, strict=True):
-        y, share = block_means(np.where(r.observed, r.displacement, 0.0), r.observed.astype(float), step)
+        y, seen = block_means(np.where(r.observed, r.displacement, 0.0), r.observed.astype(float), step)
         f, _ = block_means(force, np.ones(len(force)), step)
         f[0] = force[0]  # a drive that begins at 0 V is held there too, and at rest
         time = r.time[0] + step * r.dt * np.arange(len(y))
-        small.append(Record(r.name, time, f, np.where(share > 0, y, np.nan), source=r.source))
+        small.append(Record(r.name, time, f, np.where(seen > 0, y, np.nan), source=r.source))
     return step, small
 
 
@@ -172,11 +171,11 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
     inverse = np.linalg.pinv((stacked / size).T @ (stacked / size))
     known = level * np.sqrt(max(inverse[1, 1], 0.0)) / size[1]
-    left, whole = max(float(error.std() / max(y.std(), 1e-300)), _EXACT), np.zeros(record.samples)
+    unexplained, whole = max(float(error.std() / max(y.std(), 1e-300)), _EXACT), np.zeros(record.samples)
     whole[seen] = error
     direction = 1.0 if factors[1] >= 0 else -1.0
-    tells = bool(abs(factors[1]) > _TELLS * known and left < 0.9)
-    return Beside(replace(begun, direction=direction), float(factors[1]), left, tells, whole, seen, step)
+    tells = bool(abs(factors[1]) > _TELLS * known and unexplained < 0.9)
+    return Beside(replace(begun, direction=direction), float(factors[1]), unexplained, tells, whole, seen, step)
 
 
 def _relative(rows: Sequence[Beside]) -> list[Beside]:
@@ -185,16 +184,18 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
     if not np.isfinite(gains).any():
         return [replace(row, gain=float("nan")) for row in rows]
     logs = np.log(gains / np.nanmedian(gains))
-    usual = float(np.median([row.left for row in rows]))
+    usual = float(np.median([row.unexplained for row in rows]))
     far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), _GAIN)
-    spread = 1.4826 * np.median([abs(np.log(row.left / usual)) for row in rows])
-    found = []
+    spread = 1.4826 * np.median([abs(np.log(row.unexplained / usual)) for row in rows])
+    judgements = []
     for row, log, off in zip(rows, logs, far, strict=True):
-        poor = bool(row.left > _LEFT and np.log(row.left / usual) > max(_SPREADS * spread, np.log(3.0)))
-        found.append(
+        poor = bool(
+            row.unexplained > _UNEXPLAINED and np.log(row.unexplained / usual) > max(_SPREADS * spread, np.log(3.0))
+        )
+        judgements.append(
             replace(row, gain=float(np.exp(log)), strange=_strange(row, float(np.exp(log)), bool(off), poor, usual))
         )
-    return found
+    return judgements
 
 
 def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> str:
@@ -206,7 +207,7 @@ def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> s
         return f"moves {gain:.2g} times as far as the others under its drive: another actuator, preload or scale?"
     if poor:
         return (
-            f"does not belong: one linear model leaves {100 * row.left:.0f} % of it and {100 * usual:.0f} % of most "
-            "others (another actuator, another input, or a broken sensor?)"
+            f"does not belong: one linear model leaves {100 * row.unexplained:.0f} % of it and {100 * usual:.0f} % of "
+            "most others (another actuator, another input, or a broken sensor?)"
         )
     return ""

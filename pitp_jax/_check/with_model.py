@@ -43,7 +43,7 @@ def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explaine
     misfit = model.origin.misfit
     usual = float(np.median(np.nan_to_num(errors, nan=np.inf, posinf=np.inf)))
     resonance, square = model.natural_frequency / (2 * np.pi), model.input_map.name == "square"
-    found = {}
+    explained = {}
     for r, p, error, floor in zip(records, runs, errors, floors, strict=True):
         own = misfit * floor if np.isfinite(misfit) else 0.0
         bound = max(_LEAST, _NOISES * floor, _TIMES * max(own, min(usual, _MOST / _TIMES)))
@@ -52,10 +52,10 @@ def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explaine
         else:
             most = f" ({usual:.2g} % of most of these)" if usual < error / 2 else ""
             problem = f"the model does not explain it: {error:.3g} % of range left{most}" if error > bound else ""
-        left = np.where(r.observed & ~np.isnan(p.displacement), p.displacement - r.displacement, 0.0)
+        residual = np.where(r.observed & ~np.isnan(p.displacement), p.displacement - r.displacement, 0.0)
         top = drive_band(r)[1] * (2 if square else 1)
-        coloured = coloured_noise(left, r.observed, r.dt, top, resonance) if np.isfinite(error) else None
+        coloured = coloured_noise(residual, r.observed, r.dt, top, resonance) if np.isfinite(error) else None
         begun = Beginning(p.begins, p.direction, p.zero, p.zero_stderr)
         colour = None if not np.isfinite(error) else "white" if coloured is None else "coloured"
-        found[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem)
-    return found
+        explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem)
+    return explained

@@ -18,7 +18,16 @@ from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, criterion, project, whitener
 from .._record.averaged import averaged
 from .._record.excitation_kind import spread_over_kinds
-from .._record.initial_state import Beginning, Begins, from_known, level_groups, rest_level
+from .._record.initial_state import (
+    Beginning,
+    Begins,
+    from_known,
+    is_still,
+    level_groups,
+    rest_level,
+    settled_samples,
+    standing_drive,
+)
 from .._record.preprocess import force_band
 from .._record.record import Record
 from .frequency_fit import linear_start
@@ -31,6 +40,7 @@ _PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that t
 _MOST = 100_000  # samples from which the poles are found
 _STARTS = 3  # of the guesses, each with the directions that it tells, that are followed
 _STRUCTURE, _ROUNDS = Structure(2), 4
+_DIFFER = 0.1  # of the largest force: between first drives whose settled levels differ
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
 
@@ -50,7 +60,8 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     for _ in range(_ROUNDS):
         rows = [_columns(r, input_map, *poles) for r in begun]
         known = [r is b for r, b in zip(records, begun, strict=True)]
-        kinds = [_kind(row, whole) for row, whole in zip(rows, known, strict=True)]
+        kinds = [_kind(row, r, whole, poles[0]) for row, r, whole in zip(rows, begun, known, strict=True)]
+        kinds = _settled_together(begun, rows, kinds, known, poles[0])
         before, found = found, _with_zeros(begun, rows, kinds)
         if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in found]:
             break
@@ -179,10 +190,51 @@ def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _
     return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1], float(y.std()))
 
 
-def _kind(row: _Columns, whole: bool) -> tuple[Begins, float]:
-    """The simplest beginning and the direction, zero fitted; "moving" where the first samples are missing."""
+def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple[Begins, float]:
+    """The simplest beginning and the direction, zero fitted; "moving" where the first samples are missing.
+
+    A flat reading under a flat drive is rest or held by the data, whatever the model leaves of the motion after it.
+    """
     kinds: tuple[Begins, ...] = ("rest", "held", "moving") if whole else ("moving",)
+    driven = standing_drive(record)[1] != 0
+    if whole and settled_samples(record, _omega(logs)):
+        kinds = ("held",) if driven else ("rest",)
+    elif not driven:
+        kinds = tuple(k for k in kinds if k != "held")  # held at 0 V is rest
     return min(((b, d) for d in (1.0, -1.0) for b in kinds), key=lambda k: row.score(*k))
+
+
+def _settled_together(
+    records: Sequence[Record],
+    rows: Sequence[_Columns],
+    kinds: Sequence[tuple[Begins, float]],
+    known: Sequence[bool],
+    logs: np.ndarray,
+) -> list[tuple[Begins, float]]:
+    """The kinds, with no record in motion that only the model's misfit sets in motion.
+
+    Records that stand still at one level, of which one is at rest or whose first drives differ, did not all turn there
+    by chance: each is at rest or held, whatever the model leaves of the motion after it.
+    """
+    decided, omega = list(kinds), _omega(logs)
+    still = [
+        k
+        for k, (r, (begins, _)) in enumerate(zip(records, kinds, strict=True))
+        if begins == "rest" or (begins == "moving" and known[k] and is_still(r, omega))
+    ]
+    first = np.array([r.voltage[0] for r in records]) / max(np.abs(r.voltage).max() for r in records)
+    for group, *_ in level_groups([records[k] for k in still]):
+        members = [still[m] for m in group]
+        if np.ptp(first[members] ** 2) > _DIFFER or any(kinds[k][0] == "rest" for k in members):
+            for k in (k for k in members if kinds[k][0] == "moving"):
+                kind: tuple[Begins, ...] = ("rest", "held") if standing_drive(records[k])[1] else ("rest",)
+                decided[k] = min(((b, d) for d in (1.0, -1.0) for b in kind), key=lambda c, k=k: rows[k].score(*c))
+    return decided
+
+
+def _omega(logs: np.ndarray) -> float:
+    """Natural frequency of order 2, rad/s."""
+    return float(np.exp(logs[1] / 2))
 
 
 def _with_zeros(

@@ -39,12 +39,17 @@ from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_r
 from .heldout import Candidate, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, least_squares, solve
+from .remarks import refusal, remarks, unstable_line
 from .residual_test import ResidualTest, residual_test
 
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
 _BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wrong one costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _SAMPLES = 10_000  # of which candidates are compared: more are averaged over blocks, as long as these hide no more than
+_NONE = (
+    "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
+    "or check that the voltage and displacement columns belong together"
+)
 _HIDDEN = 0.1  # of what a linear model leaves: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 
 
@@ -177,28 +182,19 @@ def identify(
     candidates = search(small, response, roots, **asked, progress=progress)
     if not candidates:
         raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
-    known = [c for c in candidates if c.known]
-    if order == "auto" and not known:
-        raise ComputationFailed(
-            "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
-            "or check that the voltage and displacement columns belong together"
-        )
-    chosen = choose(known or candidates)
-    if order != "auto" and response.rich and not chosen.known:
+    if order != "auto" and response.rich and not any(c.known for c in candidates):
         # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
-        chosen = choose(candidates)
-    chosen = _refined(chosen, whole, [hold] if hold else [*_HOLDS] if chosen.structure.delayed or small.fine < small.dt
-                      else [chosen.structure.hold], bandlimited=hold is None)  # fmt: skip
-    fit = describe(chosen, whole)
-    if order != "auto" and not fit.identifiable:
-        raise ComputationFailed(_refusal(fit))
+    chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
+    if not fit.identifiable:
+        why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
+        raise ComputationFailed(why)
     best = [min((c for c in candidates if c.structure.order == n), key=lambda c: (not c.known, c.score))
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
     begun = _fitted(begun, chosen, whole)
     own, tested = out_of_fold(chosen.heldout, small), residual_test(chosen.params, chosen.structure, whole)
-    said = tuple(remarks(fit, whole))
+    said = tuple(remarks(fit, chosen, small, every=order == "auto"))
     model = descended(_to_model(fit, records, begun, input_map, own, said), "identify", records)
     names = [r.name for r in records]
     return Identification(model, fit, orders, dict(zip(names, begun, strict=True)), response, own, tested, said)
@@ -216,6 +212,22 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
     forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
     small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
     return replace(build_problem(small, "linear", begun), fine=whole.dt)
+
+
+def _determined(
+    candidates: Sequence[Candidate], whole: Problem, small: Problem, hold: Hold | None
+) -> tuple[Candidate, OrderFit]:
+    """The best candidate whose poles all samples determine too, and described; else the last of those tried."""
+    while True:
+        chosen = choose(candidates)
+        # a delay, or means over samples, hide which hold it is
+        open_hold = chosen.structure.delayed or small.fine < small.dt
+        holds: Sequence[Hold] = (hold,) if hold else _HOLDS if open_hold else (chosen.structure.hold,)
+        chosen = _refined(chosen, whole, holds, bandlimited=hold is None)
+        fit = describe(chosen, whole)
+        candidates = [c for c in candidates if c.structure.order != fit.order]
+        if fit.identifiable or not candidates:
+            return chosen, fit
 
 
 def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
@@ -248,33 +260,6 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
             replace(b, direction=polarity * b.direction, zero=zero_of(k, gains, problem), stderr=stderr, free=False)
         )
     return found
-
-
-def _refusal(fit: OrderFit) -> str:
-    """Why the asked order was refused, and what to do."""
-    why = "its poles are not determined by the data" if fit.converged else "the least squares ran away"
-    where = f"order {fit.order} cannot be identified from these records ({why})"
-    return f"{where}; a lower one may be; record a sweep or use --order auto"
-
-
-def remarks(fit: OrderFit, problem: Problem) -> list[str]:
-    """What an engineer has to know beside the numbers, a sentence each."""
-    said, slowest = [], 2 * np.pi * float(fit.natural_hz[0])
-    if fit.static:
-        said.append(f"static within the band: no pole below {1.5 / (2 * np.pi * problem.fine):.3g} Hz is seen")
-    if fit.integrates:
-        said.append(
-            f"the output integrates the drive (a plant without a spring, a0 not known): free runs drift; an input "
-            f"off by 1 unit moves the output by {1 / fit.coefficients[1]:.3g} base units more every second"
-        )
-    elif slowest * problem.seconds < 1 and fit.order > 1:
-        said.append(
-            f"a pole at {slowest / (2 * np.pi):.2g} Hz is slower than these records: {3 / slowest:.2g} s would show it"
-        )
-    open_ones = [f"a{i}" for i, (a, e) in enumerate(zip(fit.coefficients, fit.stderr, strict=True)) if e > abs(a)]
-    if open_ones and not (fit.static or fit.integrates):
-        said.append(f"without influence on these records, and so not known: {', '.join(open_ones)}")
-    return said
 
 
 def _to_model(

@@ -199,6 +199,28 @@ def respond_with_slopes(
     return found[0] + level, found[1:-1], found[-1]
 
 
+def bounded_response(
+    poles: Complex[np.ndarray, " n"], force: Float[np.ndarray, " time"], hold: str
+) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time n"]]:
+    """Response of poles on either side of the axis (rad a sample), and the free ones, all bounded on the record.
+
+    Re p < 0: m(t+1) = e^p m(t) + ..., from the first sample on;  Re p > 0: m(t) = e^-p m(t+1) - ..., from the last one
+    back. A solution of m' = p m + F either way; what it begins or ends with is in the free ones.
+    """
+    start, change = force[:-1], np.diff(force) * (hold != "zoh")
+    found, free = np.zeros(len(force)), []
+    for pole in poles[np.imag(poles) >= 0]:
+        back = pole.real > 0
+        rows = np.stack([-(start + change)[::-1], change[::-1]] if back else [start, change])
+        stable = -pole if back else pole
+        mode, decay = _filtered(_weights(stable)[0, :2] @ rows, stable), powers(stable, len(force))
+        if back:
+            mode, decay = mode[::-1], decay[::-1]
+        found += (2 if pole.imag else 1) * np.real(_residue(pole, poles) * mode)
+        free += [np.real(decay), np.imag(decay)] if pole.imag else [np.real(decay)]
+    return found, np.stack(free, 1)
+
+
 def _finer(drive: np.ndarray) -> np.ndarray:
     return between(drive, "bandlimited", np.arange(_FINER) / _FINER, np).reshape(-1)
 

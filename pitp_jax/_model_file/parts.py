@@ -30,6 +30,7 @@ from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Scales
 from .._model.origin import Origin, OutOfFold
 from .._record.long_record import LongRecord
+from .._table.guard import cleaned
 
 LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
 
@@ -218,8 +219,8 @@ def _bands(stored: dict | None) -> OutOfFold | None:
 
 
 def origin_of(header: dict) -> Origin:
-    """Build what the header's model was made from."""
-    stored = header["origin"]
+    """Build what the header's model was made from; nothing in its texts is obeyed by a terminal."""
+    stored = _without_control(header["origin"])
     return Origin(
         displacement_unit=str(stored["displacement_unit"]),
         voltage_unit=str(stored["voltage_unit"]),
@@ -236,6 +237,15 @@ def origin_of(header: dict) -> Origin:
         adapted=tuple(map(dict, stored["adapted"])),
         lineage=tuple(map(dict, stored["lineage"])),
     )
+
+
+def _without_control(value: Any) -> Any:
+    """The value with every text in it cleaned, names of entries too."""
+    if isinstance(value, dict):
+        return {cleaned(key): _without_control(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_control(entry) for entry in value]
+    return cleaned(value) if isinstance(value, str) else value
 
 
 def build(header: dict) -> Model:

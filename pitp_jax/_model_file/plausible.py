@@ -42,6 +42,7 @@ def check_header(header: dict) -> None:
         f"unit {origin['displacement_unit']!r}": origin["displacement_unit"] in OUTPUT_UNITS,
         f"unit {origin['voltage_unit']!r}": origin["voltage_unit"] in INPUT_UNITS,
     }
+    checks |= _history(origin)
     for part in (header["encoder"], header["memory"], header["drive"], header["input_map"], *header["effects"][:64]):
         for key, value in part.items():
             number = isinstance(value, (int, float))  # words are refused where parts are built (`parts`)
@@ -51,6 +52,25 @@ def check_header(header: dict) -> None:
     if long is not None:
         checks[f"dt of the long record {long['dt']!r}"] = _positive(long["dt"])
     _refuse([name for name, good in checks.items() if not good])
+
+
+def _history(origin: dict) -> dict[str, bool]:
+    """What a model was made from, entry by entry: whether it has the shape in which pitp tells it."""
+    training, adapted, lineage = origin["training"] or {}, origin["adapted"], origin["lineage"]
+    names = (*origin["identified_on"], *origin["remarks"], *training.get("records", ()))
+    numbers = [training.get(key) or 0.0 for key in ("seconds", "creep_held_to_s", "second_mass_hz")]
+    changes = [change for entry in adapted for change in entry["changed"].values()]
+    sources = [record for entry in lineage for record in entry.get("records", ())]
+    return {
+        "names of records that are no text": all(isinstance(name, str) for name in names),
+        "seconds that are no number": all(isinstance(number, (int, float)) for number in numbers),
+        "stages that are no table": all(isinstance(stage, dict) for stage in training.get("history", ())),
+        "changes without factor and interval": all(
+            math.isfinite(c["factor"]) and all(map(math.isfinite, c["ci95"])) and len(c["ci95"]) == 2 for c in changes
+        ),
+        "versions that are no table": all(isinstance(entry.get("versions", {}), dict) for entry in lineage),
+        "sources without name and sum": all({"name", "sha256"} <= set(source) for source in sources),
+    }
 
 
 def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:

@@ -65,23 +65,23 @@ def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:
     kinds = np.array([kind(r) for r in records])
     names, sizes = np.unique(kinds, return_counts=True)
     names = names[np.argsort(sizes)][:count]  # where there are more kinds than places, the rarest
-    chosen, left = [], count
-    for k, name in enumerate(names):  # the commonest kind comes last and takes what is left
+    chosen, free = [], count
+    for k, name in enumerate(names):  # the commonest kind comes last and takes what remains
         places, later = np.flatnonzero(kinds == name), len(names) - 1 - k
-        share = round(count * len(places) / len(records)) if later else left
-        many = min(max(share, 1), left - later, len(places))
-        chosen, left = chosen + _even(places, line, strength, many), left - many
+        fair = round(count * len(places) / len(records)) if later else free
+        many = min(max(fair, 1), free - later, len(places))
+        chosen, free = chosen + _even(places, line, strength, many), free - many
     return sorted(chosen)
 
 
 def _even(places: np.ndarray, line: np.ndarray, strength: np.ndarray, count: int) -> list[int]:
     """Of these places `count`, evenly along the rank of the line, each with another strength than its neighbours."""
-    left = list(places)
+    unused = list(places)
     for j in range(count):
         wanted = (j + 0.5) / count, (j * _GOLDEN) % 1.0
-        apart = [count * abs(line[p] - wanted[0]) + abs(strength[p] - wanted[1]) for p in left]
-        left.pop(int(np.argmin(apart)))
-    return [int(p) for p in places if p not in left]
+        apart = [count * abs(line[p] - wanted[0]) + abs(strength[p] - wanted[1]) for p in unused]
+        unused.pop(int(np.argmin(apart)))
+    return [int(p) for p in places if p not in unused]
 
 
 def _ranks(values: Sequence[float]) -> np.ndarray:

@@ -1,7 +1,7 @@
 """How records begin: sensor noise, the first state, and the zero of records at rest.
 
     sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
-    y(t) ~ c_0 + ... + c_4 t^4 over the first samples: y(0) and y'(0) within noise
+    y(t) ~ a polynomial over the first samples: y(0) and y'(0) within noise
     measured = direction * displacement + zero         (a zero and a direction belong to a record, not to the actuator)
 
 Whether a still record is at rest, settled at a held drive or turning for a moment only the motion that follows can
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from .._errors import BadInput
 from .checks import MIN_SAMPLES
@@ -21,7 +22,11 @@ from .record import Record
 Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
 _STILL, _SMALL = 10.0, 0.2
-_WINDOWS, _FEWEST = (7, 12, 24, 48), 6  # samples a first state is fitted over; and how many of them must be observed
+_SLOW = 0.01  # of omega times the range: a velocity below it moves the mode by a hundredth of the range
+_FLAT, _LEVEL, _FEWEST_FLAT = 1e-3, 0.02, 24  # of the drive's range; of a noisy drive's and of the output's; samples
+_FEWEST, _WITHIN = 8, 48  # observed samples that a first state asks for; samples within which they must lie
+_K = np.arange(7.0)
+_AT_START = np.stack([(-1) ** _K, -((-1) ** _K) * _K * (_K + 1) / 2])  # P_k(-1) and P_k'(-1)
 
 
 @dataclass(frozen=True)
@@ -84,10 +89,13 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
 
 
 def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Quartic least squares over the first 7, 12, 24 and 48 samples: (y(0), y'(0)) and their standard errors.
+    """Least squares over the first 8, 11, 16, 23, ... samples: (y(0), y'(0)) and their standard errors.
 
-    A roll sampled at 5 kHz has turned by 2 rad in 12 samples, a cone at 1 kHz needs 24 to beat the noise, so every
-    window over which the quartic leaves no more than the noise (or 0.1 % of range) gives its own estimate.
+        y(s) ~ c_0 P_0(s) + ... + c_6 P_6(s),   s = -1 ... 1 over the window, P_k Legendre's polynomials
+        y(-1) = sum_k<5 (-1)^k c_k,   y'(-1) = sum_k<5 (-1)^(k-1) k (k + 1) / 2 c_k;   the parts of c_5, c_6: their bias
+
+    A roll sampled at 5 kHz has turned by 2 rad in 12 samples, a cone at 10 kHz needs 200 to beat the noise, so every
+    window over which the fit leaves no more than the noise (or 0.1 % of range) gives its own estimate.
 
     Returns:
         values, standard errors: shape (windows, 2), at least one row; nan and inf where no window has the samples.
@@ -95,45 +103,102 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
     span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
     noise = min(noise_std(record.displacement), 0.01 * span)
     values, errors = [], []
-    for window in _WINDOWS:
-        t, y = np.arange(window) / window, record.displacement[:window]
+    count = int(2 * np.log2(max(record.samples / 4 / _FEWEST, 1)))
+    for window in np.unique(np.round(_FEWEST * np.sqrt(2.0) ** np.arange(count + 1)).astype(int)):
+        y = record.displacement[:window]
         keep = np.isfinite(y)
         if keep.sum() < _FEWEST:
             continue
-        basis = np.vander(t[keep], 5, increasing=True)
+        basis = legvander(2 * np.arange(window)[keep] / window - 1, 6)
         fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
-        left = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / max(keep.sum() - 5, 1))
-        if left > max(1.15 * noise, 0.001 * span) and values:
+        free = max(keep.sum() - 7, 1)
+        misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / free)
+        if misfit > max(noise * (1 + 3 / np.sqrt(2 * free)), 0.001 * span) and values:
             break
-        unit = np.array([1.0, 1.0 / (window * record.dt)])
-        values.append(fit[:2] * unit)
-        errors.append(max(noise, left) * np.sqrt(np.diag(np.linalg.inv(basis.T @ basis)))[:2] * unit)
+        unit = np.array([1.0, 2.0 / (window * record.dt)])
+        covariance = np.linalg.pinv(basis[:, :5].T @ basis[:, :5])
+        white = max(noise, misfit) * np.sqrt(np.diag(_AT_START[:, :5] @ covariance @ _AT_START[:, :5].T))
+        # what hides in the noise beyond the fourth power bends the first velocity far more than the noise does
+        bent = np.linalg.norm(_AT_START[:, 5:] * fit[5:], axis=1)
+        values.append(_AT_START[:, :5] @ fit[:5] * unit)
+        errors.append(np.hypot(white, bent / 2) * unit)
     return (np.array(values), np.array(errors)) if values else (np.full((1, 2), np.nan), np.full((1, 2), np.inf))
 
 
-def _still(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per window: no velocity within 4 standard errors and 0.2 % of range a sample; value; its tolerance."""
+def is_still(record: Record, omega: float) -> bool:
+    """True when the first sample is known and has no velocity: within 4 standard errors and 0.01 omega times the range.
+
+    v / omega is what the velocity still moves a mode of that frequency: of a motion that is cut somewhere, one in 80 is
+    as slow, at any sampling rate.
+
+    Args:
+        record: in base units.
+        omega: of the dominant mode, rad/s.
+    """
+    (_, v), (_, error), span = _sharpest(record)
+    return first_known(record) == 0 and bool(abs(v) <= 4 * error + _SLOW * omega * span)
+
+
+def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
+    """True when the first velocity is none, as in `is_still`, and the first displacement is `offset`.
+
+    Args:
+        record: in base units.
+        offset: the sensor's zero, output unit.
+        omega: of the dominant mode, rad/s.
+    """
+    (y, v), (y_error, v_error), span = _sharpest(record)
+    near = min(4 * y_error, 0.015 * span) + 0.002 * span
+    return bool(abs(v) <= 4 * v_error + _SLOW * omega * span and abs(y - offset) <= near)
+
+
+def _sharpest(record: Record) -> tuple[np.ndarray, np.ndarray, float]:
+    """(y(0), y'(0)) by the window that knows the velocity best, their errors, and the range of the output."""
     values, errors = first_states(record)
+    best = int(np.argmin(errors[:, 1]))
+    return values[best], errors[best], float(np.nanmax(record.displacement) - np.nanmin(record.displacement))
+
+
+def standing_drive(record: Record) -> tuple[int, float]:
+    """Number of first samples in which the drive stands, and its level there (V); exactly 0 where that is its noise.
+
+    It stands within 0.1 % of its range, or within six of its noise floors (of a monitor), 2 % at most.
+    """
+    noise, span = noise_std(record.voltage), float(np.ptp(record.voltage))
+    moved = np.abs(record.voltage - np.median(record.voltage[:8])) > np.clip(6 * noise, _FLAT * span, _LEVEL * span)
+    count = int(np.argmax(moved)) if moved.any() else record.samples
+    level = float(np.median(record.voltage[: max(count, 1)]))
+    none = max(_FLAT * float(np.abs(record.voltage).max()), 4 * noise / np.sqrt(max(count, 1)))
+    return count, 0.0 if abs(level) <= none else level
+
+
+def settled_samples(record: Record, omega: float) -> int:
+    """Number of first samples in which a flat reading stands under a flat drive; 0 where the record shows no such rest.
+
+    By the data alone, whatever a model says: for half a period at least, the means over quarters of a period differ by
+    no more than noise, 2 % of the range, and a third of what a jump from 0 V to this drive would move (rest under a
+    jump rings). Then the record begins at rest at 0 V, or settled where it is held.
+
+    Args:
+        record: in base units.
+        omega: of the dominant mode, rad/s.
+    """
+    count, level = standing_drive(record)
+    quarter = 0.5 * np.pi / (omega * record.dt)
+    if first_known(record) > 0 or count < max(2 * quarter, _FEWEST_FLAT):
+        return 0
+    blocks = np.array_split(record.displacement[:count], max(int(count / max(quarter, 6.0)), 2))
+    means = np.array([np.mean(b[np.isfinite(b)]) for b in blocks if np.isfinite(b).any()])
+    noise = noise_std(record.displacement) / np.sqrt(count / len(blocks))
     span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
-    still = np.abs(values[:, 1]) <= 4 * errors[:, 1] + 0.002 * span / record.dt
-    return still, values[:, 0], np.minimum(4 * errors[:, 0], 0.015 * span) + 0.002 * span
-
-
-def is_still(record: Record) -> bool:
-    """True when some window finds no velocity at the first sample, and that sample is known."""
-    return first_known(record) == 0 and bool(_still(record)[0].any())
-
-
-def starts_at_rest(record: Record, offset: float) -> bool:
-    """True when some window finds the first displacement at `offset` (output unit) and the first velocity zero."""
-    still, value, tolerance = _still(record)
-    return bool((still & (np.abs(value - offset) <= tolerance)).any())
+    jump = (level / np.abs(record.voltage).max()) ** 2 if level else np.inf
+    return count if np.ptp(means) <= 5 * noise + min(_LEVEL, jump / 3) * span else 0
 
 
 def first_known(record: Record) -> int:
     """First sample from which a state can be estimated: 0, unless the record begins with a gap longer than that."""
     seen = np.concatenate([[0], np.cumsum(record.observed)])
-    ahead = seen[np.minimum(np.arange(record.samples) + _WINDOWS[-1], record.samples)] - seen[:-1]
+    ahead = seen[np.minimum(np.arange(record.samples) + _WITHIN, record.samples)] - seen[:-1]
     enough = ahead >= _FEWEST
     return 0 if enough[0] else int(np.argmax(enough & record.observed))
 
@@ -167,15 +232,17 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
     levels = np.array([rest_level(r) for r in records]).reshape(-1, 2)
     spans = np.array([np.nanmax(r.displacement) - np.nanmin(r.displacement) for r in records])
     tolerance = np.minimum(4 * levels[:, 1], 0.015 * spans) + 0.002 * spans
-    left, groups = list(range(len(records))), []
-    while left:
-        near = [[m for m in left if abs(levels[m, 0] - levels[k, 0]) <= max(tolerance[k], tolerance[m])] for k in left]
+    open_, groups = list(range(len(records))), []
+    while open_:
+        near = [
+            [m for m in open_ if abs(levels[m, 0] - levels[k, 0]) <= max(tolerance[k], tolerance[m])] for k in open_
+        ]
         members = max(near, key=len)
         value, weights = levels[members, 0], 1 / (levels[members, 1] ** 2 + 1e-30)
         zero = float(np.average(value, weights=weights))
         scatter = float(weights @ (value - zero) ** 2) / max(len(members) - 1, 1)
         groups.append((members, zero, float(1.5 * np.sqrt(max(scatter, 1.0) / weights.sum()))))
-        left = [k for k in left if k not in members]
+        open_ = [k for k in open_ if k not in members]
     return sorted(groups, key=lambda g: -len(g[0]))
 
 
@@ -193,10 +260,10 @@ def rest_level(record: Record) -> tuple[float, float]:
         if keep.sum() >= 8:
             basis = np.stack([t**0, t**2, t**3, t**4], -1)[keep]
             fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
-            left = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))
-            if np.isfinite(best[1]) and left > noise * (1 + 1.5 / np.sqrt(2 * keep.sum())):
+            misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))
+            if np.isfinite(best[1]) and misfit > noise * (1 + 1.5 / np.sqrt(2 * keep.sum())):
                 break
-            error = max(left, noise) * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
+            error = max(misfit, noise) * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
             if error < best[1]:
                 best = float(fit[0]), float(error)
         window *= 2

@@ -9,6 +9,7 @@ about the samples in question with them cut out. White noise of deviation s has 
 step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A motion sampled well enough moves by a step.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,27 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     largest = off[np.argmax(np.abs(off - np.median(y)))] if bad.any() else np.nan
     limit = y[clipped][0] if clipped.any() else np.nan
     return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit), held=held)
+
+
+def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.ndarray, float]:
+    """Samples that stand at a value at which other records of the same sensor are clipped, and that value (nan: none).
+
+    A sensor has one limit, so what is certain of one record holds for those whose runs alone would not tell.
+
+    Args:
+        displacement: output, shape (T,); nan where missing.
+        limits: values at which others are clipped, in its unit.
+
+    Returns:
+        True at those samples, shape (T,), and the limit.
+    """
+    for value in {np.nanmax(displacement), np.nanmin(displacement)} & set(limits):
+        bad = np.zeros(len(displacement), dtype=bool)
+        for begin, end in _runs(displacement, _SHORTEST_CLIP // 2):
+            bad[begin:end] = displacement[begin] == value
+        if bad.any() and not bad.all():
+            return bad, float(value)
+    return np.zeros(len(displacement), dtype=bool), float("nan")
 
 
 def _jumps(drive: np.ndarray) -> np.ndarray:

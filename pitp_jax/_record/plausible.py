@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import BadInput
+from .._table.units import base_unit
 from .record import Record
 
 _HIGHEST = {"V": 1e5, "m": 1e3}
@@ -65,7 +66,7 @@ def questions(displacement: np.ndarray, unit: str) -> list[str]:
 def monitor_warning(records: Sequence[Record]) -> str | None:
     """Asks about drives that never leave a DAQ's range, for a model whose force is the square of the voltage."""
     highest = max(float(np.abs(record.voltage).max()) for record in records)
-    if not 0 < highest <= _MONITOR:
+    if not 0 < highest <= _MONITOR or any(base_unit(record.voltage_unit) != "V" for record in records):
         return None
     return (
         f"the drive never exceeds {highest:.3g} V: if that is the amplifier's monitor (1 V per kV), give "

@@ -27,7 +27,7 @@ from .._table.robot import is_bag
 from .._table.units import base_unit, from_base
 from .checks import TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
-from .outliers import Masked, mask_faults
+from .outliers import Masked, at_limit, mask_faults
 from .plausible import questions, refuse_implausible
 from .record import Record
 from .remarks import Remark
@@ -150,7 +150,28 @@ def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, Bad
             records += _read_one(file, name, options)
         except BadInput as error:
             refused[name] = error
-    return _unique(records), refused, len(files)
+    return _unique(_limited(records)), refused, len(files)
+
+
+def _limited(records: list[Record]) -> list[Record]:
+    """The records, clipped also where only others of the set tell the sensor's limit."""
+    limits = {r.recognised["limit"] for r in records if r.recognised.get("clipped")}
+    return [_clipped_at(record, limits) if limits else record for record in records]
+
+
+def _clipped_at(record: Record, limits: set[float]) -> Record:
+    bad, value = at_limit(record.displacement, limits)
+    if not bad.any():
+        return record
+    count, seen = int(bad.sum()), record.recognised
+    note = f"{from_base(value, record.displacement_unit):.4g} {record.displacement_unit}, as others of the set"
+    remark = Remark("clipped", record.name, count, note)
+    told = {
+        "clipped": seen["clipped"] + count,
+        "remarks": [*seen["remarks"], f"{record.name}: {remark}"],
+        "findings": [*seen["findings"], remark],
+    }
+    return replace(record, displacement=np.where(bad, np.nan, record.displacement), recognised={**seen, **told})
 
 
 def _unique(records: list[Record]) -> list[Record]:
@@ -219,8 +240,8 @@ def _unfolded(paths: Sequence[str | os.PathLike]) -> Iterator[str | os.PathLike]
     """Paths with `*` and `?` spelt out, which the shells of Windows leave to the program."""
     for path in paths:
         pattern = isinstance(path, (str, os.PathLike)) and not os.path.exists(path) and str(path)
-        found = sorted(glob(pattern)) if pattern and set("*?") & set(pattern) else []
-        yield from found or [path]
+        matches = sorted(glob(pattern)) if pattern and set("*?") & set(pattern) else []
+        yield from matches or [path]
 
 
 def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
@@ -328,6 +349,7 @@ def _records(path: Path, name: str, one: Loaded) -> list[Record]:
         "lost": lost,
         "outliers": masked.outliers,
         "clipped": masked.clipped,
+        **({"limit": masked.limit} if masked.clipped else {}),
         "remarks": [f"{remark.record}: {remark}" for remark in remarks],
         "findings": remarks,
         "options": one.options.said(),

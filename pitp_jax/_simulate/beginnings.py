@@ -11,6 +11,7 @@ leaves a fifth of what the model's leaves: a delay of half a period turns a moti
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,18 @@ from jaxtyping import Array, Float
 
 from .._model.model import Model
 from .._model.programs import jit, on_device
-from .._record.initial_state import INITIAL_SAMPLES, Beginning, Begins, is_still, noise_std, rest_level, starts_at_rest
+from .._record.initial_state import (
+    INITIAL_SAMPLES,
+    Beginning,
+    Begins,
+    first_states,
+    is_still,
+    noise_std,
+    rest_level,
+    settled_samples,
+    standing_drive,
+    starts_at_rest,
+)
 from .._record.record import Record
 from . import ports
 from .decoder import rest_state, rollout_batch, settled_state, step
@@ -76,23 +88,40 @@ def beginnings(
 ) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
     """Find how every record begins, and its state where that is rest or held (None: moving)."""
     dtype, size = model.coefficients.dtype, min(_AHEAD, max(r.samples for r in records))
-    ends = [r.voltage[:size] for r in records]
+    # Nothing happens while drive and reading stand: a run from the end of that stretch is the whole run's
+    settled = [settled_samples(r, model.natural_frequency) for r in records]
+    first = [
+        max(count - INITIAL_SAMPLES, 0) if count < r.samples else 0 for count, r in zip(settled, records, strict=True)
+    ]
+    ends = [r.voltage[k : k + size] for r, k in zip(records, first, strict=True)]
     voltage = np.stack([np.pad(v, (0, size - len(v)), mode="edge") for v in ends])
     kinds: tuple[Begins, ...] = ("rest", "held")
     runs = _first_runs(model, on_device(voltage, dtype), records[0].dt, on_device(ages, dtype))
     states = {kind: np.asarray(state) for kind, (state, _) in zip(kinds, runs, strict=True)}
     x = [np.asarray(run, np.float64) * model.scales.state[0] for _, run in runs]
-    begun = [_beginning(model, r, dict(zip(kinds, rows, strict=True))) for r, *rows in zip(records, *x, strict=True)]
+    begun = [
+        _beginning(model, r, dict(zip(kinds, rows, strict=True)), k, stands > 0)
+        for r, k, stands, *rows in zip(records, first, settled, *x, strict=True)
+    ]
     return begun, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(begun)]
 
 
-def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray]) -> Beginning:
-    """Choose the kind whose run leaves least of the first samples; zero and direction with it."""
-    zero, polarity, y = float(model.output.offset), float(model.output.polarity), record.displacement[:_AHEAD]
+def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], begin: int, settled: bool) -> Beginning:
+    """Choose the kind whose run leaves least of the first samples; zero and direction with it.
+
+    Args:
+        model: whose runs they are.
+        record: in base units.
+        runs: displacement from rest and from held, m, shapes (time,), from sample `begin` on.
+        begin: where the runs begin; before it nothing moves.
+        settled: whether the data show a record that stands at first, which no misfit of the model makes a moving one.
+    """
+    zero, polarity = float(model.output.offset), float(model.output.polarity)
+    y, omega = record.displacement[begin : begin + _AHEAD], model.natural_frequency
     noise, span = noise_std(record.displacement), np.nanmax(record.displacement) - np.nanmin(record.displacement)
-    if not is_still(record):
+    if not (settled or is_still(record, omega)):
         return Beginning("moving", polarity, zero, float("inf"))
-    moved = np.abs(record.voltage[:_AHEAD] - record.voltage[0]) > 1e-3 * np.ptp(record.voltage)
+    moved = np.abs(record.voltage[begin : begin + _AHEAD] - record.voltage[0]) > 1e-3 * np.ptp(record.voltage)
     first = max(int(np.argmax(moved)) if moved.any() else len(y), min(INITIAL_SAMPLES, len(y)))
     # the median of a few samples, so that one outlier is no level; 2 % of the range, so that hum is no motion
     plain = np.abs(y - np.nanmedian(y[:8])) > max(_PLAIN * noise, 0.02 * span)
@@ -103,22 +132,52 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray]) -> 
         # the deviation, since the record's own zero is not known yet
         return float(np.nanstd(error)) if np.isfinite(runs[begins][:seen]).all() else np.inf
 
-    kinds: tuple[Begins, ...] = ("rest", "held") if record.voltage[0] != 0 else ("rest",)  # held at 0 V is rest
+    driven = standing_drive(record)[1] != 0
+    kinds: tuple[Begins, ...] = ("rest", "held") if driven else ("rest",)  # held at 0 V is rest
+    if settled and driven and np.isfinite(runs["held"]).all():
+        kinds = ("held",)  # from rest it would move
     scores = {(b, d): unexplained(b, d) for b in kinds for d in (polarity, -polarity)}
     begins, direction = min((k for k in scores if k[1] == polarity), key=lambda k: scores[k])
     turned = min((k for k in scores if k[1] != polarity), key=lambda k: scores[k])
     explained = scores[turned] < _EXPLAINED * min(float(np.nanstd(y[:seen])), scores[begins, direction])
     if plain.any() and explained:
         begins, direction = turned
-    at_zero = starts_at_rest(record, zero)
-    if at_zero and begins == "held" and scores["held", direction] > _HALF * scores["rest", direction]:
+    at_zero = starts_at_rest(record, zero, omega)
+    if at_zero and not settled and begins == "held" and scores["held", direction] > _HALF * scores["rest", direction]:
         begins = "rest"
     enough = max(3 * noise, 0.002 * span, _EXPLAINED * float(np.nanstd(y[:seen])))
-    if not at_zero and scores[begins, direction] > enough:
+    if not (at_zero or settled) and scores[begins, direction] > enough:
         return Beginning("moving", polarity, zero, float("inf"))
     if begins == "rest":
         level, stderr = rest_level(record)
         return Beginning("rest", direction, zero if at_zero else level, 1.5 * stderr)
-    error = y[:first] - direction * runs["held"][:first]
+    before = record.displacement[:begin] - direction * runs["held"][0]
+    error = np.concatenate([before, y[:first] - direction * runs["held"][:first]])
     known = int(np.isfinite(error).sum())
     return Beginning("held", direction, float(np.nanmean(error)), float(np.nanstd(error)) / np.sqrt(max(known, 1)))
+
+
+def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> list[Beginning]:
+    """Give held records the zero of the set's records at rest; `free` marks those whose zero stays their own.
+
+    x(0) = d (y(0) - zero)        beside the model's own equilibrium of u(0), within a factor of two
+
+    Without it a held record says of the static curve what the model said before: its equilibrium gave the zero. A
+    sensor that was zeroed anew under the held drive reads no displacement there, which no factor of two explains.
+    """
+    known = sorted((b.zero, b.stderr) for b in begun if b.begins == "rest")
+    if not known:
+        return [replace(b, free=True) for b in begun]
+    zero, stderr = known[len(known) // 2]
+    found = []
+    for record, b in zip(records, begun, strict=True):
+        level = first_level(record)
+        same = b.begins == "held" and 0.5 < (level - zero) / ((level - b.zero) or np.inf) < 2.0
+        found.append(replace(b, zero=zero, stderr=stderr) if same else replace(b, free=b.begins != "rest"))
+    return found
+
+
+def first_level(record: Record) -> float:
+    """Compute y(0) from the window that tells it best."""
+    values, errors = first_states(record)
+    return float(values[np.argmin(errors[:, 0]), 0])

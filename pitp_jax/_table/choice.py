@@ -27,7 +27,7 @@ _WORD = {
     "displacement": "output (displacement_mm, output_deg, ...)",
 }
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
-_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence".split())
+_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
 _SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are no seconds for certain
 _MONITOR = 10.0  # V: the range of a DAQ
 

@@ -249,12 +249,17 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
                 f"{source}: line {rows.numbers[k]}: {len(names) - 1} names over rows of {widths[0]} cells; make them "
                 "agree, or give --header-line"
             )
-    named = _with_names(bare, [*names, *[""] * (width - len(names))], units, rows, first)
+    names += [""] * (width - len(names))
+    empty = [
+        m for m in range(width) if "=" in names[m] and not any(row[m : m + 1] != [""] for row in rows.cells[first:])
+    ]
+    hint = ", ".join(names[m] for m in empty)  # `tInc = 0.001` over no numbers is a setting
+    named = _with_names(bare, ["" if m in empty else name for m, name in enumerate(names)], units, rows, first)
     above = sum(1 for m in range(k) if any(rows.cells[m]))
     notes += ["units row"] if units and list(units) != rows.cells[k] else []
     notes += [f"{above} line{'s' if above > 1 else ''} above the header"] if above else []
     notes += ["header in a comment"] if rows.commented[k] else []
-    return replace(named, notes=tuple(notes))
+    return replace(named, notes=tuple(notes), hint=hint)
 
 
 def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths: range, source: str) -> Layout:

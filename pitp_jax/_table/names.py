@@ -69,11 +69,6 @@ def read_header(text: str) -> Header:
     return Header(stem, unit, unknown, words, _role(words))
 
 
-def split_header(text: str) -> tuple[str, str | None]:
-    """A header as (what is measured, its unit or None)."""
-    return _parted(plain(text))[:2]
-
-
 def _parted(text: str) -> tuple[str, str | None, str | None]:
     unknown, text = None, _R_BRACKETS.sub(r" (\1)", text)
     for bracket in _BRACKETS.finditer(text):

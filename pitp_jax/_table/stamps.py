@@ -10,7 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 _DAY = 86400.0
-_STAMP = re.compile(r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]+)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?(Z|[+-]\d\d:?\d\d)?$")
+_STAMP = re.compile(
+    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]+)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?(Z|UTC|GMT|[+-]\d\d:?\d\d))?$"
+)
 
 
 def is_stamp(cell: str) -> bool:

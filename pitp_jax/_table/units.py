@@ -57,7 +57,7 @@ _WORDS = {
     "deg/s": "°/s deg/sec",
     "rpm": "rpm u/min r/min rev/min 1/min min-1",
     "m/s2": "m/s^2 m/s/s m/s**2",
-    "counts": "count counts cts",
+    "counts": "count counts cnt cnts cts inc ticks pulses",
     "percent": "% percent pct",
 }
 _SPELLINGS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
@@ -70,7 +70,7 @@ def plain(text: str) -> str:
 
 def spelt(text: str) -> str | None:
     """The unit that a text is a spelling of (`µm`, `Volts`, `кВ`), or None."""
-    bare = plain(text).strip("()[]{}<>").strip()
+    bare = plain(text).strip("()[]{}<>").strip().removesuffix(".")
     if bare in ("Nm", "mNm"):  # nm is a length
         return bare[:-1] + " m"
     return bare if bare in _FACTORS else _SPELLINGS.get(bare.lower())

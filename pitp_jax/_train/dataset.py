@@ -80,7 +80,7 @@ def build_dataset(
     features, equation = [], []
     for r, s in zip(records, states, strict=True):
         x = s.states / scale
-        rest = starts_at_rest(r, nominal.output.offset)
+        rest = starts_at_rest(r, nominal.output.offset, nominal.natural_frequency)
         # of a record that begins moving nothing is known of the past: as if it had been held where it is
         start = model.memory.initial(jnp.asarray(0.0 if rest else x[0, 0], jnp.float32))
         past = model.memory.trajectory(jnp.asarray(x[:, 0], jnp.float32), dt, start)

@@ -33,6 +33,8 @@ from .._record.initial_state import aligned, noise_std
 from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
+from .._simulate.beginnings import first_level, with_zero_at_rest
+from .._simulate.decoder import settled_state
 from .._simulate.prediction import begin
 from .creep_balance import SlowBalance
 from .dataset import Dataset
@@ -223,32 +225,46 @@ def _free(
             [size, min(size, max(BUDGET // 2 // len(sets[1]), _SHORTEST))],
             [0.5 / len(some) for some in sets],
         )
+    start, spent, begun = begin(model, records)
+    begins = list(zip(start, spent, with_zero_at_rest(records, begun), strict=True))
     return tuple(
-        _from_the_start(model, [records[k] for k in some], samples, part * each[some])
+        _from_the_start(model, [records[k] for k in some], [begins[k] for k in some], samples, part * each[some])
         for some, samples, part in zip(sets, sizes, parts, strict=True)
     )
 
 
-def _from_the_start(model: Model, records: Sequence[Record], size: int, each: Float[np.ndarray, " records"]) -> Runs:
+def _from_the_start(
+    model: Model, records: Sequence[Record], begins: Sequence[tuple], size: int, each: Float[np.ndarray, " records"]
+) -> Runs:
     """Pad the first `size` samples to arrays; what an initial state was estimated from has no weight.
 
-    Records that do not begin at rest have a zero of their own, projected out of their errors.
+    A held record with the zero of those at rest starts where it was measured, and says what the static curve is.
+    Others that do not begin at rest have a zero of their own, projected out of their errors.
     """
     shape = len(records), size
     voltage, target, weight = (np.zeros(shape, np.float32) for _ in range(3))
-    start, spent, begun = begin(model, records)
-    for k, (given, b) in enumerate(zip(records, begun, strict=True)):
+    starts = []
+    for k, (given, (start, spent, b)) in enumerate(zip(records, begins, strict=True)):
         r = aligned(given, b, model.output)
+        starts.append(_settled(model, r) if b.begins == "held" and not b.free else start)
         n = min(size, r.samples)
         x = model.output.to_model(r.displacement) / model.scales.state[0]
         seen = np.isfinite(x[:n])
-        seen[: spent[k]] = False
+        seen[:spent] = False
         voltage[k, :n], voltage[k, n:] = (
             r.voltage[:n],
             r.voltage[n - 1],
         )  # a jump to 0 V could throw an unstable fit off
         target[k, :n] = np.where(seen, x[:n], 0.0)
         weight[k, :n] = each[k] * seen / max(seen.sum(), 1)
+    start = jnp.stack(starts)
     rest = np.asarray(~start[:, : model.order].any(1), np.float32)
-    own = np.array([b.begins != "rest" for b in begun], np.float32)
+    own = np.array([b.free for _, _, b in begins], np.float32)
     return Runs(start, *(jnp.asarray(v) for v in (rest, voltage, target, weight, own)))
+
+
+def _settled(model: Model, record: Record):
+    """Compute the state of a record that stood long where it begins, under its first voltage."""
+    x = jnp.asarray(model.output.to_model(first_level(record)) / model.scales.state[0], model.coefficients.dtype)
+    state = jnp.zeros(model.order, x.dtype).at[0].set(x)
+    return settled_state(model, state, x, jnp.asarray(record.voltage[0], x.dtype), 0.0)

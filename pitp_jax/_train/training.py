@@ -27,11 +27,12 @@ from .._model.model import Hold, Model
 from .._model.programs import jit
 from .._model.substeps import substeps
 from .._model_file.lineage import descended
-from .._record.initial_state import aligned, in_motion
+from .._record.initial_state import Beginning, aligned, in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
 from .._record.sets import check_set
 from .._shown import Shown
+from .._simulate.beginnings import with_zero_at_rest
 from .._simulate.prediction import begin
 from .creep_balance import OUTLASTS, SlowBalance, slow_balance, widened
 from .dataset import Dataset, build_dataset
@@ -125,7 +126,9 @@ def train(
     nominal = _at(nominal, records[0].dt, hold=nominal.hold if records is seen else "foh")
     compare = judge(nominal, records)
     # the equation error needs x itself: each record's own zero and direction are taken out first
-    records = [aligned(r, b, nominal.output) for r, b in zip(records, begin(nominal, records)[2], strict=True)]
+    begun = with_zero_at_rest(records, begin(nominal, records)[2])
+    nominal = _with_zero(nominal, parent.origin.long_record, begun)
+    records = [aligned(r, b, nominal.output) for r, b in zip(records, begun, strict=True)]
     data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
@@ -159,6 +162,14 @@ def _at(model: Model, dt: float, hold: Hold) -> Model:
     """Convert the model to records of this sampling interval."""
     count = max(round(model.substeps * dt / model.dt), substeps(model.physical_coefficients, dt))
     return replace(model, substeps=count, hold=hold, domain=replace(model.domain, dt=dt))
+
+
+def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginning]) -> Model:
+    """Give the nominal the zero of the records at rest, where its own was never seen at 0 V."""
+    known = [b for b in begun if not b.free]
+    if long is None or long.rest or not known:
+        return nominal
+    return replace(nominal, output=replace(nominal.output, offset=known[0].zero))
 
 
 def _prepared(

@@ -4,8 +4,10 @@ import os
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from cli_cases import motion, refused, tree, write_record
+from scipy.signal import lfilter
 
 from pitp_jax._commands import outputs
 from pitp_jax._report import html
@@ -144,3 +146,16 @@ def test_joints_of_a_log_are_linked_from_the_folder_above(call, tmp_path):
     assert code == 0, err
     index = (tmp_path / "d" / "index.html").read_text()
     assert re.findall('href="(.*?)"', index) == ["hip/check.html", "knee/check.html"]
+
+
+def test_joints_of_a_parquet_file_speak_of_their_own_units(call, tmp_path):
+    """One drive in degrees: no volts of an amplifier's monitor, and amplitudes of the drive in its unit."""
+    pytest.importorskip("pyarrow")
+    t = np.arange(3000) / 100
+    u, log = 20 + 10 * np.sin(2 * t), tmp_path / "log.parquet"
+    answer = np.asarray(lfilter([0.02], [1, -1.96, 0.98], u))
+    pd.DataFrame({"time_s": t, "cmd (deg)": u, "knee (deg)": answer, "hip (deg)": -answer}).to_parquet(log)
+    each = ["--each", "knee=cmd (deg),knee (deg)", "--each", "hip=cmd (deg),hip (deg)"]
+    code, out, err = call("check", log, *each)
+    assert code == 0 and out.count("== ") == 2, err
+    assert "monitor" not in out and " V" not in out and re.search(r"of [\d.]+ deg", out), out

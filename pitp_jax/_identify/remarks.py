@@ -1,0 +1,161 @@
+"""What an engineer has to know beside the numbers of an identification, a sentence each.
+
+    weakest direction:  d log a = v sqrt(l)             v, l: eigenvector of the largest eigenvalue of cov log a
+    creep:              e = b s + w,  tau s' = F - s    e: what the model leaves; BIC asks for b, w coloured
+
+Each line ends with what to record, or to ask, about it.
+"""
+
+import numpy as np
+
+from .._numerics.coloured_noise import block_means, criterion, project, whitener
+from .heldout import Candidate
+from .linear_ode import respond
+from .order_fit import OrderFit
+from .output_error import FASTEST, Problem, driven, own_columns, solve
+from .unstable import unstable_pole
+
+_BOUND = 0.97  # of a bound: a fit that ends beyond it stands there
+_WEAK = 0.1  # standard error, of a coefficient, above which a direction is told as weak
+_PART = 0.3  # of a direction, below which a coefficient has no part in it
+_USELESS = 0.1  # of the output's deviation: a model that leaves more held out may be one of an unstable plant
+_NEAR_ZERO = 0.1  # of the largest drive
+_BLOCKS = 256  # of a record, in whose means creep is sought
+_LAGS = np.geomspace(0.1, 10.0, 9)  # of the longest record
+_SURE, _SEEN = 10.0, 0.01  # BIC that creep has to win; of the output's deviation that it has to move
+
+
+def refusal(fit: OrderFit, problem: Problem) -> str:
+    """Say why the asked order was refused, and what to do."""
+    why = "its poles are not determined by the data" if fit.converged else "the least squares ran away"
+    if _at_fastest(fit, problem):
+        hz = FASTEST / problem.fine / (2 * np.pi)
+        why = f"a pole stands at the fastest that these samples could show, {hz:.3g} Hz"
+    where = f"order {fit.order} cannot be identified from these records ({why})"
+    return f"{where}; a lower one may be; record a sweep or use --order auto"
+
+
+def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) -> list[str]:
+    """List what the records leave open about this fit; `every`: all orders were tried, not one that was asked for."""
+    if every and chosen.heldout.score > _USELESS and (line := unstable_line(chosen, problem)):
+        return [line]
+    said, slowest = [], 2 * np.pi * float(fit.natural_hz[0])
+    if fit.static:
+        said.append(f"static within the band: no pole below {1.5 / (2 * np.pi * problem.fine):.3g} Hz is seen")
+    if fit.integrates:
+        said.append(
+            f"the output integrates the drive (a plant without a spring, a0 not known): free runs drift; an input "
+            f"off by 1 unit moves the output by {1 / fit.coefficients[1]:.3g} base units more every second"
+        )
+    elif slowest * problem.seconds < 1 and fit.order > 1:
+        said.append(
+            f"a pole at {slowest / (2 * np.pi):.2g} Hz is slower than these records: {3 / slowest:.2g} s would show it"
+        )
+    if not any(b.begins == "rest" or _near_zero(d) for b, d in zip(problem.beginnings, problem.drive, strict=True)):
+        said.append("no record begins at 0 V or comes near it: the displacement there cannot be known, 0 is a guess")
+    if fit.delay > _BOUND * problem.seconds / 4:
+        said.append(
+            f"the delay stands at the longest that is sought, {problem.seconds / 4:.3g} s, a quarter of the longest "
+            "record: do drive and output have one clock?"
+        )
+    return said + _weak(fit) + _creep(chosen, problem)
+
+
+def _near_zero(drive: np.ndarray) -> bool:
+    return bool(drive.min() <= 0 <= drive.max() or np.abs(drive).min() < _NEAR_ZERO * np.abs(drive).max())
+
+
+def _at_fastest(fit: OrderFit, problem: Problem) -> bool:
+    return bool(not fit.static and 2 * np.pi * fit.natural_hz[-1] > _BOUND * FASTEST / problem.fine)
+
+
+def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
+    """Say that the plant is unstable and what to record instead; None where a pole on the right explains nothing."""
+    left = float(np.sqrt(chosen.cost))
+    better = unstable_pole(left, problem)
+    if better is None:
+        return None
+    pole, rms = better
+    where = f"{pole.real:.3g} 1/s" if not pole.imag else f"{pole.real:.3g} +- {pole.imag:.3g}j 1/s"
+    return (
+        f"unstable: a pole at +{where} leaves {100 * rms:.2g} % of these records' motion, the best stable model "
+        f"{100 * left:.2g} %: no free run of this plant stays near it. Record the closed loop instead, its reference "
+        "as the input and the same output, and identify that"
+    )
+
+
+def _weak(fit: OrderFit) -> list[str]:
+    """Name coefficients without influence, and the direction among the others in which the records say least."""
+    relative = fit.stderr / np.abs(fit.coefficients)
+    hidden = {0} if fit.integrates else {1} if fit.static else set()
+    # one that is not known is hidden behind a sentence of its own
+    without = [i for i, e in enumerate(relative) if e > 1 and i not in hidden]
+    names = ", ".join(f"a{i}" for i in without)
+    said = [f"without influence on these records, and so not known: {names}"] if without else []
+    rest = [i for i in range(fit.order + 1) if i not in (*without, *hidden)]
+    spread = (fit.correlation * np.outer(relative, relative))[np.ix_(rest, rest)]
+    values, vectors = np.linalg.eigh(spread)
+    if len(rest) < 2 or not np.isfinite(values).all() or values[-1] < _WEAK**2:
+        return said
+    most = vectors[:, -1] * np.sqrt(values[-1])
+    most = most * np.sign(most[np.argmax(np.abs(most))])
+    parts = [f"a{i} {100 * m:+.2g} %" for i, m in zip(rest, most, strict=True) if abs(m) > _PART * np.abs(most).max()]
+    together = " together" * (len(parts) > 1)
+    return [
+        *said,
+        f"weakest direction: {' with '.join(parts)}{together} changes these records least (one standard error)",
+    ]
+
+
+def _creep(chosen: Candidate, problem: Problem) -> list[str]:
+    """Tell creep that the order has no pole for, and how long a constant drive would show it."""
+    taus = _LAGS * problem.seconds
+    error, linear, lags, drift = _slow_parts(chosen, problem, taus)
+    # by the spectrum of what the richest explanation leaves: creep itself would whiten itself away
+    white = whitener(project(error, np.column_stack([linear, *lags, drift]))[1])
+
+    def score(*more: np.ndarray) -> float:
+        columns = np.column_stack([linear, *more])
+        return criterion(project(white(error), white(columns))[1], columns.shape[1] - linear.shape[1])
+
+    plain, line = score(), score(drift)
+    scores = [score(lag) + np.log(len(error)) for lag in lags]  # tau is a number too
+    best = int(np.argmin(scores))
+    richer = project(error, np.column_stack([linear, lags[best], drift]))[1]
+    moved = float(np.std(project(error, linear)[1] - richer))
+    spread = float(np.sqrt(np.mean([np.var(o[w > 0]) for o, w in zip(problem.output, problem.weight, strict=True)])))
+    if min(scores[best], line) > plain - _SURE or moved < _SEEN * spread:
+        return []
+    part, tau = f"{100 * moved / spread:.2g} % of these records' deviation", taus[best]
+    if scores[best] > line - _SURE:  # a line in time per record, which has nothing to do with the drive, does as well
+        return [
+            f"a slow drift makes {part}: creep slower than they are, or the sensor's own; a constant drive for "
+            f"{3 * problem.seconds:.2g} s would show which"
+        ]
+    return [
+        f"creep: a lag of some {tau:.2g} s{' or more' * (best == len(taus) - 1)} makes {part}, and order "
+        f"{chosen.structure.order} has no pole for it; a constant drive for {3 * tau:.2g} s would show it"
+    ]
+
+
+def _slow_parts(chosen: Candidate, problem: Problem, taus: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Average over blocks, records end to end: what is left, (T,); the linear numbers' columns; lags; lines in time."""
+    params, structure = chosen.params, chosen.structure
+    solved, parts = solve(params, structure, problem), []
+    for k, weight in enumerate(problem.weight):
+        own, time = own_columns(params, structure, problem, k)[0], np.linspace(0.0, 1.0, len(weight))
+        zeros = np.zeros((len(weight), max(problem.free_zeros, 1)))
+        zeros[:, max(problem.zeros[k], 0)] = problem.zeros[k] >= 0
+        lags = [
+            respond(np.array([-np.log(tau)]), problem.drive[k], step=problem.dt, square=problem.square, hold="foh",
+                    settled=problem.beginnings[k].begins != "rest") for tau in taus
+        ]  # fmt: skip
+        apart = [np.zeros((len(weight), 1)) for _ in problem.weight]
+        apart[k] = time[:, None]
+        columns = [solved.left[k], driven(params, structure, problem, k), zeros, *lags, *apart]
+        wide = np.column_stack(columns)
+        # what the record's own initial state takes up tells of no creep
+        wide = wide - own @ np.linalg.lstsq(own, wide, rcond=1e-10)[0] if own.size else wide
+        parts.append(block_means(wide, weight, max(len(weight) // _BLOCKS, 1))[0])
+    rows, n = np.concatenate(parts), 2 + max(problem.free_zeros, 1)
+    return rows[:, 0], rows[:, 1:n], rows[:, n : n + len(taus)].T, rows[:, n + len(taus) :]

@@ -1,0 +1,77 @@
+"""Whether a pole on the right of the axis explains records that no stable model does: a plant that a loop holds up.
+
+    P(d/dt) x = F,    x(t) = sum_i r_i m_i(t) + c_i n_i(t),    m_i' = p_i m_i + F
+    n_i = e^{p_i t}  where Re p_i < 0,    e^{p_i (t - T)}  where Re p_i > 0      (`bounded_response`)
+
+A run forward in time leaves every range within a few 1 / Re p. The motion that was recorded did not: it is the one
+solution that both ends of the record bound, and a mode on the right is computed from the end back. Poles by least
+squares from a grid; inside, linearly, every record's gain, zero and free responses.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from .linear_ode import bounded_response
+from .output_error import Problem, inverse
+
+_ORDERS, _GRID = (1, 2, 3), 4
+_GROWS = 3.0  # e-fold over the record, at least: less is a drift, or no damping
+_FRACTION = 0.5  # of what the stable model leaves: free ends alone buy less
+
+
+def unstable_pole(left: float, problem: Problem) -> tuple[complex, float] | None:
+    """The pole on the right (rad/s) of a model that leaves at most half of `left`, and what it leaves; else None.
+
+    `left`: rms that the stable model leaves, of the output's. A pole above the drive's band counts for none: it would
+    be an output that runs ahead of the drive.
+    """
+    best = None
+    for order in _ORDERS:
+        for pair in (False, True)[: 1 + (order > 1)]:
+            scored = sorted((_cost(p, pair, problem), tuple(p)) for p in _starts(order, pair, problem))
+            fit = least_squares(_residual, scored[0][1], args=(pair, problem), x_scale=0.5, max_nfev=20)
+            pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
+            grows = pole.real * problem.seconds > _GROWS
+            if (
+                grows
+                and abs(pole) < problem.omega
+                and rms <= _FRACTION * left
+                and (best is None or rms < _FRACTION * best[1])
+            ):
+                best = complex(pole), rms
+    return best
+
+
+def _starts(order: int, pair: bool, problem: Problem) -> Iterator[np.ndarray]:
+    """Logarithms of the sizes of the poles on the right and on the left, ascending; of a pair its real part first."""
+    grid = np.log(np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID))
+    others = [np.sort(grid)[k : k + order - 1 - pair] for k in range(_GRID - (order - 1 - pair) + 1)]
+    for size in grid:
+        for rest in others:
+            yield np.concatenate([[size - 1.5, size] if pair else [size], rest + 0.1 * np.arange(len(rest))])
+
+
+def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
+    """The pole or the pair on the right first (rad/s)."""
+    sizes = np.exp(np.asarray(params))
+    if not pair:
+        return np.append(sizes[0], -sizes[1:]).astype(complex)
+    return np.concatenate([[sizes[0] + 1j * sizes[1], sizes[0] - 1j * sizes[1]], -sizes[2:]])
+
+
+def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
+    """What is left of every record, over the square root of all samples."""
+    found = []
+    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+        force = drive**2 if problem.square else drive
+        run, free = bounded_response(_poles(params, pair) * problem.dt, force - force.mean(), "foh")
+        rows = weight * np.vstack([run / (np.abs(run).max() + 1e-300), np.ones(len(run)), free.T])
+        found.append(weight * output - inverse(rows @ rows.T) @ (rows @ (weight * output)) @ rows)
+    return np.concatenate(found) / np.sqrt(problem.samples)
+
+
+def _cost(params: np.ndarray, pair: bool, problem: Problem) -> float:
+    left = _residual(params, pair, problem)
+    return float(left @ left)
