@@ -1,5 +1,7 @@
 """What a diagnosis says of plants simulated here, by public names alone, whatever the package is inside."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from test_edge import TOP, reading, response, sweep
@@ -41,7 +43,7 @@ def sine(hz, top, seconds=6.0):
 @pytest.mark.slow
 def test_names_of_files_decide_nothing(nominal):
     """Four sines of one frequency, an end stop beyond 0.15 strokes: the same figures under other names."""
-    stop = {"force": lambda x, v: -4.0 * max(x - 0.15, 0.0)}
+    stop: dict[str, Any] = {"force": lambda x, v: -4.0 * max(x - 0.15, 0.0)}
     drives = [sine(3.0, top) for top in (500.0, 800.0, 1100.0, 1500.0)]
     told = []
     for names in ("abcd", "bdac"):
@@ -56,7 +58,7 @@ def test_names_of_files_decide_nothing(nominal):
 @pytest.mark.slow
 def test_the_interval_of_what_is_closed_lies_between_minus_one_and_one(nominal):
     """A sweep alone, damping that grows with the stroke: the floor is as large as the gap."""
-    rough = {"force": lambda x, v: -2 * ZETA * 12 * x * x * v}
+    rough: dict[str, Any] = {"force": lambda x, v: -2 * ZETA * 12 * x * x * v}
     found = pitp.diagnose(nominal, [played("sweep", sweep(RATE), **rough)])
     for ends in [found.gap.ci95, *(row.ci95 for row in found.ranking)]:
         assert ends is None or -1 <= ends[0] <= ends[1] <= 1

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from .._effects import CATALOGUE
+from .._effects import CATALOGUE, lookup
 from .._effects.found_term import FOUND_TERM, sparse_term
 from .._effects.found_term import NAMES as TERMS
 from .._model.encoder import ConstantEncoder
@@ -287,13 +287,13 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
     if slots[INDEX["bouc"]] > 0 and "bouc" in on:
         kappa, give, gamma = (slots[INDEX[k]] for k in ("bouc", "yield", "gamma"))
         if gamma:  # the simulator bounds it
-            loop = row("hysteresis", "Bouc-Wen, either sign"), (kappa, give, 1.5 * np.tanh(gamma / 1.5))
+            loop = lookup("hysteresis", "Bouc-Wen, either sign")(kappa, give, 1.5 * np.tanh(gamma / 1.5))
         elif give < GIVE:
-            loop = row("coulomb_friction", "bristles"), (slots[INDEX["a0"]] * kappa * give, give)
+            loop = lookup("coulomb_friction", "bristles")(slots[INDEX["a0"]] * kappa * give, give)
         else:
-            loop = row("hysteresis", "Dahl"), (kappa, give)
+            loop = lookup("hysteresis", "Dahl")(kappa, give)
         codes = ("bouc", "yield", "gamma")[: 3 if gamma else 2]
-        found.append((loop[0](*loop[1]), codes))
+        found.append((loop, codes))
         used.update(codes)
     for (name, form), codes in sorted(ROWS.items(), key=lambda item: -len(item[1])):  # the fullest form that fits
         signed = name != "charge_leak" or slots[INDEX["charge"]] < 0
