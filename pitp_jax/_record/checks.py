@@ -67,6 +67,7 @@ def check_samples(
             f"column {columns[2]!r}, {place(0)} to {len(displacement) - 1}: every output sample is "
             "missing; leave this record out or pick another column with --output-column"
         )
+    # an infinite time was told above
     if not np.isinf(time).any():
         try:
             (check_time if uniform else _check_clock)(time, source, columns[0], place)
@@ -172,8 +173,10 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
             f"{source}: column {column!r}, {place(at)}: time {how} ({time[at - 1]:.9g} s, then "
             f"{time[at]:.9g} s); sort or split the record there"
         )
+    # the usual step, whatever a gap adds
     typical, offset = float(np.median(steps)), _grid_offset(time)
     jumps = np.abs(steps / typical - 1.0) > 2 * TIME_TOLERANCE
+    # drift has no jump: then the sample farthest from the grid
     at = _first(jumps) + 1 if jumps.any() else int(np.argmax(offset))
     raise BadInput(
         f"{source}: column {column!r}, {place(at)}: time is not uniform (step "

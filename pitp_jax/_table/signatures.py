@@ -25,6 +25,7 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
     separator = "," if any(line.startswith("Separator,Comma") for line in lines[:12]) else "\t"
     rows = [[cell.strip() for cell in line.split(separator)] for line in lines]
     keys = {row[0].lower(): row[1:] for row in rows if len(row) > 1}
+    # one header for the file and one for every segment: names follow the last
     ends = [k for k, row in enumerate(rows) if row[0].lower() == _END]
     if not ends or len(rows) <= ends[-1] + 2:
         raise BadInput(f"{source}: a LabVIEW file without a table below its header; write it again")
@@ -39,9 +40,11 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
     first += named
     timed = keys.get("x_dimension", ["Time"])[0].lower() in ("time", "")
     units = ["s" if timed else "?", *keys.get("y_unit_label", [])]
+    # then the first column is empty, and Delta_X the only clock
     none = keys.get("x_columns", [""])[0].lower() == "no"
     columns = [Column(cleaned(n), u or None) for n, u in zip(names, [*units, *[""] * len(names)], strict=False)]
     columns[0] = Column("", form="text") if none else columns[0]
+    # the comment column is often not filled
     width = max(len(names), *(len(row) for row in rows[first:]))
     columns += [Column("", form="text")] * (width - len(columns))
     step = keys.get("delta_x", [""])[0] if none else ""
