@@ -47,8 +47,8 @@ def test_units(tmp_path, unit, out, clock):
         ("voltage_command_V", "voltage_command", "V"),
         ("Zeit", "Zeit", None),
         ("voltage_MV", "voltage_MV", None),  # a megavolt, and no millivolt
-        ("V(in)", "in", "V"),  # of a SPICE program: the node called in, no inches
-        ("I(R1)", "R1", "A"),
+        ("V(in)", "V(in)", None),  # of a SPICE program: the node called in, no inches
+        ("x (in)", "x", "inch"),
         ("V(mm)", "V", "mm"),
     ],
 )

@@ -300,9 +300,7 @@ def test_dates_over_midnight(tmp_path, form):
 def test_stamps_of_a_serial_monitor(tmp_path):
     """It writes the hour and an arrow before what the board sent."""
     start, sent = datetime(2026, 11, 24, 23, 59, 59, 950_000), zip(VOLTAGE, OUTPUT, strict=True)
-    lines = [
-        f"{start + timedelta(milliseconds=k):%H:%M:%S.%f} -> {u:.17g},{x:.17g}\n" for k, (u, x) in enumerate(sent)
-    ]
+    lines = [f"{start + timedelta(milliseconds=k):%H:%M:%S.%f} -> {u:.17g},{x:.17g}\n" for k, (u, x) in enumerate(sent)]
     (tmp_path / "a.txt").write_text("".join(lines))
     said = {"time_column": "1", "input_column": "2", "output_column": "3", "input_unit": "V", "output_unit": "mm"}
     (record,) = read(tmp_path / "a.txt", **said)

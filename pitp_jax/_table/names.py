@@ -31,7 +31,6 @@ _LAST = re.compile(r"^(.*\S)(?:\s*[_,:;-]\s*|\s+)(\S+)$")
 _ROLE_OF = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None}
 _OWN = {"A": {"current", "strom", "i", "input", "output"}, "N": {"force", "kraft", "f", "input", "output"}}
 _R_BRACKETS = re.compile(r"\.\.([^.\s]+)\.$")  # R makes `Weg..mm.` of `Weg (mm)`
-_SPICE = re.compile(r"([VIvi])\(([^()]+)\)")  # the voltage of a node, the current through a part: V(out), I(R1)
 _PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  # what no quantity is called
 
 
@@ -72,13 +71,11 @@ def read_header(text: str) -> Header:
 
 def _parted(text: str) -> tuple[str, str | None, str | None]:
     unknown, text = None, _R_BRACKETS.sub(r" (\1)", text)
-    probe = _SPICE.fullmatch(text)
-    if probe and (probe[2] == "in" or not spelt(probe[2])):
-        return probe[2], probe[1].upper().replace("I", "A"), None
     for bracket in _BRACKETS.finditer(text):
         inside = bracket[1]
         # `(in)` is an inch, the word before a unit is none
-        unit = "inch" if inside == "in" else spelt(inside) or spelt(re.split(r"[,;]", inside)[0])
+        inch = inside == "in" and text[: bracket.start()].strip() not in ("V", "I")  # V(in) is a node of SPICE
+        unit = "inch" if inch else spelt(inside) or spelt(re.split(r"[,;]", inside)[0])
         if unit:
             return (text[: bracket.start()] + text[bracket.end() :]).strip(), unit, None
         if not inside.isdecimal():  # position[2] is the third joint
