@@ -83,11 +83,13 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
             for block in some:
                 mask[block] = 0.0
         rest = masked(problem, keep)
+        # from the fit of all samples: a few steps, since only what the left-out third adds is taken back
         refitted = least_squares(params, structure, rest, _STEPS, _LEAST_STEP)[0]
         solved = solve(refitted, structure, rest)
         for k, some in enumerate(parts):
             run = solved.gains[0] * driven(refitted, structure, problem, k)
             own, rings = own_columns(refitted, structure, problem, k)
+            # a real mode's free response is drift or creep, which goes on; one that rings has no credit
             run = run + own[:, ~rings] @ solved.own[k][~rings]
             for block in some:
                 weight = problem.weight[k][block].copy()
