@@ -63,7 +63,7 @@ ROOMS = {
     "_invert": ("inverse", "limits", "trim", "inverse_effects"),
     "_identify": ("poles", "frequency_response", "rest", "identify"),
     "_train": ("residual", "free_runs", "sensitivity", "slow", "refine", "train"),
-    "_diagnose": ("diagnose_parts", "intervals", "usable", "nominal_doubt", "second", "diagnose"),
+    "_diagnose": ("evidence", "simulator", "fits", "usable", "diagnose"),
 }
 
 

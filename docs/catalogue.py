@@ -1,6 +1,6 @@
 """The catalogue's pages, one per effect, made from its rows: equation, parameters, signature, what it resembles.
 
-    signature   d = y_effect - y_nominal        on every drive of `drives`, at a strong start of its first form
+    signature   d = y_effect - y_nominal        on every drive of `drives`, its first form at the numbers of the tests
     refit       share of |d|^2 that the nominal's coefficients take up when they are fitted along
     resembles   b with the largest |cos(d_a, d_b)| over all drives;  parted by the drive with most of |d_a - beta d_b|^2
 
@@ -10,6 +10,7 @@ The nominal is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,19 +19,19 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.signal import lsim
 
-import pitp_jax as pitp
-from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
-from pitp_jax._diagnose.case import build_case
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from effect_numbers import NUMBERS
+
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._effects.spec import EffectSpec
 from pitp_jax._model.domain import Domain
 from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, linear_model
+from pitp_jax._model.model import Model, Output, linear_model
 from pitp_jax._report.lines import ERROR, MEASURED
+from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
 
 HZ, ZETA, DT, SAMPLES = 5.0, 0.1, 2e-3, 2000  # 4 s, what one compiled chunk holds
-PLAIN = 0.5  # the strongest start is drawn that moves the output by less than half of it
 STIFFNESS = 1e9  # V^2/m: 1 mm at 1000 V
 TIME = np.arange(SAMPLES) * DT
 EFFECTS = Path(__file__).with_name("effects.md")
@@ -59,6 +60,15 @@ def drives() -> dict[str, np.ndarray]:
     }
 
 
+def runs(model: Model, played) -> np.ndarray:
+    """Readings (mm) from rest under every drive, one a minute of a session."""
+    found = []
+    for k, u in enumerate(played):
+        states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model, 60.0 * k))
+        found.append(np.asarray(ports.readings(model, states), float))
+    return np.stack(found)
+
+
 def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str, SimpleNamespace]]:
     """What the nominal does, how its coefficients move it, what every effect makes of it, and the numbers used.
 
@@ -73,24 +83,12 @@ def responses() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str
         hold="foh", substeps=1, domain=known,
     )  # fmt: skip
     played = list(drives().values())
-    records = []
-    for k, u in enumerate(played):
-        x = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0], float) * 1e-3
-        records.append(pitp.Record(f"r{k}", TIME + 60.0 * k, u, x))
-    case = build_case(model, records)
     first: dict[str, EffectSpec] = {}
     for form in CATALOGUE:
-        if form.start(case.surroundings):
-            first.setdefault(form.name, form)
-    tried = [(n, f, start.values) for n, f in first.items() for start in f.start(case.surroundings)]
-    lanes = [Lane((), (), np.ones(3), k) for k in range(len(played))]
-    lanes += [Lane((form,), (values,), np.ones(3), k) for _, form, values in tried for k in range(len(played))]
-    rows = np.stack(Lanes(case, [tuple(first.values())]).run(lanes)).astype(float).reshape(-1, len(played), SAMPLES)
-    nominal, made, numbers, strongest = rows[0], {}, {}, {}
-    for (name, form, values), y in zip(tried, rows[1:], strict=True):
-        size = np.linalg.norm(y - nominal) / np.linalg.norm(nominal)
-        if name not in made or strongest[name] < size < PLAIN or size < PLAIN < strongest[name]:
-            made[name], numbers[name], strongest[name] = y, SimpleNamespace(form=form, values=values), size
+        first.setdefault(form.name, form)
+    numbers = {n: SimpleNamespace(form=f, values=NUMBERS[f.key]) for n, f in first.items()}
+    nominal = runs(model, played)
+    made = {n: runs(replace(model, effects=(k.form(*k.values),)), played) for n, k in numbers.items()}
 
     def linear(factors):
         return np.stack([lsim(([1.0], (a * factors)[::-1]), u**2, TIME)[1] for u in played]) * 1e3

@@ -77,7 +77,7 @@ def told(finding) -> None:
     print(finding)
     for added in finding.added:
         print(f"{added.effect} ({added.form}):", {k: (v["value"], v["unit"]) for k, v in added.parameters.items()})
-    rows = [(r.effect, r.form, r.train, r.heldout) for r in finding.ranking if not r.screened]
+    rows = [(r.effect, r.form, r.train, r.heldout) for r in finding.ranking]
     show("ranking, % of range", ("effect", "form", "fitted", "held out"), rows[:6])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pitp_jax._diagnose.diagnosis import Diagnosis
 from pitp_jax._diagnose.next_experiment import Experiment
-from pitp_jax._diagnose.result import Gap, Ranked, Trace
+from pitp_jax._diagnose.result import Added, Gap, Ranked, Trace
 from pitp_jax._effects import effect
 from pitp_jax._model import Fitted, Origin
 
@@ -22,7 +22,7 @@ def traces(error=2e-4, hum=0.0):
         measured = x.copy()
         measured[100:110] = np.nan
         voltage = 1000 * (1 - np.cos(2 * np.pi * (1 + k) * T))
-        found.append(Trace(name, k > 0, T + 10 * k, voltage, measured, x + off, x + off / 50))
+        found.append(Trace(name, True, T + 10 * k, voltage, measured, x + off, x + off / 50))
     return tuple(found)
 
 
@@ -50,25 +50,35 @@ def where():
     }
 
 
-def candidate(effect, form, parameters, closed, **options):
+def candidate(effect, form, parameters, closed):
     told = {name: {"value": value, "unit": unit, "stderr": e} for name, (value, unit, e) in parameters.items()}
-    ci = None if closed is None or options.get("screened") else (closed - 0.02, closed + 0.01)
-    return Ranked(effect, "family", form, told, 1.0, 1.5, closed, ci, options.get("screened", False))
+    ci = None if closed is None else (closed - 0.02, closed + 0.01)
+    return Ranked(effect, "family", form, told, 1.0, 1.5, closed, ci, 1.0)
+
+
+def budget(*named):
+    """Shares that add to one."""
+    effects = {n: {"share": v, "ci95": [v - 0.05, v + 0.05], "probability": 0.97, "equivalent": []} for n, v in named}
+    rest = 0.98 - sum(v for _, v in named)
+    parts = {"nuisance": 0.01, "parameters": 0.0, "unnamed": 0.01, "unexplainable": rest}
+    return {k: {"share": v, "ci95": [v - 0.01, v + 0.01]} for k, v in parts.items()} | {"effects": effects}
 
 
 def explained(actuator):
     """An `explained` diagnosis by an electrode's lag, in mm."""
     model = replace(actuator, effects=(effect("electrode_rc", tau=0.012345),))
     return Diagnosis(
-        verdict="explained", effects=("electrode_rc",), equivalent=(), added=(),
+        verdict="explained", effects=("electrode_rc",), equivalent=(), probability={"electrode_rc": 0.97},
+        added=(Added("electrode_rc", "one lag", {"tau": {"value": 0.012345, "unit": "s", "stderr": 2.1e-4}}),),
+        budget=budget(("electrode_rc", 0.9)), handed_back=("electrode_rc",),
         gap=Gap(8.0, 0.41, 8.0, 0.4, "a <band>", 0.995, (0.98, 1.0)),
         ranking=(
             candidate("electrode_rc", "one lag", {"tau": (0.012345, "s", 2.1e-4)}, 0.995),
             candidate("delay", "pure", {"time": (0.011, "s", 1e-3)}, 0.62),
-            candidate("voltage_clip", "hard", {"inverse": (2e-4, "1/V", None)}, 0.3, screened=True),
-            candidate("drag", "quadratic", {"c": (4.2e7, "V^2 s^2/m^2", None)}, -0.4, screened=True),
+            candidate("voltage_clip", "hard", {"inverse": (2e-4, "1/V", None)}, 0.3),
+            candidate("drag", "quadratic", {"c": (4.2e7, "V^2 s^2/m^2", None)}, -0.4),
         ),
-        where=where(), next_experiment=None, fitted=NAMES[:1], heldout=NAMES[1:], shift=np.ones(3), traces=traces(),
+        where=where(), next_experiment=None, fitted=NAMES, heldout=NAMES, shift=np.ones(3), traces=traces(),
         model=Fitted(model, Origin(displacement_unit="mm")),
     )  # fmt: skip
 
@@ -84,11 +94,32 @@ def no_gap(found):
     gap = Gap(0.41, 0.41, 0.41, 0.4, "a band", None, None)
     ranking = tuple(replace(r, closed_fraction=None, ci95=None) for r in found.ranking)
     model = replace(found.model, effects=())
-    return replace(found, verdict="no_gap", effects=(), gap=gap, ranking=ranking, model=model)
+    return replace(
+        found,
+        verdict="no_gap",
+        effects=(),
+        gap=gap,
+        ranking=ranking,
+        model=model,
+        added=(),
+        handed_back=(),
+        budget=budget(),
+    )
 
 
 def unknown(found):
     """Nothing helps."""
     gap, model = Gap(8.0, 7.9, 8.0, 0.4, "a band", 0.01, (0.0, 0.02)), replace(found.model, effects=())
     ranking = tuple(replace(r, closed_fraction=0.01) for r in found.ranking)
-    return replace(found, verdict="unknown", effects=(), gap=gap, ranking=ranking, model=model)
+    return replace(
+        found,
+        verdict="unknown",
+        effects=(),
+        gap=gap,
+        ranking=ranking,
+        model=model,
+        added=(),
+        handed_back=(),
+        budget=budget(),
+        notes=("no effect of the catalogue pays",),
+    )

@@ -96,6 +96,16 @@ def _mode() -> dict[str, Any]:
     }
 
 
+def _hung_pull(x, v, s, p, a, t):
+    """Spring and damper between the two masses."""
+    return a[0] * p.kappa * (x - s[0] + 2 * p.zeta / p.omega * (v - s[1]))
+
+
+def _hung(x, v, u, s, p):
+    """z'' of the second mass by that pull."""
+    return s[1], p.omega**2 * (x - s[0] + 2 * p.zeta / p.omega * (v - s[1]))
+
+
 def _loose(x, v, s, p, a, t):
     """The pull of the loose mass; the mass it was is taken from the coefficients."""
     return p.p * a[2] * (p.omega**2 * (x - s[0]) + 2 * p.zeta * p.omega * (v - s[1]))
@@ -126,6 +136,14 @@ def _wen(x, v, u, s, p):
 
 def _either(x, v, u, s, p):
     return (v - (abs(v) * s[0] + p.gamma * v * abs(s[0])) / p.width,)
+
+
+def _drive_plays(x, v, u, s, p):
+    """Each is pushed along within a microsecond when u stands off by more than its half width."""
+    off = u - np.asarray(s)
+    return 1e6 * (
+        off - np.clip(off, -np.array([0.04, 0.125, 0.25, 0.4]) * p.width, np.array([0.04, 0.125, 0.25, 0.4]) * p.width)
+    )
 
 
 def _dahl(width):
@@ -239,6 +257,8 @@ EQUATIONS = {
     "second_mode: attached": Equation(
         ((0.3, 50.0, 0.05),), {2: 8e-4}, **_mode(), force=lambda x, v, s, p, a, t: a[0] * p.kappa * (x - s[0])
     ),
+    "second_mode: hung on": Equation(((0.3, 50.0, 0.05),), {2: 7e-3}, begin=lambda x, u, p: (x, 0.0), rates=_hung,
+                                     force=_hung_pull),
     "second_mode: come loose": Equation(
         ((0.2, 50.0, 0.05),), {2: 7e-3, 3: 2e-2}, **_mode(), force=_loose,
         inertia=lambda a, p: [a[0], a[1], a[2] * (1 - p.p), *a[3:]],
@@ -294,6 +314,16 @@ EQUATIONS = {
     "charge_retention: one store": Equation(
         ((0.2, 0.1),), {2: 1e-3}, begin=lambda x, u, p: (p.k * abs(u),), rates=_store, film=lambda u, s, p: u + s[0]
     ),
+    "hysteresis: plays of the drive": Equation(
+        ((0.1, 0.2, -0.05, 0.1, 500.0), (-0.1, -0.2, 0.05, -0.1, 500.0)), {2: 1e-3},
+        begin=lambda x, u, p: (u,) * 4, rates=_drive_plays, stiff=True,
+        film=lambda u, s, p: u + np.dot([p.w1, p.w2, p.w3, p.w4], np.asarray(s) - u),
+    ),
+    "hysteresis: Dahl of the command's integral": Equation(
+        ((80.0, 30.0), (-80.0, 30.0)), {2: 1e-3}, begin=lambda x, u, p: (0.0,),
+        rates=lambda x, v, u, s, p: ((u - abs(u) * s[0]) / p.width,),
+        film=lambda u, s, p: u + p.level * s[0],
+    ),
     "stretch_coupling: linear": Equation(((0.3,), (-0.3,)), {2: 2e-4}, couple=lambda f, x, p: f * (1 + p.b * x)),
     "stretch_coupling: quadratic": Equation(
         ((0.3,), (-0.3,)), {2: 2e-4}, couple=lambda f, x, p: f * (1 + p.b * x / 2) ** 2
@@ -312,6 +342,9 @@ EQUATIONS = {
     "sensor_nonlinearity: cubic": Equation(((0.2,), (-0.2,)), {2: 5e-6}, sensor=lambda x, s, p: x + p.c3 * x**3),
     "sensor_nonlinearity: quadratic and cubic": Equation(
         ((0.1, -0.05), (-0.1, 0.2)), {2: 1e-5}, sensor=lambda x, s, p: x + p.c2 * x**2 + p.c3 * x**3
+    ),
+    "sensor_nonlinearity: saturating": Equation(
+        ((0.5,),), {2: 1e-3}, sensor=lambda x, s, p: np.tanh(p.c * x) / p.c
     ),
     "sensor_nonlinearity: folded": Equation(
         ((0.3,), (-0.1,)), {2: 5e-6}, sensor=lambda x, s, p: p.fold + abs(x - p.fold)

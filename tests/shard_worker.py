@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
-from pitp_jax._diagnose.case import build_case
-from pitp_jax._effects import lookup
+from pitp_jax._diagnose.data import build_case
+from pitp_jax._diagnose.simulator import INDEX
 from pitp_jax._invert.equation import invert_path
 from pitp_jax._model.domain import Domain
 from pitp_jax._model.encoder import CompactEncoder
@@ -83,15 +82,15 @@ def errors(me: int, processes: int) -> dict:
 
 
 def candidates(model, volts, mesh):
-    """Rollouts of a diagnosis' candidates, fewer than there is room for."""
+    """Free runs of a diagnosis' candidates, shared by all devices."""
     t = np.arange(SAMPLES) * DT
-    forms = (lookup("stiffening"), lookup("electrode_rc"))
     records = [Record(f"r{k}", t, u.astype(float), 1e-4 * np.sin(9 * t) ** 2) for k, u in enumerate(volts[:3])]
-    runs = []
-    for shared in (None, mesh):
-        case = build_case(model, records, mesh=shared)
-        lanes = [Lane(forms, ((0.02 * k,), (1e-3 * k,)), np.full(3, 1 + 0.01 * k), k % 3) for k in range(70)]
-        runs.append(np.stack(Lanes(case, [forms]).run(lanes)))
+    runs, places = [], [k % 3 for k in range(70)]
+    for devices in ((), tuple(mesh.local_devices)):
+        case = build_case(model, records, devices)
+        slots = np.tile(case.nominal, (70, 1))
+        slots[:, INDEX["k3"]] = 0.02 * np.arange(70)
+        runs.append(np.stack(case.simulator.run(slots, places, case.starts[places])))
     return error(runs[1], runs[0])
 
 

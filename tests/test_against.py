@@ -49,7 +49,7 @@ def test_a_correction_gives_the_robots_output_when_the_simulator_plays_it(simula
 def _robot(model, effects=(), shift=(1.0, 1.0, 1.0)):
     """A diagnosis that adds these effects and moves the coefficients, as the layer above reads it."""
     form: Any = {f.name: f for f in reversed(CATALOGUE)}
-    scale = {"coulomb_friction": model.scales.force, "delay": 1.0}
+    scale = {"coulomb_friction": model.scales.force, "delay": 1.0, "backlash": model.scales.state[0]}
     added = tuple(form[name](jnp.asarray(value / scale[name], jnp.float32)) for name, value in effects)
     moved = model.changed(np.asarray(shift))
     told = [SimpleNamespace(effect=n, parameters={}) for n, _ in effects]
@@ -60,7 +60,7 @@ def _robot(model, effects=(), shift=(1.0, 1.0, 1.0)):
 
 
 def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_without(simulator):
-    robot: Any = _robot(simulator, [("delay", 0.02), ("coulomb_friction", 0.035)], (1.0, 1.2, 1.0))
+    robot: Any = _robot(simulator, [("delay", 0.02), ("coulomb_friction", 0.035), ("backlash", 0.02)], (1.0, 1.2, 1.0))
     rows = {p.name: p for p in parameters(simulator, robot, recordings(), 20.0)}
     friction, damping, inertia = rows["coulomb_friction level"], rows["damping"], rows["inertia"]
     assert friction.robot == pytest.approx(0.7, rel=1e-3) and friction.simulator == 0.0
@@ -71,6 +71,7 @@ def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_with
     assert inertia.simulator == pytest.approx(0.05, rel=5e-3) and inertia.difference == 0.0
     # taken as a line between samples: of its 20 ms half a sample of 5 ms is the command's own hold
     assert rows["delay time"].robot == pytest.approx(0.0175, rel=1e-3) and rows["delay time"].unit == "s"
+    assert rows["backlash width"].robot == pytest.approx(0.02, rel=1e-3)  # no force, although commands have its unit
     ratios = {p.name: p for p in parameters(simulator, robot, recordings(), None)}
     assert ratios["coulomb_friction level"].robot == pytest.approx(0.035, rel=1e-3)
     assert ratios["damping"].unit == "Kp s" and ratios["damping"].simulator == pytest.approx(0.045, rel=5e-3)

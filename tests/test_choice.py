@@ -47,6 +47,9 @@ def test_units(tmp_path, unit, out, clock):
         ("voltage_command_V", "voltage_command", "V"),
         ("Zeit", "Zeit", None),
         ("voltage_MV", "voltage_MV", None),  # a megavolt, and no millivolt
+        ("V(in)", "V(in)", None),  # of a SPICE program: the node called in, no inches
+        ("x (in)", "x", "inch"),
+        ("V(mm)", "V", "mm"),
     ],
 )
 def test_headers_as_people_write_them(header, stem, unit):

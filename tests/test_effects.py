@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beside import Composite, beside
+from effect_numbers import NUMBERS
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.batched_rollouts import Lane, Lanes
-from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.fit import Candidate, fit
 from pitp_jax._effects import CATALOGUE, effect
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rest_state, rollout
@@ -18,7 +17,6 @@ from pitp_jax._simulate.decoder import rest_state, rollout
 HZ, DT, SAMPLES = 5.0, 2e-3, 2500
 TIME = np.arange(SAMPLES) * DT
 FORMS = pytest.mark.parametrize("form", CATALOGUE, ids=lambda f: f.key)
-rng = np.random.default_rng(5)
 
 
 def voltages():
@@ -31,20 +29,14 @@ def voltages():
 
 @pytest.fixture(scope="module")
 def case(linear):
-    """A nominal of 5 Hz beside its own runs, with a session clock; noise of 0.01 % of range."""
+    """A nominal of 5 Hz beside its own runs, with a session clock."""
     model = replace(linear(hz=HZ, dt=DT), domain=replace(linear(dt=DT).domain, voltage_range=(0.0, 1e3), slew=1e6))
-    records = []
-    for k, u in enumerate(voltages()):
-        x = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))[:, 0], float) * 1e-3
-        x += 1e-4 * np.ptp(x) * rng.standard_normal(SAMPLES)
-        records.append(pitp.Record(f"r{k}", TIME + 10.0 * k, u, x))
-    return build_case(model, records)
+    return beside(model, voltages(), DT)
 
 
-def active(form, case):
-    """The form's first start, and the bounds that go with it."""
-    start = form.start(case.surroundings)[0]
-    return start.values, start
+def active(form):
+    """The form's numbers, where it acts."""
+    return NUMBERS[form.key]
 
 
 # what no inverse knows, or no open loop can hold: a friction that falls with speed, a play that has to be crossed at
@@ -60,7 +52,7 @@ UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and f.key not in
 @pytest.mark.parametrize("form", UNDONE, ids=lambda f: f.key)
 def test_what_a_form_makes_of_a_slow_signal_is_undone_without_shooting(case, form):
     """Small and slow enough for every limit; all but pure limits move it by more than it is undone to."""
-    part = form(*active(form, case)[0])
+    part = form(*active(form))
     signal = jnp.asarray(1 - np.cos(np.pi * TIME[:501]), jnp.float32) * {"IN": 380.0, "SQ": 0.4, "OUT": 1.0}[form.port]
     if form.port == "SQ":
         made = part.apply(signal, 0.7)
@@ -82,50 +74,22 @@ def test_what_a_form_makes_of_a_slow_signal_is_undone_without_shooting(case, for
     assert (np.abs(made - signal).max() > 1e-3 * np.ptp(signal)) == (form.key not in LIMITS)
 
 
-# numbers that are taken from 1 (or added to it): at their bounds, nothing may vanish or turn round
-SHARES = {
-    "sensor_gain: share": 1, "added_mass: share": 1, "stiffness_drift: settling": -1, "second_mode: come loose": -1,
-    "creep: loss of stiffness": -1, "relaxation: loss of stiffness": -1, "hysteresis: Bouc-Wen": -1,
-    "charge_leak: one trap": -1,
-}  # fmt: skip
-
-
-@FORMS
-def test_starts_are_within_bounds_that_leave_the_actuator_what_it_is(case, form):
-    for start in form.start(case.surroundings):
-        for p, value, low, high in zip(form.parameters, start.values, start.low, start.high, strict=True):
-            assert low <= value <= high and (low > 0 or not p.positive), p.name
-        if form.name == "stretch_coupling":
-            assert 0.0 < form(start.low[0]).apply(1.0, case.surroundings.reach) < 1.0
-
-
-@pytest.mark.parametrize("name", SHARES)
-def test_nothing_vanishes_or_turns_round_at_the_bounds_of_a_share(case, name):
-    (form,) = [form for form in CATALOGUE if form.key == name]
-    starts = form.start(case.surroundings)
-    assert starts
-    for start in starts:
-        assert min(1 + SHARES[name] * end for end in (start.low[0], start.high[0])) > 0.05
+@pytest.fixture(scope="module")
+def composite(case):
+    """All forms in one program."""
+    return Composite(case, CATALOGUE, DT)
 
 
 @pytest.fixture(scope="module")
-def lanes(case):
-    """All forms in one composite."""
-    return Lanes(case, [CATALOGUE])
-
-
-@pytest.fixture(scope="module")
-def runs(case, lanes):
+def runs(case, composite):
     """Every form's readings on every record at its first start."""
-    jobs = [Lane((f,), (active(f, case)[0],), np.ones(3), k) for f in CATALOGUE for k in range(4)]
-    found = lanes.run(jobs)
-    return {f: found[4 * i : 4 * i + 4] for i, f in enumerate(CATALOGUE)}
+    return {f: composite.runs(f, active(f)) for f in CATALOGUE}
 
 
 @pytest.mark.slow
-def test_all_forms_neutral_together_are_the_nominal(case, lanes):
-    for k, y in enumerate(lanes.run([Lane((), (), np.ones(3), k) for k in range(4)])):
-        np.testing.assert_allclose(y, case.series[k].run, atol=2e-6 * case.series[k].span)
+def test_all_forms_neutral_together_are_the_nominal(case, composite):
+    for s, y in zip(case.series, composite.runs(), strict=True):
+        np.testing.assert_allclose(y, s.run, atol=2e-6 * s.span)
 
 
 @FORMS
@@ -138,7 +102,7 @@ def test_an_active_form_acts_and_stays_bounded(case, runs, form):
 @FORMS
 def test_half_the_step_changes_little(case, runs, form):
     """The frozen step is fine enough: half of it moves the reading by less than 3 % of what the effect does."""
-    values, _ = active(form, case)
+    values = active(form)
     finer = replace(case.model, effects=(form(*values),), substeps=2 * case.model.substeps)
     k = int(np.argmax([np.abs(y - s.run).max() for y, s in zip(runs[form], case.series, strict=True)]))
     s = case.series[k]
@@ -148,31 +112,9 @@ def test_half_the_step_changes_little(case, runs, form):
     assert np.sqrt(np.mean((y - runs[form][k]) ** 2)) < 0.03 * change
 
 
-GROUPS = [CATALOGUE[k::8] for k in range(8)]
-MARKED = [GROUPS[0], *(pytest.param(g, marks=pytest.mark.exhaustive) for g in GROUPS[1:])]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("group", MARKED, ids=[str(k) for k in range(8)])
-def test_a_form_is_found_again_in_its_own_data(case, runs, group):
-    """From a start 40 % off (a stop still touched), the error falls to 2 % of what the effect does."""
-    lanes = Lanes(case, [group])
-    for form in group:
-        values, start = active(form, case)
-        off = [v * (0.75 if p.name == "place" else 1.4) for v, p in zip(values, form.parameters, strict=True)]
-        off = tuple(float(np.clip(v, a, b)) for v, a, b in zip(off, start.low, start.high, strict=True))
-        error = [s.run - y for s, y in zip(case.series, runs[form], strict=True)]
-        pairs = zip(case.series, error, strict=True)
-        lanes.case = replace(case, series=tuple(replace(s, error=e, fitted=True) for s, e in pairs))
-        (found,) = fit(lanes, [Candidate((form,), (off,), (start,), np.ones(3), False)], most=20)
-        moved = np.sqrt(np.mean([np.mean((100 * e / s.span) ** 2) for e, s in zip(error, case.series, strict=True)]))
-        # the exact instant a rough contact lets go is no smooth function of its numbers
-        assert np.sqrt(found.train) < (0.05 if form.name == "coulomb_friction" else 0.02) * moved, form.key
-
-
 def planned(case, form):
     """The model with an active form, a smooth target, and the feedforward for it."""
-    model = replace(case.model, effects=(form(*active(form, case)[0]),))
+    model = replace(case.model, effects=(form(*active(form)),))
     x = 4e-4 * (1 - np.exp(-((5 * TIME) ** 3))) * (1 + 0.5 * np.sin(2 * np.pi * 2 * TIME))
     return model, x, pitp.feedforward(model, pitp.Target(TIME, x))
 
@@ -196,7 +138,7 @@ def test_feedforward_of_a_hard_form_is_better_than_without_it(case, form):
 
 @FORMS
 def test_a_file_keeps_it(case, form, tmp_path):
-    values, _ = active(form, case)
+    values = active(form)
     model = replace(case.model, effects=(form(*values),))
     pitp.save(tmp_path / "m.pitp", model)
     back = pitp.load(tmp_path / "m.pitp").effects[0]

@@ -7,22 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from effect_numbers import NUMBERS
 from exported import FLAGS, truth
 from test_export import DT, double, export, models, number  # noqa: F401  (a fixture)
 
 import pitp_jax as pitp
 from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.spec import Surroundings
 from pitp_jax._export import steps
 from pitp_jax._numerics.spline_derivative import derivatives
 
 pytestmark = [pytest.mark.exhaustive, pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
 COUNT = 100_000
 TIME = np.arange(COUNT) * DT
-AROUND = Surroundings(
-    omega=2 * np.pi * 5, dt=DT, duration=100.0, session=1000.0, top=1.0, bottom=-0.3, speed=0.5, acceleration=1.0,
-    voltage=1000.0, slew=1e5, stiffness=1.0, inertia=1.0, damping=0.2,
-)  # fmt: skip
 # impacts, sticking, thresholds: the last bit decides when they happen, so free runs part after a while
 SHARP = ("end_stop", "slack", "coulomb_friction", "hysteresis", "voltage_clip", "slew_limit")
 
@@ -37,7 +33,7 @@ def target():
 
 @pytest.mark.parametrize("form", CATALOGUE, ids=lambda f: f.key)
 def test_every_effect_is_pythons(bounded, linear, tmp_path, form):
-    effect = form(*form.start(AROUND)[0].values)
+    effect = form(*NUMBERS[form.key])
     model = replace(bounded(linear(2)), effects=(effect,))
     free = 1000 if form.name in SHARP else COUNT
     motion = derivatives(target(), DT, 2)

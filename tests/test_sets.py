@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.case import build_case
+from pitp_jax._diagnose.data import build_case
 from pitp_jax._effects import lookup
 from pitp_jax._errors import BadInput
 from pitp_jax._record.sets import alike, check_set, clock_start
@@ -83,5 +83,5 @@ def test_drift_is_the_same_by_either_clock(linear):
     for a, b in zip(own, absolute, strict=True):
         np.testing.assert_allclose(a.displacement, b.displacement, rtol=0, atol=1e-6 * np.ptp(a.displacement))
     assert np.ptp(own[3].displacement) > 1.1 * np.ptp(own[0].displacement)
-    ages = [s.age for s in build_case(told, dated).series]
-    np.testing.assert_allclose(ages, [s.age for s in build_case(model, session).series], atol=1e-6)
+    ages = [d.age for d in build_case(told, dated).simulator.drives]
+    np.testing.assert_allclose(ages, [d.age for d in build_case(model, session).simulator.drives], atol=1e-6)

@@ -286,13 +286,25 @@ def test_channels_of_tdms_have_their_own_clocks(tmp_path):
     assert "clocks that differ" in refused(write(1e-3, 1e-3, 1e-2))
 
 
-@pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%d.%m.%Y %H:%M:%S"])
+@pytest.mark.parametrize(
+    "form", ["%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p"]
+)
 def test_dates_over_midnight(tmp_path, form):
     start = datetime(2026, 11, 5, 23, 59, 30)
     stamps = [(start + timedelta(seconds=k)).strftime(form) for k in range(T)]
     save_csv(tmp_path / "a.csv", {"Zeit": stamps, "U [V]": VOLTAGE, "Weg [mm]": OUTPUT})
     (record,) = read(tmp_path / "a.csv")
     np.testing.assert_allclose(record.time - record.time[0], np.arange(T), atol=1e-6)
+
+
+def test_stamps_of_a_serial_monitor(tmp_path):
+    """It writes the hour and an arrow before what the board sent."""
+    start, sent = datetime(2026, 11, 24, 23, 59, 59, 950_000), zip(VOLTAGE, OUTPUT, strict=True)
+    lines = [f"{start + timedelta(milliseconds=k):%H:%M:%S.%f} -> {u:.17g},{x:.17g}\n" for k, (u, x) in enumerate(sent)]
+    (tmp_path / "a.txt").write_text("".join(lines))
+    said = {"time_column": "1", "input_column": "2", "output_column": "3", "input_unit": "V", "output_unit": "mm"}
+    (record,) = read(tmp_path / "a.txt", **said)
+    same(record, VOLTAGE, OUTPUT * 1e-3)
 
 
 def test_minutes_or_hours_are_asked_about(tmp_path):

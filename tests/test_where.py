@@ -4,27 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from played import DT, SAMPLES, TIME, nominal_of, play
+from played import SAMPLES, TIME, nominal_of, play
 
-from pitp_jax._diagnose.case import build_case
-from pitp_jax._diagnose.noise import Noise
-from pitp_jax._diagnose.where import locate, missing_force, windows
-
-SILENT = Noise(0.0, 0.0, np.array([[0.0, 0.0], [0.5 / DT, 0.0]]), "")
+from pitp_jax._diagnose.data import build_case
+from pitp_jax._diagnose.search import Search
+from pitp_jax._diagnose.where import locate, motions, windows
 
 
 @pytest.fixture(scope="module")
 def case(linear):
     nominal = nominal_of(linear)
-    return build_case(nominal, play(nominal, noise=0.0))
+    built = build_case(nominal, play(nominal, noise=0.0))
+    assert built.thinned == 1
+    seen = motions(built, Search(built, False).scale)
+    return seen._replace(motions=tuple(replace(m, noise=0.0) for m in seen.motions))
 
 
 def index(case, name):
-    return next(k for k, s in enumerate(case.series) if s.record.name == name)
+    return next(k for k, s in enumerate(case.motions) if s.record.name == name)
 
 
 def nowhere(case):
-    return [np.zeros(SAMPLES) for _ in case.series]
+    return [np.zeros(SAMPLES) for _ in case.motions]
 
 
 def share(rows, key, at):
@@ -33,7 +34,7 @@ def share(rows, key, at):
 
 
 def test_bands_are_parts_of_the_natural_frequency(case):
-    found = [row["band_hz"] for row in locate(case, nowhere(case), SILENT)["frequency"]]
+    found = [row["band_hz"] for row in locate(case, nowhere(case))["frequency"]]
     edges = [0.0, 0.75, 1.75, 3.5, 7.0, 14.0, 30.0, 125.0]  # of 5 Hz, and half the sampling rate
     np.testing.assert_allclose(found, np.column_stack([edges[:-1], edges[1:]]), rtol=1e-6)
 
@@ -41,7 +42,7 @@ def test_bands_are_parts_of_the_natural_frequency(case):
 def test_an_error_is_told_in_its_record_band_and_tenth(case):
     errors, k = nowhere(case), index(case, "multisine")
     errors[k] = np.sin(2 * np.pi * 10.0 * TIME) * (np.arange(SAMPLES) // (SAMPLES // 10) == 3)
-    where = locate(case, errors, SILENT)
+    where = locate(case, errors)
     assert where["records"]["multisine"] == pytest.approx(1.0)
     assert share(where["frequency"], "band_hz", 10.0) > 0.9
     assert share(where["time"], "part", 0.35) == pytest.approx(1.0)
@@ -51,25 +52,22 @@ def test_an_error_is_told_in_its_record_band_and_tenth(case):
 def test_an_error_is_told_at_the_harmonic_it_has(case, order, name):
     errors, k = nowhere(case), index(case, "sine3")
     errors[k] = np.sin(2 * np.pi * 3.6 * order * TIME)
-    assert locate(case, errors, SILENT)["harmonics"][name] > 0.95
+    assert locate(case, errors)["harmonics"][name] > 0.95
 
 
 def test_a_missing_force_is_told_where_the_actuator_was(case):
     """Put in beyond eight tenths of the range of x: in the two last bins of ten, and in cells of large motions."""
-    low, high = (np.quantile(np.concatenate([s.motion[:, 0] for s in case.series]), q) for q in (0.001, 0.999))
-    series = tuple(
-        replace(s, force=s.force - missing_force(s) + 0.1 * (s.motion[:, 0] > low + 0.8 * (high - low)))
-        for s in case.series
-    )
-    where = locate(replace(case, series=series), nowhere(case), SILENT)
+    low, high = (np.quantile(np.concatenate([s.states[:, 0] for s in case.motions]), q) for q in (0.001, 0.999))
+    series = tuple(replace(s, force=0.1 * (s.states[:, 0] > low + 0.8 * (high - low))) for s in case.motions)
+    where = locate(case._replace(motions=series), nowhere(case))
     assert sum(row["share"] for row in where["displacement"][7:]) == pytest.approx(1.0, abs=1e-6)
     assert sum(row["share"] for row in where["displacement"][:7]) == pytest.approx(0.0, abs=1e-6)
-    least = case.model.scales.state[0] * (low + 0.8 * (high - low))
+    least = case.length * (low + 0.8 * (high - low))
     assert all(c["amplitude"][1] > least for c in where["cells"] if c["share"] > 1e-6)
 
 
 def test_windows_follow_the_drive(case):
-    s = case.series[index(case, "sine2")]
+    s = case.motions[index(case, "sine2")]
     found = list(windows(s, case))
     firsts, lasts, hz, sizes = map(np.array, zip(*found, strict=True))
     np.testing.assert_array_equal(firsts[1:], lasts[:-1])
@@ -77,4 +75,4 @@ def test_windows_follow_the_drive(case):
         firsts[0] == 0 and (lasts - firsts >= 25).all() and (lasts - firsts <= 500).all()
     )  # 1/2 to 10 periods of 5 Hz
     assert np.median(hz) == pytest.approx(2.2, rel=0.02)
-    np.testing.assert_allclose(sizes, [np.abs(s.motion[a:b, 0]).max() for a, b in zip(firsts, lasts, strict=True)])
+    np.testing.assert_allclose(sizes, [np.abs(s.states[a:b, 0]).max() for a, b in zip(firsts, lasts, strict=True)])

@@ -176,8 +176,8 @@ def _effects(nominal: Model | Fitted, robot: Answer, of: Units, held: tuple[floa
     fitted = {a.effect: a.parameters for a in robot.added}
     rows = []
     for key in dict.fromkeys([*sides[0], *sides[1]]):
-        sim, real = (side.get(key, (0.0, ""))[0] for side in sides)
-        unit = (sides[1].get(key) or sides[0][key])[1]
+        sim, real = (side[key][0] if key in side else 0.0 for side in sides)
+        _, unit, force = sides[1].get(key) or sides[0][key]
         stderr = (fitted.get(key[0], {}).get(key[1]) or {}).get("stderr")
         if key == ("delay", "time"):
             sim, real = max(sim - held[0], 0.0), max(real - held[1], 0.0)
@@ -185,7 +185,7 @@ def _effects(nominal: Model | Fitted, robot: Answer, of: Units, held: tuple[floa
             stderr = None if stderr is None or not real else stderr / real**2
             sim, real = (1 / v if v else float("inf") for v in (sim, real))
             unit = of.command + ("/s" if unit.startswith("s") else "")
-        elif unit == nominal.input_map.unit:
+        elif force:  # not by its unit: a backlash in rad is no command in rad
             sim, real, unit = of.factor * sim, of.factor * real, of.force
             stderr = None if stderr is None else of.factor * stderr
         names = _NAMES.get(key, Names(f"{key[0]}: {key[1]}"))
@@ -195,14 +195,14 @@ def _effects(nominal: Model | Fitted, robot: Answer, of: Units, held: tuple[floa
     return rows
 
 
-def _numbers(model: Model | Fitted) -> dict[tuple[str, str], tuple[float, str]]:
-    """Physical numbers of a model's effects by (effect, parameter); two of one name add up."""
-    table: dict[tuple[str, str], tuple[float, str]] = {}
+def _numbers(model: Model | Fitted) -> dict[tuple[str, str], tuple[float, str, bool]]:
+    """Physical numbers of a model's effects by (effect, parameter), and which are forces; two of one name add up."""
+    table: dict[tuple[str, str], tuple[float, str, bool]] = {}
     for effect in model.effects:
         for p, value in effect.numbers():
             number, unit = physical(model, p, float(value))
-            before = table.get((effect.name, p.name), (0.0, unit))[0]
-            table[effect.name, p.name] = (before + number, unit)
+            key = effect.name, p.name
+            table[key] = (number + (table[key][0] if key in table else 0.0), unit, p.force == 1)
     return table
 
 

@@ -71,7 +71,7 @@ def diagnose(
     if out is not None:
         for name in set(FILES) - written:  # of an earlier diagnosis: no part of this one
             (Path(out) / name).unlink(missing_ok=True)
-        added = f"with {' and '.join(found.effects)}" if found.effects else "no effect added"
+        added = f"with {' and '.join(found.handed_back)}" if found.handed_back else "the nominal"
         print(f"wrote {Path(out) / REPORT}, its figures, and {Path(out) / MODEL} ({added})")
         if csv is not None and found.next_experiment is not None:
             print(f"next experiment, to tell {' from '.join(found.next_experiment.separates)}: {csv}")
@@ -94,8 +94,7 @@ def _print_ranking(found: Diagnosis) -> None:
         mark = " *" if r.effect in found.effects else " =" if r.effect in found.equivalent else ""
         ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)
         closed = None if r.closed_fraction is None else 100 * r.closed_fraction
-        form = f"{r.form}{' (screened)' if r.screened else ''}"
-        rows.append((f"{r.effect}{mark}", form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
+        rows.append((f"{r.effect}{mark}", r.form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
     print_table(("effect", "form", "fitted (%)", "held out (%)", "closed (%)", "95 % interval"), rows)
     left = len(found.ranking) - len(rows)
     if left > 0:

@@ -1,9 +1,10 @@
 """Diagnosis: a model and real records in; where they disagree, which effect is missing, how far it closes the gap.
 
-    sum_i a_i x^(i) = coupling(V, x) - f_effect(x, x', states),   fitted on some excitations, judged on the others
+    sum_i a_i x^(i) = coupling(V, x) - f_effect(x, x', states),   every set of effects judged out of fold
 
-Verb: `diagnose`. The way: noise floor -> where -> screening of every form -> fits on whole rollouts -> ranking on held
-out excitations -> pairs -> verdict; `report/` draws and words the result.
+Verb: `diagnose`. The way: records thinned (`data`) -> a simulator in which every effect is a slot (`simulator`,
+`library`) -> fits on whole free runs (`fit`) -> sets searched (`search`) beside a flexible reference (`reference`),
+compared by a bootstrap (`evidence`) -> verdict (`verdict`, `rules`) and budget (`shares`); `report/` draws it.
 """
 
 from .diagnosis import Diagnosis as Diagnosis

@@ -1,11 +1,13 @@
 """The diagnosis: where the gap lies, which effect causes it, how far it shrinks (docs/contract.md).
 
-records -> case -> candidates fitted and judged -> `verdict`;   again the other way round where few drives show it
+records -> thinned case -> sets of effects searched out of fold -> verdict, budget, and the best model that beats the
+nominal
 """
 
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple, cast
+from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 from jax.sharding import Mesh
@@ -13,20 +15,37 @@ from jax.sharding import Mesh
 from .._errors import BadInput
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
+from .._record.initial_state import noise_std
 from .._record.record import Record
 from .._record.sets import clock_start
+from .._simulate.prediction import predict
+from . import rules
 from .budget import Budget
-from .case import Case, Split, build_case, split
-from .effect_selection import Attribution, attribute
-from .evaluation import augmented, floor, sides
-from .hold import settled
+from .data import Case, build_case, excitations
+from .evidence import probability
+from .library import FREE, model_of
 from .next_experiment import Experiment, separate
-from .parameter_uncertainty import doubted
-from .result import Added, Gap, Ranked, Trace, added_of, gap_of, ranking_of, trace_of
+from .result import (
+    Added,
+    Gap,
+    Ranked,
+    Trace,
+    added_of,
+    closed,
+    errors_of,
+    factors_of,
+    interval,
+    percent,
+    ranking_of,
+    traces_of,
+)
+from .search import PARAMETERS, Hypothesis, Search
 from .select_records import usable
-from .term import Term, found_term
-from .verdict import DOUBT, HELPS, rezeroed, verdict
-from .where import locate
+from .shares import budget as budget_of
+from .simulator import INDEX
+from .term import Term, term_of
+from .verdict import Decision, decide
+from .where import locate, motions
 
 
 @dataclass(frozen=True)
@@ -34,17 +53,20 @@ class Diagnosis:
     """What `diagnose` found.
 
     Attributes:
-        verdict: "explained", "no_gap" or "unknown".
-        effects: added, most important first; empty unless explained.
+        verdict: "explained", "partly", "no_gap" or "unknown".
+        effects: names said, most important first; empty unless explained or partly.
         equivalent: names these data cannot tell from effects[0].
-        added: the same effects with form and parameters, as the augmented model carries them.
-        gap, ranking, where, next_experiment: as docs/contract.md names them.
-        fitted, heldout: record names; where nothing was held out, effects are judged on what they were fitted on.
+        added: what the augmented model has beyond the nominal, with form and parameters.
+        budget, gap, ranking, where, next_experiment: as docs/contract.md names them.
+        probability: per name, P that the best set without it leaves more.
+        fitted, heldout: record names; every record is predicted by a fit that did not see it, where there are several.
+        folds: records left out together.
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
-        traces: every record beside the nominal and the best explanation.
-        notes: one line for whatever recordings were left out or cut.
-        model: the nominal with the effects (or the term) added (and its coefficients refitted where asked for).
-        term: where no name fits, the missing force as an equation found in the data.
+        traces: every record beside the nominal and the model that is handed back.
+        notes: one line for whatever was left out, not tried or not said.
+        model: the best model that beats the nominal out of fold, else the nominal.
+        handed_back: its parts beyond the nominal.
+        term: a force without a name as an equation found in the data.
     """
 
     verdict: str
@@ -62,11 +84,15 @@ class Diagnosis:
     model: Model | Fitted
     notes: tuple[str, ...] = ()
     term: Term | None = None
+    budget: dict = field(default_factory=dict)
+    probability: dict = field(default_factory=dict)
+    folds: tuple[tuple[str, ...], ...] = ()
+    handed_back: tuple[str, ...] = ()
 
     @property
-    def records(self) -> dict[str, list[str]]:
-        """Which records effects were fitted on and which they were judged on."""
-        return {"fitted": list(self.fitted), "heldout": list(self.heldout)}
+    def records(self) -> dict[str, list]:
+        """Which records were fitted, which were predicted by fits that did not see them, and left out together."""
+        return {"fitted": list(self.fitted), "heldout": list(self.heldout), "folds": [list(f) for f in self.folds]}
 
     def as_json(self, csv: str | None = None) -> dict:
         """The dict of docs/contract.md; `csv` is where the next experiment was written."""
@@ -75,6 +101,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "effects": list(self.effects),
             "equivalent": list(self.equivalent),
+            "budget": self.budget,
             "added": [vars(a) for a in self.added],
             "gap": vars(self.gap) | {"ci95": list(self.gap.ci95) if self.gap.ci95 else None},
             "ranking": [vars(r) | {"ci95": list(r.ci95) if r.ci95 else None} for r in self.ranking],
@@ -83,6 +110,7 @@ class Diagnosis:
             if experiment is None
             else {"separates": list(experiment.separates), "excitation": experiment.excitation, "csv": csv},
             "records": self.records,
+            "handed_back": list(self.handed_back),
             "coefficients_over_given": [float(v) for v in self.shift],
             "notes": list(self.notes),
             "term": self.term.as_json() if self.term else None,
@@ -94,21 +122,9 @@ class Diagnosis:
 
     def __str__(self) -> str:
         """A few lines for the terminal."""
-        g = self.gap
-        lines = [f"verdict: {self.verdict}" + (f" by {' and '.join(self.effects)}" if self.effects else "")]
-        if self.equivalent:
-            lines.append(f"cannot be told from: {', '.join(self.equivalent)}")
-        closed = "" if g.closed_fraction is None else f", {max(100 * g.closed_fraction, 0):.0f} % of the gap closed"
-        known = "unknown" if g.noise_floor is None else f"{g.noise_floor:.2f} %"
-        side = "held-out" if self.heldout else "fitted"
-        lines.append(f"{side} error {g.before:.2f} -> {g.after:.2f} % of range (noise floor {known}){closed}")
-        if self.term is not None:
-            share = 100 * (self.term.closed_fraction or 0.0)
-            lines.append(f"{self.term.equation}: closes {share:.0f} %, -> {self.term.after:.2f} % of range")
-        if self.verdict != "no_gap":
-            lines.append(self.where["summary"])
-        lines += [f"note: {line}" for line in self.notes]
-        return "\n".join(lines)
+        from .report.words import lines
+
+        return "\n".join([*lines(self), *(f"note: {line}" for line in self.notes)])
 
 
 def diagnose(
@@ -127,13 +143,13 @@ def diagnose(
         model: an identified linear model or a trained one.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
-        exclude: names left out of the catalogue, and with electrode_rc the slew limit that has a lag.
+        exclude: names left out of the catalogue.
         seconds: of computing; then the best so far is told, and in `notes` what was not tried.
         progress: called with one line per step.
-        mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
+        mesh: devices of this process that share the runs (`records_mesh`); default one device.
 
     Returns:
-        verdict, effects, gap, ranking, and the model with the effects added.
+        verdict, effects, budget, and the best model that beats the nominal out of fold.
 
     Raises:
         BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one; a
@@ -141,112 +157,194 @@ def diagnose(
 
     Examples:
         >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
-        verdict: no_gap ...
+        no gap ...
     """
     model = cast(Model, fitted_of(model))  # reads as one, with the origin that `model.provenance` looks into
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)
     model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
-    budget = Budget(seconds)
-    options = {"refit": refit_nominal, "exclude": exclude, "progress": progress, "budget": budget}
-    case, found, gap, name, level = _over_splits(model, records, mesh, options)
-    _, judged = sides(case)
-    if name == "explained":
-        best, model = settled(case, found.best, model)
-        found = replace(found, best=doubted(case, best, model))
-        gap = gap_of(case, found, found.best, gap.noise_floor or 0.0, judged)
-    if name == "no_gap" and gap.before > DOUBT * (gap.noise_floor or 0.0):
-        notes += (
-            f"{gap.before:.2g} % of range are left, {level:.2g} % beside each record's own zero: rezero the sensor",
-        )
-    effects = found.best.names if name == "explained" else ()
-    added = augmented(case, found.best if name == "explained" else found.base, model)
-    where = locate(case, [e * s.span / 100 for e, s in zip(found.base.errors, case.series, strict=True)], found.noise)
-    experiment = None
-    tied = found.equivalent if name != "no_gap" and (gap.closed_fraction or 0.0) > HELPS else ()
-    if tied and budget.allows("an experiment that separates the tied names"):
-        progress("looking for an experiment that separates the tied names")
-        experiment = separate(case, found.best, found.rivals[0], found.noise)
-    described, shown = None, found
-    wide = name == "unknown" and gap.before > DOUBT * (gap.noise_floor or 0.0)
-    if wide and budget.allows("a term found in the data"):
-        described = found_term(case, found, model, progress)
-    if described is not None:
-        shown, added = replace(found, best=described[1]), described[2]
+    case = build_case(model, records, tuple(mesh.devices.flat) if mesh is not None else ())
+    limit = Budget(seconds)
+    misfit, source = own_misfit(case) if not refit_nominal else (0.0, "unknown in a refit")
+    noise = _thinned(case, 0.0)
+    own = _thinned(case, misfit) if not refit_nominal else 0.0
+    search = Search(case, refit_nominal, exclude, limit, progress, max(own, noise), misfit)
+    if not search.given.rms <= rules.OWN * own:
+        search.run()
+    distinct = excitations(case)
+    progress("which of them is sure")
+    decision = decide(search, own, noise, distinct)
+    handed, made, parts = hand_back(search, decision, model, records)
+    low = _floor(search, own)
+    gap = _gap(search, decision, handed, low, source)
+    errors = errors_of(search, handed.fit)
+    # names that a verdict says stand in the model with their numbers; else what was handed back is told as it is
+    seen = motions(case, search.scale)
+    effects = decision.said
+    equivalent = decision.tied.get(effects[0], ()) if effects else ()
+    experiment = _experiment(search, decision, limit) if decision.verdict != "no_gap" else None
+    shift = _shift(case, handed.fit, model)
+    term = term_of(search, decision, handed, made, errors, gap) if FREE in decision.chosen.names else None
+    notes = (*notes, *([decision.reason] if decision.verdict == "unknown" and decision.reason else []), *limit.notes())
+    raw = _raw(search)
     return Diagnosis(
-        verdict=name,
+        verdict=decision.verdict,
         effects=effects,
-        equivalent=tied,
-        added=added_of(case, found.best) if effects else (),
+        equivalent=equivalent,
+        added=added_of(search, made[0], made[1], handed.fit, errors) + _moved(search, handed, errors),
         gap=gap,
-        ranking=ranking_of(case, found, gap.noise_floor or 0.0, judged),
-        where=where,
+        ranking=ranking_of(search, low),
+        where=locate(seen, search.base.residuals),
         next_experiment=experiment,
-        fitted=tuple(s.record.name for s in case.fitted),
-        heldout=tuple(s.record.name for s in case.heldout),
-        shift=np.asarray((found.best if effects else found.base).candidate.factors),
-        traces=tuple(trace_of(case, shown, k) for k in range(len(case.series))),
-        model=added,
-        notes=notes + budget.notes(),
-        term=described[0] if described else None,
+        fitted=tuple(s.record.name for s in case.series),
+        heldout=tuple(s.record.name for s in case.series) if not case.blocks else (),
+        shift=shift,
+        traces=traces_of(model, made[0], records),
+        model=made[0],
+        notes=notes,
+        term=term,
+        budget=budget_of(search, decision, raw),
+        probability=decision.probabilities,
+        folds=tuple(tuple(case.series[k].record.name for k in f) for f in case.folds) if not case.blocks else (),
+        handed_back=parts,
     )
 
 
-class _Said(NamedTuple):
-    """What one split of the records says."""
+def own_misfit(case: Case) -> tuple[float, str]:
+    """What the nominal leaves beyond the noise of the records it was identified on (scaled), and where that is from.
 
-    case: Case
-    found: Attribution
-    gap: Gap
-    verdict: str
-    rezeroed: float
+    M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
 
-
-def _over_splits(model: Model, records, mesh: Mesh | None, options: dict) -> _Said:
-    """Split one way; then the other, where an effect may act in few drives; then not at all."""
-
-    def said(how: Split) -> _Said:
-        case = build_case(model, records, how=how, mesh=mesh)
-        found = attribute(case, **options)
-        _, judged = sides(case)
-        gap = gap_of(case, found, found.best, floor(case, found.noise, judged), judged)
-        own, level = case.model.provenance.misfit, rezeroed(case, found.base, judged)
-        return _Said(case, found, gap, verdict(gap, found, own, level), level)
-
-    first, progress, budget = said("first"), options["progress"], options["budget"]
-    elsewhere = first.verdict == "no_gap" and _fitted_show_it(first.case, first.found)
-    if not elsewhere and first.verdict != "unknown":
-        return first
-    tried = [first]
-    others_fitted = split(records, "first") != split(records, "second")
-    worth = others_fitted and (elsewhere or not _hopeless(first.case, first.found))
-    if worth and budget.allows("the other half of the drives fitted"):
-        progress("once more, fitted on the drives that were held out: what acts in few of them may act there")
-        tried.append(said("second"))
-        if tried[1].verdict == "explained":
-            return tried[1]
-    one_sided = elsewhere or any(_on_one_side(s) for s in tried)
-    if one_sided and budget.allows("all drives fitted, none held out"):
-        progress("once more, with nothing held out: the gap is in drives of one side alone")
-        everywhere = said("none")
-        return everywhere if elsewhere or everywhere.verdict == "explained" else first
-    return first
+    It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
+    robot's noise times that hid any gap.
+    """
+    source, scale = case.model.provenance, float(case.model.scales.state[0])
+    if not np.isfinite(source.misfit):
+        return 0.0, "the sensor's noise: the nominal carries no error of its own"
+    first = json.loads(source.notes).get("identification", {}).get("noise_std")
+    noise = float(first) / scale if first else _noise(case)
+    return float(noise * np.sqrt(max(source.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
 
 
-def _on_one_side(s: _Said) -> bool:
-    """A gap in the records that were fitted and none in those that were held out, or the other way round."""
-    held_show_it = s.gap.before > DOUBT * (s.gap.noise_floor or 0.0)
-    return held_show_it != _fitted_show_it(s.case, s.found)
+def _noise(case: Case) -> float:
+    """The sensor's white noise, scaled; geometric mean over records."""
+    scale = float(case.model.scales.state[0])
+    each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
+    return float(np.exp(np.mean(np.log(np.maximum(each, 1e-12)))))
 
 
-def _fitted_show_it(case: Case, found: Attribution) -> bool:
-    """Whether the records that were fitted show a gap."""
-    fitted, _ = sides(case)
-    return found.base.train > DOUBT * floor(case, found.noise, fitted)
+def _thinned(case: Case, lacking: float) -> float:
+    """An error beside the noise, as thinned records show it.
+
+    (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples takes the white part off on
+    either side of the comparison, which stays that of the full rate.
+    """
+    noise, own = _noise(case), rules.OWN
+    return float(np.sqrt((own * lacking) ** 2 + (own**2 - 1 + 1 / case.thinned) * noise**2) / own)
 
 
-def _hopeless(case: Case, found: Attribution) -> bool:
-    """The fitted records have a gap, and no effect takes a tenth off it: the other way round it is the same."""
-    least = min(j.train for j in (*found.ranking, found.best))
-    return _fitted_show_it(case, found) and least > 0.9 * found.base.train
+def _floor(search: Search, own: float) -> float:
+    """The nominal's own error in % of range."""
+    spans = [s.span for s in search.case.series]
+    return 100 * own * float(np.sqrt(np.mean([1 / s**2 for s in spans]))) if own else 0.0
+
+
+def _gap(search: Search, decision: Decision, handed: Hypothesis, low: float, source: str) -> Gap:
+    before, after = percent(search, search.base), percent(search, handed)
+    best = min(search.every.values(), key=lambda h: h.rms)
+    room = min(percent(search, best), before * float(np.exp((decision.bar.score - search.base.evidence.score) / 2)))
+    known = low > 0
+    return Gap(
+        before, after, percent(search, search.given), low if known else None, source, closed(before, after, low),
+        interval(search, search.base, handed, low), min(room, before),
+    )  # fmt: skip
+
+
+def _raw(search: Search):
+    """The nominal's residuals with zeros and starts as the records' beginnings say."""
+    case = search.case
+    runs = case.simulator.run(np.tile(case.nominal, (len(case.series), 1)), range(len(case.series)), case.starts)
+    rows = []
+    for run, s, left in zip(runs, case.series, search.given.residuals, strict=True):
+        e = np.where(s.counts & np.isfinite(run), run - s.output, np.nan)
+        rows.append(np.where(np.isfinite(left), np.where(np.isfinite(e), e, left), np.nan))
+    return search.weigh(rows)
+
+
+def hand_back(search: Search, decision: Decision, model: Model, records) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
+    """The best hypothesis that beats the nominal with P >= SURE and whose model does so in the package's own free runs.
+
+    Returns:
+        hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
+    """
+    given, error = search.given.evidence.bare, _error
+    deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
+    tried = [decision.chosen]
+    if not decision.said:
+        chosen = decision.chosen.evidence.bare
+        sure = [h for h in deeper if probability(h.evidence.bare, chosen) >= rules.SURE]
+        tried = [*sure[:3], *tried]
+    tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
+    before = _package_error(model, records)
+    omega = 1 / search.scale.tau
+    for h in tried:
+        if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
+            continue
+        made, added, missing = model_of(search.case.nominal, h.fit.slots, model, omega)
+        if missing:
+            continue
+        made = replace(made, provenance=made.provenance.driven_by(records))
+        after = _package_error(made, records)
+        if np.isfinite(after) and after < before:
+            parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
+            parts += ["term"] if FREE in h.names else []
+            parts += ["parameters"] if set(h.fit.free) & {"a0", "a1", "a2"} else []
+            return h, (made, added), tuple(dict.fromkeys(parts))
+    return search.given, (model, []), ()
+
+
+def _error(h: Hypothesis) -> float:
+    return h.evidence.bare.rms
+
+
+def _package_error(model: Model, records: Sequence[Record]) -> float:
+    """Geometric mean over records of the free run's error, zero fitted; infinite where one diverges."""
+    total = []
+    for p, r in zip(predict(model, records), records, strict=True):
+        seen = p.scored & np.isfinite(r.displacement)
+        e = (p.displacement - r.displacement)[seen]
+        if p.diverged or not np.isfinite(e).all():
+            return np.inf
+        total.append(np.log(np.std(e) + 1e-300))
+    return float(np.exp(np.mean(total)))
+
+
+def _moved(search: Search, handed: Hypothesis, errors: dict) -> tuple[Added, ...]:
+    rows = factors_of(search, handed.fit, errors)
+    return (Added("parameter_change", "refitted coefficients", rows),) if rows and not search.refit else ()
+
+
+def _shift(case: Case, fit, model: Model) -> np.ndarray:
+    ratio = [
+        fit.slots[INDEX[k]] / case.nominal[INDEX[k]] if case.nominal[INDEX[k]] > 0 else 1.0 for k in ("a0", "a1", "a2")
+    ]
+    return np.array([*ratio, *[1.0] * max(model.order - 2, 0)])[: model.order + 1]
+
+
+def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment | None:
+    """What separates the names tied, or those that no verdict could tell apart."""
+    best, names = decision.chosen, decision.rivals
+    if decision.said and decision.tied.get(decision.said[0]):
+        names = decision.said[0], decision.tied[decision.said[0]][0]
+    if not names or not best.names or not limit.allows("an experiment that separates the tied names"):
+        return None
+    lacking = dict(zip(best.labels, best.names, strict=True)).get(names[0])
+    rivals = [
+        h for h in search.every.values() if h.names and lacking not in h.names and len(h.names) <= len(best.names)
+    ]
+    return (
+        separate(search.case, search.scale, best, min(rivals, key=lambda h: h.rms), (names[0], names[1]))
+        if rivals
+        else None
+    )

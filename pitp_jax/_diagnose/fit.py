@@ -1,259 +1,319 @@
-"""Fit: candidates on whole rollouts by Levenberg-Marquardt, all of them side by side.
+"""Fit: hypotheses on whole free runs by Levenberg-Marquardt in float64, all of them side by side.
 
-    minimise  sum over fitted records of  mean_t (100 (y(t; p) - y_measured(t)) / range)^2
+    minimise  L = sum_r n_r log(MSE_r + eps_r),    MSE_r = mean over counted samples of (y - y_measured - C_r c_r)^2
 
-Positive numbers are fitted by their logarithm, within their bounds. In a refit the nominal's coefficients come along
-(by theirs), and the sensor's zero, which an identification without the effect has read wrong: 4 um of it moved a
-voltage offset by 17 of its standard errors. Slopes are forward differences: limits, plays and friction have them almost
-everywhere, and a difference of 0.3 % stands far above the rounding of a float32 rollout. A run that diverges is a
-rejected step.
+one variance per record, so no record decides alone (log score). C_r: the record's own zero, and the linear plant's free
+responses where it does not begin at rest; c_r is eliminated linearly, and the first state moves with it. A step solves
+(H + lambda diag H) d = -g with H = sum w_r J_r' J_r, w_r = 1 / (MSE_r + eps_r). Slopes are differences in float64: they
+cost a run a number and need no program of their own. A run that diverges is a rejected step.
 """
 
-from collections.abc import Callable, Sequence
+import cmath
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from .._effects.spec import EffectSpec, Parameter, Start
-from .batched_rollouts import Lane, Lanes
-from .budget import Budget
+from .data import Case
+from .simulator import HIGHEST, INDEX, LOGARITHM
 
-_STEP = 3e-3
-_ZERO = 0.2  # farthest that a sensor's zero may be off, scaled
-_MOST, _ENOUGH = 16, 2e-3  # iterations, and the relative decrease below which two of them end the fit
-_PROMISE = 2e-4  # and the one promised by the linearised model below which none is made
-_PATIENCE, _BEHIND = 3, 2.0  # from that step on given up: what at its pace ends above so many times the least cost
+_EPS = 1e-5  # of a record's range: below, an error is no evidence
+_STEP = 1e-4
+_LONGEST = 1.5  # largest change of a logarithm in one step, or of a number in units of itself and its start
+_SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
+SCREEN = -1  # the fold of first steps: some records only
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A set of forms with their numbers.
+@dataclass
+class Fit:
+    """One hypothesis on its way down.
 
     Attributes:
-        forms: the effects.
-        values: their parameters, form by form.
-        starts: their bounds.
-        factors: on the nominal's coefficients, shape (n + 1,).
-        refit: whether those are fitted too, and the zero.
-        train: mean squared error on fitted records, (1 %)^2.
-        covariance: of the fitted coordinates (logarithms where positive): effects, factors, zero; block sandwich.
-        zero: reading of the resting sensor beside the nominal's, scaled.
+        names: of the search, in the order added.
+        free: slots that are fitted.
+        slots: all of them, shape (slots,).
+        unit: size of every free number at its start.
+        starts: (x, v) at the first samples, shape (records, 2).
+        fold: left out of the fit; None: nothing.
+        residuals: per record y - y_measured less its own zero and start, nan where nothing counts; None: not run.
+        cost: L over the samples it may see.
     """
 
-    forms: tuple[EffectSpec, ...]
-    values: tuple[tuple[float, ...], ...]
-    starts: tuple[Start, ...]
-    factors: np.ndarray
-    refit: bool
-    train: float = np.inf
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    zero: float = 0.0
+    names: tuple[str, ...]
+    free: tuple[str, ...]
+    slots: np.ndarray
+    starts: np.ndarray
+    unit: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    fold: int | None = None
+    residuals: list[Any] = field(default_factory=list)
+    jacobian: list[np.ndarray] | None = None
+    cost: float = np.inf
+    damping: float = 1e-2
+    slow: int = 0
+    done: bool = False
 
-    @property
-    def parameters(self) -> list[Parameter]:
-        """All parameters in a row."""
-        return [p for f in self.forms for p in f.parameters]
+    def __post_init__(self):
+        """Units of the free numbers, where none are given."""
+        if not len(self.unit):
+            self.unit = np.array([max(abs(self.slots[INDEX[k]]), 1e-12) for k in self.free])
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Effects it adds; a refit without any is a parameter change."""
-        return tuple(f.name for f in self.forms) or (("parameter_change",) if self.refit else ())
+    def again(self, **changes) -> "Fit":
+        """A copy to go on with."""
+        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "done": False}
+        return replace(self, **(fresh | changes))
 
-    @property
-    def size(self) -> int:
-        """Numbers that are fitted."""
-        return len(_free(self)) + (len(self.factors) + 1 if self.refit else 0)
-
-
-def _free(c: Candidate) -> list[int]:
-    low = [v for s in c.starts for v in s.low]
-    high = [v for s in c.starts for v in s.high]
-    return [k for k, (a, b) in enumerate(zip(low, high, strict=True)) if b > a]
+    def value(self, name: str) -> float:
+        """Of one slot."""
+        return float(self.slots[INDEX[name]])
 
 
-def _logarithms(c: Candidate) -> np.ndarray:
-    """Which coordinates are logarithms."""
-    nominal = [True] * len(c.factors) + [False] if c.refit else []
-    return np.array([c.parameters[k].positive for k in _free(c)] + nominal, bool)
+def coordinates(fit: Fit) -> np.ndarray:
+    """Free numbers, positive ones as logarithms."""
+    places = [INDEX[k] for k in fit.free]
+    values = fit.slots[places]
+    log = LOGARITHM[places]
+    return np.where(log, np.log(np.maximum(values, 1e-300)), values)
 
 
-def _coordinates(c: Candidate) -> np.ndarray:
-    flat = np.array([v for values in c.values for v in values])
-    z = [np.log(max(flat[k], 1e-30)) if c.parameters[k].positive else flat[k] for k in _free(c)]
-    return np.concatenate([z, np.log(c.factors), [c.zero]]) if c.refit else np.array(z)
+def at(fit: Fit, z: np.ndarray) -> np.ndarray:
+    """Slots at other free coordinates."""
+    slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
+    log = LOGARITHM[places]
+    slots[places] = np.where(log, np.exp(np.clip(z, -70, 70)), z)
+    for name, most in HIGHEST.items():
+        slots[INDEX[name]] = min(slots[INDEX[name]], most)
+    return slots
 
 
-def _bounds(c: Candidate) -> tuple[np.ndarray, np.ndarray]:
-    ends = []
-    for side, bounds in enumerate(([v for s in c.starts for v in s.low], [v for s in c.starts for v in s.high])):
-        z = [np.log(bounds[k]) if c.parameters[k].positive else bounds[k] for k in _free(c)]
-        nominal = np.append(np.full(len(c.factors), 1.5), _ZERO) * (-1, 1)[side]
-        ends.append(np.concatenate([z, nominal]) if c.refit else np.array(z))
-    return ends[0], ends[1]
+def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
+    """C of a record, shape (T, columns), and the (x, v) that each column starts with, shape (columns, 2)."""
+    size = len(case.series[record].output)
+    if case.series[record].begins == "rest":
+        return np.ones((size, 1)), np.zeros((1, 2))
+    a0, a1, a2 = (float(slots[INDEX[k]]) for k in ("a0", "a1", "a2"))
+    time = np.arange(size) * case.dt
+    columns, begins = [np.ones(size)], [(0.0, 0.0)]
+    poles: list[complex] = [complex(-a0 / a1)]
+    if a2 > 0:
+        root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
+        poles = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
+    for pole in map(complex, poles if not poles[0].imag else poles[:1]):
+        if abs(pole) * time[-1] < 1e-3 and a2 > 0:  # no spring: the zero stands for x(0)
+            continue
+        size, angle = np.exp(np.clip(pole.real * time, -700, 50)), pole.imag * time
+        columns.append(size * np.cos(angle))
+        begins.append((1.0, pole.real))
+        if pole.imag:
+            columns.append(size * np.sin(angle))
+            begins.append((0.0, pole.imag))
+    return np.stack(columns, 1), np.array(begins)
 
 
-def _at(c: Candidate, z: np.ndarray) -> Candidate:
-    flat = np.array([v for values in c.values for v in values], float)
-    free = _free(c)
-    for i, k in enumerate(free):
-        flat[k] = np.exp(z[i]) if c.parameters[k].positive else z[i]
-    values, first = [], 0
-    for f in c.forms:
-        values.append(tuple(flat[first : first + len(f.parameters)]))
-        first += len(f.parameters)
-    if not c.refit:
-        return replace(c, values=tuple(values))
-    return replace(c, values=tuple(values), factors=np.exp(z[len(free) : -1]), zero=float(z[-1]))
+def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (T, n) less what the columns explain of them where they are seen, and the coefficients."""
+    inside = columns[seen > 0]
+    if columns.shape[1] == 1:
+        mean = rows[seen > 0].mean(0, keepdims=True)
+        return rows - mean, mean
+    q, r = np.linalg.qr(inside)
+    keep = np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-300)
+    q = q * keep
+    r = r + np.diag(np.where(keep, 0.0, 1.0)) * max(np.abs(r).max(), 1e-300)
+    coefficients = np.linalg.solve(r, q.T @ rows[seen > 0])
+    return rows - columns @ coefficients, coefficients
 
 
-def lane_of(c: Candidate, series: int) -> Lane:
-    """The lane of a candidate on a record."""
-    return Lane(c.forms, c.values, c.factors, series)
+class Fitter:
+    """Fits of one case; counts the runs it made."""
 
+    def __init__(self, case: Case):
+        self.case = case
+        self.runs = 0
+        self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {SCREEN: case.screened()}
+        self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
-def residuals(lanes: Lanes, candidates: Sequence[Candidate], series: Sequence[int]) -> list[list[np.ndarray]]:
-    """Per candidate and record y - y_measured in % of range, zero where the output does not count."""
-    jobs = [lane_of(c, k) for c in candidates for k in series]
-    runs, found = lanes.run(jobs), []
-    for i in range(len(candidates)):
-        row = []
-        for j, k in enumerate(series):
-            s = lanes.case.series[k]
-            y = runs[i * len(series) + j].astype(np.float64)
-            row.append((y + candidates[i].zero - (s.run - s.error)) * (s.weight > 0) * 100 / s.span)
-        found.append(row)
-    return found
+    def _simulate(self, jobs: Sequence[tuple[np.ndarray, int, np.ndarray]]) -> list[np.ndarray]:
+        if not jobs:
+            return []
+        self.runs += len(jobs)
+        slots, records, starts = zip(*jobs, strict=True)
+        return self.case.simulator.run(np.stack(slots), list(records), np.stack(starts))
 
+    def _seen(self, fold: int | None) -> list[int]:
+        return [k for k, m in enumerate(self._masks[fold]) if m.any()]
 
-def stacked(lanes: Lanes, rows: list[np.ndarray], series: Sequence[int]) -> np.ndarray:
-    """One vector whose square is the pooled mean squared error."""
-    parts = []
-    for r, k in zip(rows, series, strict=True):
-        s = lanes.case.series[k]
-        parts.append(r * np.sqrt(s.weight) * s.span / 100 / np.sqrt(len(series)))
-    return np.concatenate(parts)
+    def _residual(self, slots, starts, record: int, run, fold: int | None):
+        """Projected residual, moved start."""
+        s, seen = self.case.series[record], self._masks[fold][record]
+        if not np.isfinite(run).all():
+            return None, starts[record]
+        if not seen.any():
+            seen = s.counts.astype(float)
+        columns, begins = basis(self.case, slots, record)
+        left, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, seen)
+        moved = starts[record] - begins.T @ c[:, 0]
+        return np.where(s.counts, left[:, 0], np.nan), moved
 
+    def evaluate(self, fits: Sequence[Fit], slots: Sequence[np.ndarray], everything: bool = False):
+        """(cost, residuals, starts) of every fit at other slots; `everything`: on records left out, too."""
+        jobs, owners = [], []
+        for fit, p in zip(fits, slots, strict=True):
+            for k in range(len(self.case.series)) if everything else self._seen(fit.fold):
+                jobs.append((p, k, fit.starts[k]))
+                owners.append((fit, k))
+        runs, found, place = self._simulate(jobs), [], 0
+        for fit, p in zip(fits, slots, strict=True):
+            count = len(self.case.series) if everything else len(self._seen(fit.fold))
+            residuals: list = [None] * len(self.case.series)
+            starts = fit.starts.copy()
+            for (_, k), run in zip(owners[place : place + count], runs[place : place + count], strict=True):
+                residuals[k], starts[k] = self._residual(p, fit.starts, k, run, fit.fold)
+            place += count
+            found.append((self._cost(residuals, fit.fold), residuals, starts))
+        return found
 
-def mean_square(lanes: Lanes, rows: list[np.ndarray], series: Sequence[int]) -> float:
-    """Mean over records of e_rms_percent^2; infinite where a run diverged."""
-    value = float(np.sum(stacked(lanes, rows, series) ** 2))
-    return value if np.isfinite(value) else np.inf
+    def _cost(self, residuals, fold) -> float:
+        total = 0.0
+        for k in self._seen(fold):
+            if residuals[k] is None:
+                return np.inf
+            seen = self._masks[fold][k] > 0
+            total += seen.sum() * np.log(np.mean(residuals[k][seen] ** 2) + self.floors[k])
+        return float(total)
 
+    def differentiate(self, fits: Sequence[Fit]):
+        """Jacobians of the projected residuals, record by record."""
+        jobs, steps = [], []
+        for fit in fits:
+            z = coordinates(fit)
+            log = LOGARITHM[[INDEX[k] for k in fit.free]]
+            step = np.where(log, _STEP, _STEP * np.maximum(np.abs(z), 0.1 * fit.unit))
+            steps.append(step)
+            for k in self._seen(fit.fold):
+                for i in range(len(z)):
+                    moved = z.copy()
+                    moved[i] += step[i]
+                    jobs.append((at(fit, moved), k, fit.starts[k]))
+                jobs.append((fit.slots, k, fit.starts[k]))
+        runs, place = self._simulate(jobs), 0
+        for fit, step in zip(fits, steps, strict=True):
+            fit.jacobian = [np.zeros((0, 0))] * len(self.case.series)
+            for k in self._seen(fit.fold):
+                block = np.stack(runs[place : place + len(step) + 1], 1)
+                place += len(step) + 1
+                slopes = np.nan_to_num((block[:, :-1] - block[:, -1:]) / step, posinf=0.0, neginf=0.0)
+                columns, _ = basis(self.case, fit.slots, k)
+                fit.jacobian[k] = _projected(slopes, columns, self._masks[fit.fold][k])[0]
 
-def fit(
-    lanes: Lanes,
-    candidates: Sequence[Candidate],
-    *,
-    most: int = _MOST,
-    beat: float = np.inf,
-    budget: Budget | None = None,
-    progress: Callable[[int, float], None] = lambda step, best: None,
-) -> list[Candidate]:
-    """Every candidate at its least squares on the fitted records; `beat` is the cost of one fitted before."""
-    budget, longest = budget or Budget(), 0.0
-    series = [k for k, s in enumerate(lanes.case.series) if s.fitted]
-    level = stacked(lanes, [(s.weight > 0) * 100 / s.span for s in lanes.case.fitted], series)  # slope of the zero
-    states = [_State(_clip(c)) for c in candidates]
-    for state, rows in zip(states, residuals(lanes, [s.candidate for s in states], series), strict=True):
-        state.residual = stacked(lanes, rows, series)
-        state.cost = mean_square(lanes, rows, series)
-        state.done = state.done or not np.isfinite(state.cost)
-    for iteration in range(most):
-        active, before = [s for s in states if not s.done], budget.left
-        if not active or not budget.allows("the last steps of a fit", 2 * longest):  # one more, and judging
-            break
-        moved = [(s, k) for s in active for k in range(s.candidate.size - s.candidate.refit)]
-        nearby = [nudged(s.candidate, k) for s, k in moved]
-        slopes = residuals(lanes, [c for c, _ in nearby], series)
-        for s in active:
-            columns = [
-                (stacked(lanes, rows, series) - s.residual) / step
-                for (owner, _), (_, step), rows in zip(moved, nearby, slopes, strict=True)
-                if owner is s
-            ]
-            columns += [level] if s.candidate.refit else []
-            s.jacobian = np.nan_to_num(np.stack(columns, 1), posinf=0.0, neginf=0.0)
-        tries = [s.proposal() for s in active]
-        for s, tried, rows in zip(active, tries, residuals(lanes, tries, series), strict=True):
-            s.judge(tried, stacked(lanes, rows, series), mean_square(lanes, rows, series))
-        best = min(s.cost for s in states)
-        for s in active:
-            late = s.after(most - 1 - iteration) > _BEHIND * min(best, beat)
-            s.done = s.done or (iteration >= _PATIENCE and late)
-        progress(iteration + 1, best)
-        longest = max(longest, before - budget.left) if np.isfinite(before) else 0.0
-    return [s.finished() for s in states]
+    def normal(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+        """H and g."""
+        h, g = np.zeros((len(fit.free),) * 2), np.zeros(len(fit.free))
+        assert fit.jacobian is not None
+        for k in self._seen(fit.fold):
+            seen = self._masks[fit.fold][k] > 0
+            j, r = fit.jacobian[k][seen], fit.residuals[k][seen]
+            weight = 1 / (np.mean(r**2) + self.floors[k])
+            h, g = h + weight * j.T @ j, g + weight * j.T @ r
+        return h, g
 
+    def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
+        """Every fit some steps further down; what has converged stays."""
+        fresh = [f for f in fits if not np.isfinite(f.cost)]
+        for _ in range(2):  # the second with the first states that the first has found
+            for f, (cost, residuals, starts) in zip(fresh, self.evaluate(fresh, [f.slots for f in fresh]), strict=True):
+                if cost < f.cost:
+                    f.cost, f.residuals, f.starts = cost, residuals, starts
+            fresh = [f for f in fresh if np.isfinite(f.cost) and any(s.begins != "rest" for s in self.case.series)]
+        for f in fits:
+            f.done = f.done or not np.isfinite(f.cost) or not f.free
+        for _ in range(iterations):
+            active = [f for f in fits if not f.done]
+            if not active:
+                break
+            self.differentiate([f for f in active if f.jacobian is None])
+            trials = [self._trial(f) for f in active]
+            for f, p, (cost, residuals, starts) in zip(active, trials, self.evaluate(active, trials), strict=True):
+                self._judge(f, p, cost, residuals, starts)
+        return list(fits)
 
-def _clip(c: Candidate) -> Candidate:
-    low, high = _bounds(c)
-    return _at(c, np.clip(_coordinates(c), low, high))
+    def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
+        """The cost of every fit after one Gauss-Newton step, with the slopes of its front for what both have.
 
+        A start costs a run and one more for each new number; steps of its own take five times as many.
+        """
+        self.differentiate([f for f in {id(f): f for f in fronts}.values() if f.jacobian is None and f.free])
+        probes = []
+        for fit, front in zip(fits, fronts, strict=True):
+            free = tuple(k for k in fit.free if k not in front.free)
+            probes.append(fit.again(free=free, unit=np.zeros(0), fold=SCREEN, residuals=[], jacobian=None, cost=np.inf))
+            probes[-1].__post_init__()
+        self.fit(probes, 0)
+        there = [p for p in probes if np.isfinite(p.cost)]
+        self.differentiate(there)
+        return [self._stepped(p, f) if np.isfinite(p.cost) else np.inf for p, f in zip(probes, fronts, strict=True)]
 
-def nudged(c: Candidate, k: int) -> tuple[Candidate, float]:
-    """The candidate with one coordinate moved, towards the inside of its bounds."""
-    z = _coordinates(c)
-    low, high = _bounds(c)
-    linear = not _logarithms(c)[k]
-    step = max(2e-2 * abs(z[k]), 1e-4 * (high[k] - low[k])) if linear else _STEP
-    step = -step if z[k] + step > high[k] else step
-    z[k] += step
-    return _at(c, z), step
+    def _stepped(self, probe: Fit, front: Fit) -> float:
+        assert probe.jacobian is not None
+        seen, both = self._seen(SCREEN), list(probe.jacobian)
+        if front.free and front.jacobian is not None:
+            for k in seen:
+                both[k] = np.concatenate([front.jacobian[k], both[k]], 1)
+        whole = replace(probe, free=(*front.free, *probe.free), unit=np.zeros(0), jacobian=both)
+        h, g = self.normal(whole)
+        d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
+        move = -np.linalg.lstsq(h / np.outer(d, d) + whole.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
+        log, z = LOGARITHM[[INDEX[k] for k in whole.free]], coordinates(whole)
+        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(z), whole.unit))
+        move = np.clip(move, -most, most)
+        after = list(whole.residuals)
+        for k in seen:
+            after[k] = np.where(np.isfinite(after[k]), after[k] + both[k] @ move, np.nan)
+        return min(probe.cost, self._cost(after, SCREEN))
 
+    def _trial(self, fit: Fit) -> np.ndarray:
+        h, g = self.normal(fit)
+        d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
+        move = -np.linalg.lstsq(h / np.outer(d, d) + fit.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
+        z = coordinates(fit)
+        log = LOGARITHM[[INDEX[k] for k in fit.free]]
+        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(z), fit.unit))
+        return at(fit, z + np.clip(move, -most, most))
 
-class _State:
-    """One candidate on its way down."""
-
-    def __init__(self, candidate: Candidate):
-        self.candidate, self.damping, self.slow = candidate, 1e-2, 0
-        self.done, self.cost, self.gains = candidate.size == 0, np.inf, (1.0, 1.0)
-        self.residual, self.jacobian = np.zeros(0), np.zeros((0, candidate.size))
-
-    def proposal(self) -> Candidate:
-        """The damped Gauss-Newton step, inside the bounds."""
-        z, (low, high) = _coordinates(self.candidate), _bounds(self.candidate)
-        h, g = self.jacobian.T @ self.jacobian, self.jacobian.T @ self.residual
-        free = ~(((z <= low) & (g > 0)) | ((z >= high) & (g < 0)))
-        if not free.any():
-            self.done = True
-            return self.candidate
-        h, g = h[np.ix_(free, free)], g[free]
-        d = np.sqrt(np.diag(h) + 1e-12 * max(np.diag(h).max(), 1e-30))
-        move = np.zeros(len(z))
-        move[free] = -np.linalg.lstsq(h / np.outer(d, d) + self.damping * np.eye(len(g)), g / d, rcond=None)[0] / d
-        promised = -(2 * g + h @ move[free]) @ move[free] / max(self.cost, 1e-300)
-        if promised < _PROMISE:
-            self.done = True
-            return self.candidate
-        most = np.where(_logarithms(self.candidate), 1.0, (high - low) / 4)  # once 1 V at a time, for a voltage offset
-        return _at(self.candidate, np.clip(z + np.clip(move, -most, most), low, high))
-
-    def judge(self, tried: Candidate, residual: np.ndarray, cost: float):
-        """Accept what lowers the error."""
-        gain = max(1 - cost / max(self.cost, 1e-300), 0.0)
-        self.gains = (self.gains[1], gain)
-        if cost < self.cost:
-            self.slow = self.slow + 1 if gain < _ENOUGH else 0
-            self.candidate, self.residual, self.cost, self.damping = tried, residual, cost, self.damping / 10
+    def _judge(self, fit: Fit, slots, cost, residuals, starts):
+        total = sum((self._masks[fit.fold][k] > 0).sum() for k in self._seen(fit.fold))
+        gain = (fit.cost - cost) / total if np.isfinite(cost) else -1.0
+        if gain > 0:
+            fit.slow = fit.slow + 1 if gain < _SLOW else 0
+            fit.slots, fit.cost, fit.residuals, fit.starts = slots, cost, residuals, starts
+            fit.damping, fit.jacobian = max(fit.damping / 6, 1e-7), None
+            fit.done = fit.slow >= 2
         else:
-            self.damping *= 10
-        self.done = self.done or self.slow >= 2 or self.damping > 1e3
+            fit.damping *= 8
+            fit.done = fit.damping > 1e4
 
-    def after(self, steps: int) -> float:
-        """The cost after further steps at the better of the last two's pace."""
-        return self.cost * (1 - max(self.gains)) ** steps
-
-    def finished(self) -> Candidate:
-        """The candidate with its error and the covariance of its coordinates."""
-        if not self.jacobian.size:
-            return replace(self.candidate, train=self.cost)
-        h = self.jacobian.T @ self.jacobian
-        inverse = np.linalg.pinv(h, rcond=1e-12)
-        scores = [b.T @ r for b, r in zip(_blocks(self.jacobian), _blocks(self.residual), strict=True)]
-        meat = np.einsum("bi,bj->ij", np.stack(scores), np.stack(scores))
-        return replace(self.candidate, train=self.cost, covariance=inverse @ meat @ inverse)
-
-
-def _blocks(rows: np.ndarray) -> list[np.ndarray]:
-    """A hundred stretches of time: what is left is correlated within them, not across."""
-    return np.array_split(rows, 100)
+    def left_out(self, fits: Sequence[Fit], iterations: int) -> list[list[np.ndarray]]:
+        """Out-of-fold residuals of every fit, record by record: refitted without each fold from the fit to all."""
+        self.differentiate([f for f in fits if f.jacobian is None and f.free])
+        tasks = []
+        for f in fits:
+            for fold in range(len(self.case.folds)):
+                one = f.again(fold=fold, damping=1e-3)
+                one.cost = self._cost(one.residuals, fold)
+                if self.case.blocks and f.free:  # the zero is fitted without the block
+                    one.jacobian = None
+                tasks.append(one)
+        self.fit(tasks, iterations)
+        done = self.evaluate(tasks, [t.slots for t in tasks], everything=True)
+        found, place = [], 0
+        for _ in fits:
+            rows = [np.full(len(s.output), np.nan) for s in self.case.series]
+            for fold in range(len(self.case.folds)):
+                _, residuals, _ = done[place]
+                place += 1
+                for k, tested in enumerate(self.case.tested(fold)):
+                    if tested.any():
+                        far = 10 * self.case.series[k].span  # what diverges there is no model
+                        rows[k][tested] = far if residuals[k] is None else np.clip(residuals[k][tested], -far, far)
+            found.append(rows)
+        return found

@@ -1,27 +1,21 @@
-"""The next experiment: the excitation under which two tied explanations differ most.
+"""The next experiment: the excitation under which two explanations differ most.
 
-    maximise over excitations  rms_t (y_a - y_b) / sigma     within the voltages and slews already played
+    maximise over excitations  rms_t (y_a - y_b) / sigma     within stroke, voltages and slews already played
 
-Both explanations are rolled out under sines (low, through the resonance, high), steps, and, where voltages of either
-sign were played, a carrier of either sign stepped through frequency, which parts what lags before the square from what
-lags behind it. Each starts from zero volts and goes back there.
+Both are rolled out under sines (low, through the resonance, high), steps, and, where voltages of either sign were
+played, a carrier of either sign, which parts what lags before the square from what lags behind it. Each starts from
+zero volts and goes back there; one that would move further than what was played is made smaller.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._record.record import Record
-from .._simulate import ports
-from .batched_rollouts import Lanes
-from .case import Case, Series
-from .fit import lane_of
-from .noise import Noise
+from .data import Case, averaged
+from .search import Hypothesis, Scale
+from .simulator import Drive
 
-if TYPE_CHECKING:
-    from .evaluation import Judged
+_SIZES = (1.0, 0.7, 0.5, 0.3)
 
 
 @dataclass(frozen=True)
@@ -42,24 +36,22 @@ class Experiment:
     difference: float
 
 
-def excitations(case: Case) -> dict[str, np.ndarray]:
-    """Voltages by what they are, within what was played; each about sixty natural periods long, and the ramps."""
-    hz, dt = case.surroundings.omega / (2 * np.pi), case.dt
-    t = np.arange(int(np.clip(60 / hz / dt, 2000, 20000))) * dt
-    low = min(float(s.record.voltage.min()) for s in case.series)
-    top, slew = max(float(s.record.voltage.max()) for s in case.series), case.surroundings.slew
-    found = {}
+def excitations(low: float, top: float, slew: float, hz: float, dt: float, size: float) -> dict[str, np.ndarray]:
+    """Voltages by what they are, of that share of the range; each about sixty natural periods long, and the ramps."""
+    t = np.arange(int(np.clip(60 / hz / dt, 2000, 40000))) * dt
+    found, middle = {}, (top + low) / 2 if low >= 0 else 0.0
     for m in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.5):
-        swing = min((top - low) / 2 * 0.95, slew / (2 * np.pi * m * hz))
-        found[f"sine of {m * hz:.3g} Hz"] = (top + low) / 2 - swing * np.cos(2 * np.pi * m * hz * t)
-        carrier = min(0.95 * top, -0.95 * low, slew / (2 * np.pi * m * hz))
+        if m * hz * t[-1] < 3 or m * hz > 0.1 / dt:
+            continue
+        swing = size * min((top - low) / 2 * 0.95, slew / (2 * np.pi * m * hz))
+        found[f"sine of {m * hz:.3g} Hz"] = size * middle - swing * np.cos(2 * np.pi * m * hz * t)
+        carrier = size * min(0.95 * top, -0.95 * low, slew / (2 * np.pi * m * hz))
         if carrier > 0:
             found[f"sine of {m * hz:.3g} Hz about zero volts"] = carrier * np.sin(2 * np.pi * m * hz * t)
     level = low + np.repeat([0.2, 0.9, 0.5, 1.0, 0.1, 0.7], -(-len(t) // 6))[: len(t)] * (top - low)
-    rise = max(int((top - low) / slew / dt), 1)
-    found["steps of six levels"] = np.convolve(np.pad(level, (rise, 0), mode="edge"), np.ones(rise) / rise, "valid")[
-        : len(t)
-    ]
+    rise = max(int(np.ceil((top - low) / slew / dt)), 1)
+    ramped = np.convolve(np.pad(level, (rise, 0), mode="edge"), np.ones(rise) / rise, "valid")
+    found["steps of six levels"] = size * ramped[: len(t)]
     return {name: _from_zero(u, slew * dt) for name, u in found.items()}
 
 
@@ -69,32 +61,30 @@ def _from_zero(voltage: np.ndarray, step: float) -> np.ndarray:
     return np.concatenate([up, voltage, down[::-1]])
 
 
-def separate(case: Case, a: "Judged", b: "Judged", noise: Noise) -> Experiment:
-    """The best of `excitations`."""
-    tried = excitations(case)
-    model, n = case.model, case.model.order
-    series = []
-    for voltage in tried.values():
-        time = np.arange(len(voltage)) * case.dt
-        late = ports.delayed(model, jnp.asarray(voltage, jnp.float32), case.dt, True)
-        film = np.asarray(model.drive.film(late, case.dt, jnp.asarray(True)), np.float64)
-        blank = np.zeros(len(voltage))
-        motion = np.zeros((len(voltage), n + 1))
-        record = Record("next", time, voltage, blank)
-        start = np.asarray(case.series[0].start)
-        start = np.zeros_like(start) if not case.series[0].rest else start
-        series.append(
-            Series(record, False, film, blank, motion, motion, blank, blank, blank, blank, True, start, 0.0, 0.0, 1.0)
-        )
-    imagined = replace(case, series=tuple(series))
-    lanes = Lanes(imagined, [(*a.candidate.forms, *b.candidate.forms)])
-    first, second = (lanes.run([lane_of(j.candidate, k) for k in range(len(series))]) for j in (a, b))
-    gains = []
-    for x, y in zip(first, second, strict=True):
-        d = x.astype(float) - y
-        gains.append(float(np.sqrt(np.mean(d**2)) / max(noise.sigma, 1e-12)) if np.isfinite(d).all() else -1.0)
-    best = int(np.argmax(gains))
-    name = list(tried)[best]
-    record = series[best].record
-    rival = next(n for n in b.names if n not in a.names[1:])
-    return Experiment((a.names[0], rival), name, record.time, record.voltage, gains[best])
+def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tuple[str, str]) -> Experiment | None:
+    """The best of `excitations`; None where every one would move further than what was played."""
+    volts = np.concatenate([s.record.voltage for s in case.series])
+    dt = case.series[0].record.dt
+    slew = max(float(np.abs(np.diff(s.record.voltage)).max()) for s in case.series) / dt
+    limits = float(volts.min()), float(volts.max()), slew, 1 / (2 * np.pi * scale.tau), dt
+    reach = max(np.nanmax(s.output) for s in case.series), min(np.nanmin(s.output) for s in case.series)
+    noise = float(np.mean([s.noise for s in case.series])) + 1e-12
+    best: Experiment | None = None
+    for size in _SIZES:
+        tried = excitations(*limits, size)
+        k = case.thinned
+        drives = tuple(Drive(averaged(u, k, False), dt * k, (0.0, 0.0)) for u in tried.values())
+        imagined = replace(case.simulator, drives=drives)
+        places, starts = list(range(len(drives))), np.zeros((len(drives), 2))
+        runs = [imagined.run(np.tile(h.fit.slots, (len(drives), 1)), places, starts) for h in (a, b)]
+        for (what, u), x, y in zip(tried.items(), *runs, strict=True):
+            if not (np.isfinite(x).all() and np.isfinite(y).all()):
+                continue
+            inside = (
+                max(x.max(), y.max()) <= 1.05 * reach[0] + 1e-9
+                and min(x.min(), y.min()) >= min(reach[1], 0.0) * 1.05 - 0.02 * reach[0]
+            )
+            difference = float(np.std(x - y) / noise)
+            if inside and (best is None or difference > best.difference):
+                best = Experiment(names, what, np.arange(len(u)) * dt, u, difference)
+    return best

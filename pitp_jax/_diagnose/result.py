@@ -1,26 +1,37 @@
-"""What a diagnosis found, in physical units: the gap, the ranking, the added effects, the traces.
+"""What a diagnosis hands out, in physical units: the gap, the ranking, the added effects, the traces.
 
-closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   held-out, pooled over records
+closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   out of fold, pooled over records
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from .._effects import CATALOGUE
 from .._effects.physical import physical
-from .bootstrap import means
-from .case import Case
-from .effect_selection import Attribution
-from .evaluation import Judged
-from .regress import Screened
+from .._model.model import Model
+from .._record.record import Record
+from .._simulate.prediction import predict
+from .evidence import probability
+from .fit import Fit
+from .library import effects_of, family
+from .search import Hypothesis, Search
+from .shares import energies
+from .simulator import INDEX, LOGARITHM, OFF
 
-GAP = 1.1  # times the floor: no gap up to there
+GAP = 1.1  # times the floor: no gap to close up to there
+_BLOCKS = 30
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Held-out figures in % of range, pooled over records, and the share that was closed with its 95 % interval."""
+    """Out-of-fold figures in % of range, pooled over records, and the share that was closed with its 95 % interval.
+
+    Attributes:
+        before: of the nominal (refitted in a refit); after: with what was chosen; unrefitted: of the nominal as given.
+        noise_floor: the nominal's own error, None where it is not known; floor_from: where that comes from.
+        explainable: what the best set or the reference leaves.
+    """
 
     before: float
     after: float
@@ -29,18 +40,19 @@ class Gap:
     floor_from: str
     closed_fraction: float | None
     ci95: tuple[float, float] | None
+    explainable: float = float("nan")
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """One name's best form.
+    """One name's best form by itself.
 
     Attributes:
         effect, family, form: as in the catalogue.
-        parameters: name to value, unit and standard error (None where it was only screened).
-        train, heldout: error left, % of range; of one that fell far behind, where its fit was given up.
+        parameters: name to value, unit and standard error.
+        train, heldout: error left, % of range, of the fit to all records and out of fold.
         closed_fraction, ci95: as in `Gap`.
-        screened: True where the figures come from screening, not from whole rollouts.
+        probability: P that it beats the linear model.
     """
 
     effect: str
@@ -51,7 +63,7 @@ class Ranked:
     heldout: float
     closed_fraction: float | None
     ci95: tuple[float, float] | None
-    screened: bool
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -78,114 +90,135 @@ class Trace:
 
 def closed(before: float, after: float, low: float) -> float | None:
     """The closed fraction; None where there was nothing to close."""
-    if before <= GAP * low:
+    if before <= GAP * low or before <= 0:
         return None
     return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
 
 
-def _interval(case: Case, base: Judged, after: Judged, low: float, held, doubt: float) -> tuple[float, float] | None:
-    """Blocks drawn anew for both errors, the floor within its own relative standard deviation `doubt`."""
-    if base.heldout <= GAP * low or not np.isfinite(after.heldout):
+def percent(search: Search, h: Hypothesis) -> float:
+    """Out-of-fold error, % of range, pooled over records."""
+    return 100 * float(np.sqrt(energies([h.evidence], _spans(search))[0, 0]))
+
+
+def _spans(search: Search) -> np.ndarray:
+    return np.array([s.span for s in search.case.series])
+
+
+def interval(search: Search, before: Hypothesis, after: Hypothesis, low: float) -> tuple[float, float] | None:
+    """Records and blocks drawn anew for both errors; within [-1, 1]. None where there is nothing to close."""
+    e = 100**2 * energies([before.evidence, after.evidence], _spans(search))
+    if np.sqrt(e[0, 0]) <= GAP * low:
         return None
-    first, second = means(case, held, lambda k: np.stack([base.errors[k], after.errors[k]]) ** 2)
-    floors = (low * (1 + doubt * np.random.default_rng(1).standard_normal(len(first)))) ** 2
-    draws = 1 - np.sqrt(np.maximum(second - floors, 0) / np.maximum(first - floors, 1e-12))
-    here = closed(base.heldout, after.heldout, low) or 0.0
-    return float(min(np.quantile(draws, 0.025), here)), float(max(np.quantile(draws, 0.975), here))
+    room = e[0] - low**2
+    drawn = 1 - np.sqrt(np.maximum(e[1] - low**2, 0) / np.where(room > 0, room, np.nan))
+    drawn = np.clip(np.where(room > 0, drawn, 0.0), -1, 1)  # a draw without a gap: nothing is closed
+    here = drawn[0]
+    return float(min(np.quantile(drawn[1:], 0.025), here)), float(max(np.quantile(drawn[1:], 0.975), here))
 
 
-def gap_of(case: Case, found: Attribution, after: Judged, low: float, held) -> Gap:
-    before = found.base.heldout
-    return Gap(
-        before=before, after=min(after.heldout, before) if before <= GAP * low else after.heldout,
-        unrefitted=found.given.heldout, noise_floor=low, floor_from=found.noise.source,
-        closed_fraction=closed(before, after.heldout, low), 
-        ci95=_interval(case, found.base, after, low, held, found.noise.doubt),
-    )  # fmt: skip
+def errors_of(search: Search, fit: Fit) -> dict[str, float]:
+    """Standard errors of the free numbers (of logarithms where positive): block sandwich, B / (B - p)."""
+    if not fit.free:
+        return {}
+    if fit.jacobian is None:
+        search.fitter.differentiate([fit])
+    h, _ = search.fitter.normal(fit)
+    meat, count = np.zeros_like(h), 0
+    assert fit.jacobian is not None
+    total = sum(s.counts.sum() for s in search.case.series)
+    for k, s in enumerate(search.case.series):
+        r = np.nan_to_num(fit.residuals[k])
+        weight = 1 / (np.mean(r[s.counts] ** 2) + search.floors[k])
+        blocks = max(3, round(_BLOCKS * s.counts.sum() / total))
+        for j, e in zip(np.array_split(fit.jacobian[k], blocks), np.array_split(r, blocks), strict=True):
+            score = weight * j.T @ e
+            meat += np.outer(score, score)
+            count += 1
+    inverse = np.linalg.pinv(h, rcond=1e-10)
+    plain = np.diag(inverse)  # not below what independent residuals would give
+    wide = count / max(count - len(fit.free), 1)
+    variance = np.maximum(np.diag(inverse @ meat @ inverse) * wide, plain)
+    return dict(zip(fit.free, np.sqrt(np.maximum(variance, 0)).tolist(), strict=True))
 
 
-def added_of(case: Case, judged: Judged) -> tuple[Added, ...]:
-    """Form by form, with the standard errors of the joint fit."""
-    c, found, k = judged.candidate, [], 0
-    errors = np.sqrt(np.maximum(np.diag(c.covariance), 0)) if c.covariance.size else None
-    for form, values, start in zip(c.forms, c.values, c.starts, strict=True):
-        told = {}
-        for p, v, low, high in zip(form.parameters, values, start.low, start.high, strict=True):
-            value, unit = physical(case.model, p, v)
-            error = None
-            if high > low:
-                if errors is not None:
-                    error = abs(float(errors[k] * (value if p.positive else value / v if v else 0.0)))
-                k += 1
-            told[p.name] = {"value": float(value), "unit": unit, "stderr": error or None}
-        found.append(Added(form.name, form.form, told))
-    if not c.forms:
-        told = {
-            f"a_{i} over given": {"value": float(f), "unit": "1", "stderr": e}
-            for i, (f, e) in enumerate(zip(c.factors, _relative(c, errors), strict=True))
-        }
-        found.append(Added("parameter_change", "refitted coefficients", told))
-    return tuple(found)
+def told(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
+    """Parameters of one effect in physical units; `codes`: the slots they are."""
+    numbers, rows = effect.numbers(), {}
+    for k, (p, value) in enumerate(numbers):
+        number, unit = physical(model, p, float(value))
+        slot = codes[k].removeprefix("-").removeprefix("1/") if k < len(codes) else None
+        error = None
+        if slot in errors and np.isfinite(number):
+            size = 1.0 if LOGARITHM[INDEX[slot]] else 1 / max(abs(fit.value(slot)), 1e-300)
+            error = abs(number) * size * errors[slot]
+        name = f"c{k + 1}" if effect.name == "found_term" and k < len(codes) else p.name
+        rows[name] = {"value": float(number), "unit": unit, "stderr": error}
+    return rows
 
 
-def _relative(c, errors) -> list:
-    """Standard errors of the coefficients' factors, where they were fitted."""
-    if errors is None or not c.refit:
-        return [None] * len(c.factors)
-    return [float(e * f) or None for e, f in zip(errors[-1 - len(c.factors) : -1], c.factors, strict=True)]
+def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
+    """The effects beyond the nominal, with their numbers."""
+    return tuple(Added(e.name, e.form, told(model, e, codes, fit, errors)) for e, codes in added)
 
 
-def ranking_of(case: Case, found: Attribution, low: float, held) -> tuple[Ranked, ...]:
-    """Every name's best form: those fitted on whole rollouts, the preferred one first, then those only screened."""
-    stable = [j for k, j in enumerate(found.ranking) if k == 0 or np.isfinite(j.heldout)]  # not what ran away there
-    rows = [_fitted(case, found, j, low, held) for j in stable]
-    seen = {r.effect for r in rows}
-    for s in found.screened:
-        if s.names[0] not in seen:
-            seen.add(s.names[0])
-            rows.append(_screened(case, found, s, low))
-    order = {c.name: k for k, c in enumerate(CATALOGUE)}
-    first = found.ranking[0].names[0]
-    return tuple(sorted(rows, key=lambda r: (r.screened, r.effect != first, r.heldout, order.get(r.effect, 0))))
+def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
+    """The linear model's numbers over those given."""
+    nominal, rows = search.case.nominal, {}
+    for k in search.core:
+        if k in fit.free:
+            value = fit.value(k) / nominal[INDEX[k]]
+            key = f"{k[0]}_{k[1]} over given" if k in ("a0", "a1", "a2") else f"{k} over given"
+            rows[key] = {"value": float(value), "unit": "1", "stderr": value * errors[k] if k in errors else None}
+    return rows
 
 
-def _fitted(case: Case, found: Attribution, j: Judged, low: float, held) -> Ranked:
-    form = j.candidate.forms[0] if j.candidate.forms else None
-    return Ranked(
-        effect=j.names[0],
-        family=form.family if form else "parametric",
-        form=form.form if form else "refitted coefficients",
-        parameters=added_of(case, j)[0].parameters,
-        train=j.train,
-        heldout=j.heldout,
-        closed_fraction=closed(found.base.heldout, j.heldout, low),
-        ci95=_interval(case, found.base, j, low, held, found.noise.doubt),
-        screened=False,
+def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
+    """Every name's best form by itself, best first."""
+    rows = []
+    before = percent(search, search.base)
+    for h in search.level(1):
+        label = h.labels[0]
+        same = h.fit.slots == search.base.fit.slots
+        same[[INDEX[k] for k in ("delay", "lag", "filter")]] |= label not in ("delay", "sensor_lag")
+        slots = np.where(same, OFF, h.fit.slots)
+        slots[INDEX["a0"]] = h.fit.value("a0")
+        found, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
+        mine = next(((e, c) for e, c in found if e.name in (label, "found_term")), None)
+        errors = errors_of(search, h.fit) if len(rows) < 3 else {}
+        numbers = told(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
+        after, moved = percent(search, h), label == "parameter_change"
+        rows.append(Ranked(
+            label, family(label), mine[0].form if mine else "refitted coefficients" if moved else "of the library",
+            numbers, _train(search, h.fit), after, closed(before, after, low), interval(search, search.base, h, low),
+            probability(h.evidence, search.base.evidence),
+        ))  # fmt: skip
+    return tuple(rows)
+
+
+def _train(search: Search, fit: Fit) -> float:
+    squares = [np.nanmean(r**2) / s.span**2 for r, s in zip(fit.residuals, search.case.series, strict=True)]
+    return 100 * float(np.sqrt(np.mean(squares)))
+
+
+def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tuple[Trace, ...]:
+    """Every record beside the nominal and the model that is handed back."""
+    first = predict(nominal, records)
+    second = first if augmented is nominal else predict(augmented, records)
+    return tuple(
+        Trace(
+            r.name,
+            len(records) > 1,
+            r.time,
+            r.voltage,
+            np.where(p.scored, r.displacement, np.nan),
+            _levelled(p, r),
+            _levelled(q, r),
+        )
+        for r, p, q in zip(records, first, second, strict=True)
     )
 
 
-def _screened(case: Case, found: Attribution, s: Screened, low: float) -> Ranked:
-    form, told = s.forms[0], {}
-    for p, v in zip(form.parameters, s.values[0], strict=True):
-        value, unit = physical(case.model, p, v)
-        told[p.name] = {"value": value, "unit": unit, "stderr": None}
-    train, heldout = (float(np.sqrt(max(e, 0))) for e in (s.train, s.heldout))
-    return Ranked(
-        effect=form.name,
-        family=form.family,
-        form=form.form,
-        parameters=told,
-        train=train,
-        heldout=heldout,
-        closed_fraction=closed(found.base.heldout, heldout, low),
-        ci95=None,
-        screened=True,
-    )
-
-
-def trace_of(case: Case, found: Attribution, k: int) -> Trace:
-    s = case.series[k]
-    scale, to_rig = case.model.scales.state[0], case.model.output.to_rig
-    seen = np.where(s.weight > 0, (s.run - s.error) * scale, np.nan)
-    rows = [to_rig((s.run - s.error + j.errors[k] * s.span / 100) * scale) for j in (found.base, found.best)]
-    return Trace(s.record.name, not s.fitted, s.record.time, s.record.voltage, to_rig(seen), *rows)
+def _levelled(p, r: Record) -> np.ndarray:
+    """A run with its zero fitted over the record."""
+    seen = p.scored & np.isfinite(r.displacement) & np.isfinite(p.displacement)
+    return p.displacement + (np.mean((r.displacement - p.displacement)[seen]) if seen.any() else 0.0)

@@ -1,59 +1,178 @@
-"""When a gap is explained: the rule and its thresholds, for the diagnosis and for the page that tells of it.
+"""The verdict: which names of the last set that pays are said, with what they are tied, and how sure that is.
 
-no_gap      before, or what is left of it once every record's zero and direction are fitted, <= GAP floors; or <= DOUBT
-            floors, of which no effect closes ENOUGH
-unknown     no gap, but the floor is more than a sensor makes; less than HALF closed; less than ENOUGH where more than
-            LITTLE floors are left, less than MOST where more than MUCH floors or LARGE % of range are; more than
-            TOO_LARGE % of range left; no less left than by zeros and directions alone; more than TIES names tied; an
-            effect that can be written in one way only leaves more than ONLY times what the healthy nominal left
-explained   else
+no_gap     the nominal leaves at most OWN times its own error; or nothing, reference included, gains GAIN of its error
+explained  every name of the set beats, with P >= SURE, the best set of the same size searched without it (or two of
+           them are tied), and the reference on top closes nothing more
+partly     the same, and it does
+unknown    else: the set loses to the reference, has a force without a name or an undecided member, a deeper set leaves
+           less than HALF of it and is not sure of its names, or there are few excitations and a rival within TWICE
 
-All figures held out. A confident wrong name costs a laboratory a week, `unknown` an hour.
+A confident wrong name costs a laboratory a week, `unknown` an hour.
 """
 
-from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from .case import Case
-from .effect_selection import Attribution
-from .evaluation import CLOSE, Judged
-from .noise import STRUCK
-from .result import GAP, Gap, closed
-
-TIES = 3  # a list of four and more names is no answer
-DOUBT = 1.4  # how far off the floor may be: AR(0.9) noise in records of 1500 samples reads 15 % low
-HELPS = 0.2  # a best candidate that closes less explains nothing, and what is tied with it neither
-HALF = 0.5  # what closes less explains nothing, however high the floor
-# Tuning seeds: true names of another form close 0.81 at least (0.76 at 2.1 floors after a refit), a curved sensor, of
-# which no form was known, 0.67. With the true name left out (seeds 100 and 101, not fresh in this) what stands in
-# closes 0.69 to 0.89, and what of it lies below 0.8 leaves 4.9 floors at least
-LITTLE, ENOUGH = 1.5, 0.72
-MUCH, MOST = 3.0, 0.80
-LARGE, TOO_LARGE = 5.0, 10.0  # % of range: what a laboratory would not call explained (docs/effects.md)
-ONLY = 2.0  # with the true name left out, a charge leak passed for a voltage offset (77 % closed, 4.9 floors left)
+from . import rules
+from .evidence import Evidence, probability
+from .library import FREE, TWINS
+from .reference import reference
+from .search import LONE, PARAMETERS, Hypothesis, Search
 
 
-def verdict(gap: Gap, found: Attribution, own: float, rezeroed: float = np.inf) -> str:
-    """`own`: what the nominal left where nothing was wrong, over the noise; `rezeroed` as below."""
-    low = gap.noise_floor or 0.0
-    share = gap.closed_fraction or 0.0
-    level = min(gap.before, rezeroed)
-    if level <= GAP * low or (level <= DOUBT * low and (closed(level, gap.after, low) or 0.0) < ENOUGH):
-        return "unknown" if found.noise.sigma > STRUCK * found.noise.sensor else "no_gap"
-    least = max(HALF, ENOUGH * (gap.after > LITTLE * low), MOST * (gap.after > min(MUCH * low, LARGE)))
-    worse = gap.after > TOO_LARGE or CLOSE * gap.after > rezeroed
-    if share < least or worse or len(found.equivalent) > TIES:
-        return "unknown"
-    no_excuse = all(f.only for f in found.best.candidate.forms)  # a parameter change has no form at all
-    return "unknown" if no_excuse and gap.after > ONLY * own * low > 0 else "explained"
+@dataclass(frozen=True)
+class Decision:
+    """What the evidence says.
+
+    Attributes:
+        verdict: as above.
+        chosen: the last set that pays; the base where none does.
+        said: catalogue names, most important first; empty unless explained or partly.
+        tied: per name said, what it cannot be told from.
+        probabilities: per name of the set, P that it is needed.
+        fractions: per name of the set, of the energy the set closes.
+        bar: the reference on the base; above: on the chosen set.
+        more: P that the reference closes more on top of the set.
+        reason: why nothing is said, in words.
+    """
+
+    verdict: str
+    chosen: Hypothesis
+    said: tuple[str, ...]
+    tied: dict[str, tuple[str, ...]]
+    probabilities: dict[str, float]
+    fractions: dict[str, float]
+    bar: Evidence
+    above: Evidence
+    more: float
+    reason: str = ""
+    rivals: tuple[str, ...] = field(default=())
 
 
-def rezeroed(case: Case, base: Judged, which: Sequence[int]) -> float:
-    """What the nominal leaves of these records where the zero and direction of each are fitted, pooled, % of range."""
-    squares = []
-    for k in which:
-        s, error = case.series[k], base.errors[k]
-        counts, twice = s.weight > 0, 200 * (s.run - s.error) / s.span
-        squares.append(min(np.var(error[counts]), np.var((error + twice)[counts])))
-    return float(np.sqrt(np.mean(squares)))
+def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
+    """Judge a search; `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: excitations."""
+    base, chosen = search.base, search.best()
+    case, floors = search.case, search.floors
+    bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
+    bar = min(bars, key=lambda e: e.score)
+    above = reference(case, chosen, floors) if chosen.names else bar
+    # what a flexible model adds counts where it is worth GAIN of the gap's energy, not of what little is left
+    worth = 1 - rules.GAIN * (base.rms / chosen.rms) ** 2
+    more = probability(above, chosen.evidence, np.sqrt(worth)) if worth > 0 else 0.0
+    settled = chosen.rms <= rules.OWN * max(own, noise)
+
+    def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
+        return Decision(
+            verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason, tuple(rivals)
+        )
+
+    if search.given.rms <= rules.OWN * own:
+        return answer("no_gap", reason="the nominal leaves no more than on its own records")
+    if not chosen.names:
+        gains = [h.rms for h in search.every.values()] + [bar.rms]
+        if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
+            return answer("no_gap", reason="what is left is the sensor's noise")
+        return answer("unknown", reason="no effect of the catalogue pays")
+    p, rivals, taken = {}, {}, _fractions(search, chosen)
+    fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
+    for name, label in zip(chosen.names, chosen.labels, strict=True):
+        rivals[name] = _rival(search, chosen, {name})
+        p[label] = _needed(chosen, rivals[name])
+    if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
+        p["parameter_change"] = probability(chosen.evidence, search.given.evidence)
+    told: dict[str, Any] = {"p": p, "fractions": fractions}
+    moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
+    if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
+        return answer("unknown", reason="a flexible model without names explains as much", **told)
+    if FREE in chosen.names:
+        return answer("unknown", reason="a force that has no name is part of it", **told)
+    deeper = [h for h in search.every.values() if len(h.names) > len(chosen.names) and h.rms < rules.HALF * chosen.rms]
+    deepest = min(deeper, key=lambda h: h.rms, default=None)
+    if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
+        return answer("unknown", reason="a larger set leaves less than half of it, and does without", **told)
+    said, tied = [], {}
+    order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
+    for name, label in order:
+        if fractions[label] < rules.LISTED or label in said:
+            continue
+        few = distinct < rules.EXCITATIONS and not settled and rivals[name].rms < rules.TWICE * chosen.rms
+        equal = () if p[label] >= rules.SURE else _tie(search, chosen, name, label)
+        if equal is None or few:
+            rival = "+".join(rivals[name].labels)
+            why = "too few kinds of excitation to tell" if few else "these records cannot tell"
+            return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **told)
+        twins = {n for group in TWINS if label in group for n in group} - {label}
+        twins = set() if label == "parameter_change" or search.refit and label != "delay" else twins
+        said.append(label)
+        tied[label] = tuple(dict.fromkeys((*equal, *sorted(twins))))
+    if not said:
+        return answer("unknown", reason="no single effect of the set closes much", **told)
+    open_ = more >= rules.SURE or deepest is not None
+    verdict = "partly" if open_ and not settled else "explained"
+    return answer(verdict, said, tied, **told)
+
+
+def _needed(chosen: Hypothesis, rival: Hypothesis) -> float:
+    """P that the rival leaves more, by GAIN at least: what is less hangs on the simulator's own error."""
+    return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
+
+
+def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bool:
+    """Whether every name of the set is also sure in a larger one that leaves far less: a name is judged at the end."""
+    for name in chosen.names:
+        if name not in deepest.names:
+            return False
+        rival = _rival(search, deepest, {name})
+        if _needed(deepest, rival) < rules.SURE:
+            return False
+    return True
+
+
+def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
+    """Whether a rival only frees all of the nominal's numbers where the set has moved one of them."""
+    return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
+
+
+def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
+    """The best set no larger than the chosen one that lacks some names, searched anew."""
+    for name in without:
+        search.without(name, len(chosen.names))
+    labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
+    found = [
+        h
+        for h in search.every.values()
+        if not without & set(h.names) and not labels & set(h.labels) and len(h.names) <= len(chosen.names)
+    ]
+    fair = [h for h in found if not _nested(h, chosen) and not _nested(chosen, h)] or found
+    return min(fair, key=lambda h: h.rms)
+
+
+def _fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
+    """Of the energy that the set closes, what came with each name in the order taken, by search name.
+
+    What a set loses without a name says less: where two effects can stand for each other, neither is missed much.
+    """
+    whole, before, fractions = search.base.rms**2 - chosen.rms**2, search.base, {}
+    for h in search.steps(chosen)[1 if search.refit else 0 :]:
+        new = [n for n in h.names if n not in before.names]
+        for n in new:
+            fractions[n] = float(np.clip((before.rms**2 - h.rms**2) / len(new) / max(whole, 1e-300), 0.0, 1.0))
+        before = h
+    return fractions
+
+
+def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:
+    """Names that may stand in the place of one: with them left out, too, the set must be sure; None: too many."""
+    group, labels = {name}, []
+    while len(group) < rules.TIED + 1:
+        rival = _rival(search, chosen, group)
+        if _needed(chosen, rival) >= rules.SURE:
+            return tuple(labels)
+        new = set(rival.names) - set(chosen.names)
+        if len(new) != 1 or len(group) == rules.TIED:
+            return None
+        group |= new
+        labels += [label for n, label in zip(rival.names, rival.labels, strict=True) if n in new]
+    return None

@@ -1,17 +1,27 @@
 """Where the gap lies: residual energy of the nominal, noise subtracted, over every axis a rig has.
 
     output     share of  sum w (e^2 - sigma^2)  by record, frequency of the residual, harmonic of the drive, and time
-    force      r = F - sum_i sigma_i x^(i) - sigma_off  (what the equation lacks), by displacement, velocity, voltage,
+    force      r = F - a_0 x - a_1 x' - a_2 x''  (what the equation lacks), by displacement, velocity, voltage,
                and by cells of the drive's local frequency x the local amplitude of the motion
+
+All of it on the thinned records.
 
 A cell is flagged where the missing force stands out of what noise leaves there, and is no mere spill of the filter.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 
 from .._record.excitation_kind import kind, spectrum
-from .case import Case, Series
-from .noise import Noise
+from .._record.preprocess import preprocess
+from .._record.record import Record
+from .._table.units import from_base
+from .data import Case
+from .search import Scale
+from .simulator import INDEX
 from .steady_tone import steady_tone
 
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
@@ -21,34 +31,82 @@ _MOST = 0.6  # of the missing force's energy, in the cells that the sentence spa
 _FLAG = 0.15  # a flagged cell's missing force, rms, beside that of the loudest cell
 
 
-def locate(case: Case, errors: list[np.ndarray], noise: Noise) -> dict:
+@dataclass(frozen=True)
+class Motion:
+    """One thinned record along its measured motion.
+
+    Attributes:
+        record: thinned, in V and scaled displacement.
+        weight: 1e4 / (samples range^2) where the output counts, else 0.
+        states: scaled x, x', x'' (per s), shape (T, 3).
+        force: scaled r, shape (T,).
+        noise, span: of the output, scaled.
+    """
+
+    record: Record
+    weight: np.ndarray
+    states: np.ndarray
+    force: np.ndarray
+    noise: float
+    span: float
+
+
+class Seen(NamedTuple):
+    """What the tables are made of."""
+
+    motions: tuple[Motion, ...]
+    omega: float
+    reach: float
+    length: float
+    unit: str
+
+    @property
+    def dt(self) -> float:
+        """Of the thinned records, s."""
+        return self.motions[0].record.dt
+
+
+def motions(case: Case, scale: Scale) -> Seen:
+    """Derivatives and missing forces along the measured motion; `scale`: of the search."""
+    found, dt = [], case.dt
+    a = [case.nominal[INDEX[k]] for k in ("a0", "a1", "a2")]
+    omega = 1 / scale.tau
+    for s, d in zip(case.series, case.simulator.drives, strict=True):
+        place = np.arange(len(s.output))
+        filled = np.interp(place, place[s.counts], s.output[s.counts])
+        record = Record(s.record.name, d.age + place * dt, d.voltage, filled)
+        force = (d.voltage**2 if case.simulator.square else d.voltage) / case.simulator.force_scale
+        cut = min(max(6 * omega / (2 * np.pi), 3 / (len(place) * dt)), 0.3 / dt)
+        states = preprocess(record, 2, cut, force, displacement=filled).states
+        weight = 1e4 * s.counts / (s.counts.sum() * s.span**2)
+        found.append(Motion(record, weight, states, force - states @ a, s.noise, s.span))
+    scale_, unit = float(case.model.scales.state[0]), case.model.provenance.displacement_unit
+    reach = max(float(np.abs(m.states[:, 0]).max()) for m in found)
+    return Seen(tuple(found), omega, reach, scale_, unit)
+
+
+def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
     """The `where` of docs/contract.md: shares that sum to 1 per axis, and one plain sentence."""
-    series = case.series
+    errors = [np.nan_to_num(e) for e in errors]
     out = {
-        "records": _records(case, errors, noise),
-        "frequency": _frequency(case, errors, noise),
-        "harmonics": _harmonics(case, errors, noise),
-        "time": _time(case, errors, noise),
-        "tone": _tone(case, errors),
+        "records": _records(seen, errors),
+        "frequency": _frequency(seen, errors),
+        "harmonics": _harmonics(seen, errors),
+        "time": _time(seen, errors),
+        "tone": _tone(seen, errors),
     }
-    forces = [missing_force(s) for s in series]
-    quiet = _quiet(case, noise)
+    quiet = _quiet(seen)
     for name, value in (("displacement", 0), ("velocity", 1), ("voltage", None)):
-        out[name] = _axis(case, forces, quiet, name, value)
-    out["cells"] = _cells(case, forces, quiet)
-    out["summary"] = _sentence(case, out)
+        out[name] = _axis(seen, quiet, value)
+    out["cells"] = _cells(seen, quiet)
+    out["summary"] = _sentence(seen, out)
     return out
 
 
-def missing_force(s: Series, factors: float | np.ndarray = 1.0) -> np.ndarray:
-    """Scaled F - sum_i sigma_i x^(i) - sigma_off along the measured motion; `factors` on the tokens."""
-    return s.force - np.einsum("ti,ti->t", s.tokens * factors, s.motion) - s.offset
-
-
-def _quiet(case: Case, noise: Noise) -> float:
-    """Mean square of the missing force that noise alone makes: the lower decile of its local mean squares."""
-    size = max(int(np.pi / case.surroundings.omega / case.dt), 8)
-    local = [np.convolve(missing_force(s) ** 2, np.ones(size) / size, "valid")[::size] for s in case.series]
+def _quiet(seen: Seen) -> float:
+    """Mean square of the missing force that noise alone makes: the lowest of its local mean squares."""
+    size = max(int(np.pi / seen.omega / seen.dt), 8)
+    local = [np.convolve(m.force**2, np.ones(size) / size, "valid")[::size] for m in seen.motions]
     return float(np.quantile(np.concatenate(local), 0.05))
 
 
@@ -57,22 +115,22 @@ def _shares(values) -> np.ndarray:
     return values / values.sum() if values.sum() > 0 else np.full(len(values), 1 / max(len(values), 1))
 
 
-def _records(case: Case, errors, noise: Noise) -> dict:
-    energy = [np.sum(s.weight * (e**2 - noise.sigma**2)) for s, e in zip(case.series, errors, strict=True)]
-    return {s.record.name: float(v) for s, v in zip(case.series, _shares(energy), strict=True)}
+def _records(seen: Seen, errors) -> dict:
+    energy = [np.sum(s.weight * (e**2 - s.noise**2)) for s, e in zip(seen.motions, errors, strict=True)]
+    return {s.record.name: float(v) for s, v in zip(seen.motions, _shares(energy), strict=True)}
 
 
-def _edges_hz(case: Case) -> np.ndarray:
-    edges, top = BAND_EDGES * case.surroundings.omega / (2 * np.pi), 0.5 / case.dt
+def _edges_hz(seen: Seen) -> np.ndarray:
+    edges, top = BAND_EDGES * seen.omega / (2 * np.pi), 0.5 / seen.dt
     return np.append(edges[edges < 0.9 * top], top)
 
 
-def _frequency(case: Case, errors, noise: Noise) -> list[dict]:
-    edges, energy = _edges_hz(case), 0.0
-    for s, e in zip(case.series, errors, strict=True):
+def _frequency(seen: Seen, errors) -> list[dict]:
+    edges, energy = _edges_hz(seen), 0.0
+    for s, e in zip(seen.motions, errors, strict=True):
         power = np.abs(np.fft.rfft(e * (s.weight > 0))) ** 2 / len(e) * 2
-        frequency = np.fft.rfftfreq(len(e), case.dt)
-        floor = np.interp(frequency, *noise.spectrum.T) / case.dt
+        frequency = np.fft.rfftfreq(len(e), seen.dt)
+        floor = 2 * s.noise**2
         energy = energy + np.histogram(frequency, edges, weights=(power - floor) / (len(e) * s.span**2))[0]
     return [
         {"band_hz": [float(a), float(b)], "share": float(v)}
@@ -80,16 +138,15 @@ def _frequency(case: Case, errors, noise: Noise) -> list[dict]:
     ]
 
 
-def _harmonics(case: Case, errors, noise: Noise) -> dict:
+def _harmonics(seen: Seen, errors) -> dict:
     """Shares at multiples of the drive's line (sines only), the rest under "other"; empty without a sine."""
     totals: dict[str, float] = {}
-    for s, e in zip(case.series, errors, strict=True):
+    for s, e in zip(seen.motions, errors, strict=True):
         if kind(s.record) != "sine":
             continue
         line = int(np.argmax(spectrum(s.record)[1:]) + 1)
         power = np.abs(np.fft.rfft(e * (s.weight > 0) * np.hanning(len(e)))) ** 2 / s.span**2 / len(e)
-        floor = np.interp(np.fft.rfftfreq(len(e), case.dt), *noise.spectrum.T) / case.dt / 2 * 0.375 / s.span**2
-        power = power - floor
+        power = power - 0.375 * s.noise**2 / s.span**2
         order = np.arange(len(power)) / line
         near = np.abs(order - np.round(order)) * line <= 2
         for name, mask in [("0f", order * line <= 2), *((f"{k}f", near & (np.round(order) == k)) for k in range(1, 7))]:
@@ -99,57 +156,57 @@ def _harmonics(case: Case, errors, noise: Noise) -> dict:
     return dict(zip(totals, map(float, _shares(list(totals.values()))), strict=True))
 
 
-def _tone(case: Case, errors) -> dict | None:
+def _tone(seen: Seen, errors) -> dict | None:
     """`steady_tone` of the residuals: its frequency, in how many records, and its least share of one's gap."""
     found = steady_tone(
-        [e * (s.weight > 0) for s, e in zip(case.series, errors, strict=True)],
-        [s.record.voltage for s in case.series],
-        [case.dt] * len(errors),
+        [e * (s.weight > 0) for s, e in zip(seen.motions, errors, strict=True)],
+        [s.record.voltage for s in seen.motions],
+        [seen.dt] * len(errors),
     )
     return None if found is None else {"hz": found[0], "records": len(errors), "share": found[1]}
 
 
-def _time(case: Case, errors, noise: Noise) -> list[dict]:
+def _time(seen: Seen, errors) -> list[dict]:
     """By tenths of a record, all records together."""
     energy = np.zeros(_BINS)
-    for s, e in zip(case.series, errors, strict=True):
-        parts = np.array_split(s.weight * (e**2 - noise.sigma**2), _BINS)
+    for s, e in zip(seen.motions, errors, strict=True):
+        parts = np.array_split(s.weight * (e**2 - s.noise**2), _BINS)
         energy += [p.sum() for p in parts]
     return [{"part": [k / _BINS, (k + 1) / _BINS], "share": float(v)} for k, v in enumerate(_shares(energy))]
 
 
-def _axis(case: Case, forces, quiet: float, name: str, index: int | None) -> list[dict]:
-    scale = case.model.scales.state[index] if index is not None and index < len(case.model.scales.state) else 1.0
-    values = [s.voltage if index is None else s.motion[:, min(index, case.model.order)] for s in case.series]
+def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
+    scale = seen.length if index is not None else 1.0
+    values = [m.record.voltage if index is None else m.states[:, index] for m in seen.motions]
     low = min(float(np.quantile(v, 0.001)) for v in values)
     high = max(float(np.quantile(v, 0.999)) for v in values)
     edges = np.linspace(low, high, _BINS + 1)
     energy = np.zeros(_BINS)
-    for s, v, f in zip(case.series, values, forces, strict=True):
+    for m, v in zip(seen.motions, values, strict=True):
         inside = np.clip(v, low, high)
-        energy += np.histogram(inside, edges, weights=(s.weight > 0) * (f**2 - quiet) / len(f))[0]
+        energy += np.histogram(inside, edges, weights=(m.weight > 0) * (m.force**2 - quiet) / len(v))[0]
     return [
         {"range": [float(a * scale), float(b * scale)], "share": float(v)}
         for a, b, v in zip(edges[:-1], edges[1:], _shares(energy), strict=True)
     ]
 
 
-def _cells(case: Case, forces, quiet: float) -> list[dict]:
+def _cells(seen: Seen, quiet: float) -> list[dict]:
     """Cells of local drive frequency x local amplitude; every window of half a natural period or more is in one."""
-    bands, reach = _edges_hz(case), case.surroundings.reach
+    bands, reach = _edges_hz(seen), seen.reach
     energy, weight = np.zeros((2, len(bands) - 1, len(AMPLITUDE_EDGES) - 1))
-    for s, f in zip(case.series, forces, strict=True):
-        for first, last, hz, amplitude in windows(s, case):
+    for m in seen.motions:
+        for first, last, hz, amplitude in windows(m, seen):
             i = int(np.clip(np.searchsorted(bands, hz, "right") - 1, 0, len(bands) - 2))
             j = int(np.clip(np.searchsorted(AMPLITUDE_EDGES, amplitude / reach, "right") - 1, 0, energy.shape[1] - 1))
-            seen = s.weight[first:last] > 0
-            energy[i, j] += np.sum((f[first:last] ** 2 - quiet)[seen])
-            weight[i, j] += seen.sum()
+            there = m.weight[first:last] > 0
+            energy[i, j] += np.sum((m.force[first:last] ** 2 - quiet)[there])
+            weight[i, j] += there.sum()
     density = np.maximum(energy, 0) / np.maximum(weight, 1)
     loud = density.max()
     flagged = (density > _FLAG**2 * loud) & (density > 3 * quiet) & (weight > 0)
     shares = _shares(energy.ravel()).reshape(energy.shape)
-    scale = case.model.scales.state[0] * reach
+    scale = seen.length * reach
     return [
         {
             "band_hz": [float(bands[i]), float(bands[i + 1])],
@@ -163,12 +220,12 @@ def _cells(case: Case, forces, quiet: float) -> list[dict]:
     ]
 
 
-def windows(s: Series, case: Case):
+def windows(s: Motion, seen: Seen):
     """(first, last, local drive frequency in Hz, largest |X|) of windows between the drive's mean crossings."""
     u = s.record.voltage - (s.record.voltage.max() + s.record.voltage.min()) / 2
     crossings = np.flatnonzero(np.diff(np.signbit(u)))
-    shortest = max(int(np.pi / case.surroundings.omega / case.dt), 4)
-    longest = max(int(10 * 2 * np.pi / case.surroundings.omega / case.dt), 16)
+    shortest = max(int(np.pi / seen.omega / seen.dt), 4)
+    longest = max(int(10 * 2 * np.pi / seen.omega / seen.dt), 16)
     edges = [0]
     for c in [*crossings, len(u) - 1]:
         while c - edges[-1] > longest:
@@ -177,15 +234,14 @@ def windows(s: Series, case: Case):
             edges.append(int(c))
     for first, last in zip(edges[:-1], edges[1:], strict=True):
         inside = ((crossings > first) & (crossings <= last)).sum()
-        hz = inside / 2 / ((last - first) * case.dt)
-        yield first, last, float(hz), float(np.abs(s.motion[first:last, 0]).max())
+        hz = inside / 2 / ((last - first) * seen.dt)
+        yield first, last, float(hz), float(np.abs(s.states[first:last, 0]).max())
 
 
-def _sentence(case: Case, out: dict) -> str:
+def _sentence(seen: Seen, out: dict) -> str:
     """Cells that hold most of the gap, the loudest record and band, in words."""
-    from_unit = {"mm": 1e3, "um": 1e6, "m": 1.0, "mV": 1e3, "V": 1.0}
-    unit = case.model.provenance.displacement_unit
-    factor = from_unit.get(unit, 1.0)
+    unit = seen.unit
+    factor = from_base(1.0, unit)
     ordered = sorted(out["cells"], key=lambda c: -c["share"])
     held = np.cumsum([c["share"] for c in ordered])
     loud = ordered[: int(np.searchsorted(held, _MOST)) + 1]

@@ -8,17 +8,17 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from .spec import EffectSpec, Parameter, starts
+from .spec import EffectSpec, Parameter
 
 _SMALL = 0.03  # below, a ratio is replaced by its series: 0/0 in float32
 _ALONG = Parameter("b", "1/x", length=-1, positive=False, off=0.0)
 _INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
 
-def _stretched(form: str, title: str, equation: str, start, factor: Callable) -> EffectSpec:
+def _stretched(form: str, title: str, equation: str, factor: Callable) -> EffectSpec:
     """Build a row: F times a factor of x that stays positive, undone by division."""
     return EffectSpec(
-        "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ", start=start,
+        "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ",
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
     )  # fmt: skip
 
@@ -53,25 +53,24 @@ COUPLING = (
     _stretched(
         "linear", "The film's force depends on how far it is stretched.", "F (1 + b x)",
         # far up, since an actuator that snaps in one record has a reach its others never see
-        lambda s: starts(1 / s.reach, [0.1, -0.1], -0.95, 12), lambda r: jnp.maximum(1 + r, 0.05),
+        lambda r: jnp.maximum(1 + r, 0.05),
     ),
     _stretched(
         "quadratic", "The film gets thinner and its area larger as it is stretched.", "F (1 + b x / 2)^2",
-        lambda s: starts(1 / s.reach, [0.1, -0.1], -1, 12), lambda r: jnp.maximum(1 + r / 2, 0.1) ** 2,
+        lambda r: jnp.maximum(1 + r / 2, 0.1) ** 2,
     ),
     _stretched(
         "exponential", "Electrodes that zip up pull less and less, or more and more, as they move.", "F exp(b x)",
-        # far down the grid of starts must come close: an exponent is not a strength
-        lambda s: starts(1 / s.reach, [0.3, -0.3, -1.0, -3.0], -6, 3), lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
+        lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
     ),
     EffectSpec(
         "dielectric_saturation", "rational", (_INVERSE,), "At high field more voltage no longer brings its full force.",
-        "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ", start=lambda s: starts(1.0, [0.1, 0.5], 1e-4, 20),
+        "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ",
         law=lambda p, force, x: force / (1 + p.inverse * jnp.abs(force)), inverse=_unsaturated,
     ),
     EffectSpec(
         "dielectric_saturation", "tanh", (_INVERSE,), "The film's force nears a limit that no field exceeds.",
-        "F_s tanh(F / F_s), inverse = 1 / F_s", "coupling", "SQ", start=lambda s: starts(1.0, [0.5], 1e-2, 10),
+        "F_s tanh(F / F_s), inverse = 1 / F_s", "coupling", "SQ",
         law=_tanh, inverse=_arctanh,
     ),
 )  # fmt: skip

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from .effect import Instant
 from .kernels import dahl
-from .spec import EffectSpec, Parameter, starts
+from .spec import EffectSpec, Parameter
 
 
 def dry(now: Instant, level):
@@ -60,53 +60,47 @@ DRAG = (
     EffectSpec(
         "drag", "quadratic", (Parameter("c", "V^2 s^2/x^2", speed=-2, force=1, off=0.0),),
         "Damping grows with speed, as of a body in a fluid.", "f = c x' |x'|", "dissipation", "C",
-        start=lambda s: starts(s.damping / s.speed, [0.5], 1e-4, 100), law=lambda p, now: p.c * now.v * jnp.abs(now.v),
+        law=lambda p, now: p.c * now.v * jnp.abs(now.v),
     ),
     EffectSpec(
         "drag", "power",
         (Parameter("c", "V^2 s/x", speed=-1, force=1, off=0.0), Parameter("p"), Parameter("usual", "x/s", speed=1)),
         "Damping grows with a power of the speed.", "f = c x' |x' / usual|^p", "dissipation", "C",
-        start=lambda s: starts(
-            (s.damping, 1, s.speed), [(0.4, p, 1) for p in (0.7, 1.5)], (1e-4, 0.3, 1), (100, 3, 1)
-        ),
         law=_power,
     ),
 )  # fmt: skip
 FRICTION = (
     EffectSpec(
         "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction holds the motion back by the same force at any speed.",
-        "f = level sgn(x')", "dissipation", "C", start=lambda s: starts(s.pull, [0.02, 0.1], 1e-4, 1),
+        "f = level sgn(x')", "dissipation", "C",
         law=lambda p, now: dry(now, p.level),
     ),
     EffectSpec(
         "coulomb_friction", "loaded by the spring", (_LEVEL, Parameter("mu", off=0.0)),
         "Dry friction that grows with the force of the spring, as of a loaded gear.", "f = (level + mu |k x|) sgn(x')",
-        "dissipation", "C", start=lambda s: starts((s.pull, 1), [(0.02, 0.05), (0.05, 0.3)], 1e-4, 1),
+        "dissipation", "C",
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x)),
     ),
     EffectSpec(
         "coulomb_friction", "loaded by spring and mass", (_LEVEL, Parameter("mu", off=0.0)),
         "Dry friction that grows with the force of spring and mass together.",
         "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", "dissipation", "C",
-        start=lambda s: starts((s.pull, 1), [(0.02, 0.05), (0.05, 0.3)], 1e-4, 1),
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x + now.inertial)),
     ),
     EffectSpec(
         "coulomb_friction", "smooth", (_LEVEL, Parameter("speed", "x/s", speed=1)),
         "Dry friction that creeps under a small force.", "f = level tanh(x' / speed)", "dissipation", "C",
-        start=lambda s: starts((s.pull, s.speed), [(0.05, 0.02), (0.05, 0.2)], (1e-4, 1e-3), (1, 3)), law=_smooth,
+        law=_smooth,
     ),
     EffectSpec(
         "coulomb_friction", "Stribeck", (_LEVEL, Parameter("rise"), Parameter("speed", "x/s", speed=1)),
         "Dry friction that is larger at low speed.", "f = level (1 + rise exp(-(x' / speed)^2)) sgn(x')",
         "dissipation", "C", law=_stribeck,
-        start=lambda s: starts((s.pull, 1, s.speed), [(0.04, 0.3, 0.1)], (1e-4, 0.02, 0.01), (1, 3, 2)),
     ),
     EffectSpec(
         "coulomb_friction", "bristles", (_LEVEL, Parameter("give", "x", length=1)),
         "Dry friction whose contact gives a little before it slides (Dahl 1968).",
         "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"),
-        start=lambda s: starts((s.pull, s.reach), [(0.04, 0.005), (0.04, 0.02)], (1e-4, 1e-3), (1, 0.04)),
         law=lambda p, now: p.level * now.z[0] / p.give,
     ),
 )  # fmt: skip

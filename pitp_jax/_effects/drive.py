@@ -5,27 +5,21 @@ slew_limit        |V'| <= s, as fast as it may or behind a lag           voltage
 dead_zone         V = u - u_0 sgn(u) beyond |u| = u_0, else 0
 charge_leak       V = u - kappa q,  tau q' = u - q                       voltage_offset  V = u + V_0
 charge_retention  V = u + q,  tau q' = k |u| - q                         delay           V(t) = u(t - T)
+hysteresis        V = u + sum_j w_j (z_j - u),  z_j plays of u;   or  V = u + level z,  width z' = u - |u| z
 
 u runs linearly between samples, and lags are exact for it. A record that rests starts uncharged.
 """
 
 import jax.numpy as jnp
-import numpy as np
 
 from .._model.drive import slope
 from .._numerics.linear_recurrence import lag_after
-from .kernels import DELAY, lags, lead, slew
-from .spec import EffectSpec, Parameter, Surroundings, starts
+from .kernels import DELAY, dahl_of_integral, lags, lead, play, slew
+from .spec import EffectSpec, Parameter
 
 _LADDER = (0.8, 0.15, 0.05)  # of tau: the slowest modes of a diffusion line, gathered in three lags
 _ROUND = 0.99  # of the limit of a rounded clip: as far as it is undone
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
-
-
-def lag_starts(s: Surroundings, high: float = 5.0):
-    """Start one time constant around and below the time scale of the resonance."""
-    # down to a fifth of a sample: a shorter lag cannot be seen in the samples
-    return starts(1 / s.omega, [0.1, 0.5], min(0.2 * s.dt * s.omega, 0.003), high)
 
 
 def last_lag(p, w, z):
@@ -36,26 +30,6 @@ def last_lag(p, w, z):
 def _rounded(p, v, dt):
     r = jnp.clip(jnp.abs(p.inverse * v), 0.0, _ROUND)  # at the limit itself no drive is high enough
     return v * (1 - r**8) ** (-1 / 8)
-
-
-def _slews(s: Surroundings) -> list:
-    """List (start, low, high): below the fastest slew of the drive (steps aside), down to a slow amplifier."""
-    # a step's slew is that of the sampling and says nothing: two radians of the resonance at full voltage are fast
-    fast = min(s.slew, 2 * s.omega * s.voltage)
-    return [(1 / (part * fast), 0.5 / s.slew, 200 / fast) for part in (0.6, 0.25, 0.1)]
-
-
-def _slew_starts(s: Surroundings, *lag):
-    """Start the limit alone, or with (start, low, high) of a lag beside it."""
-    rows = zip(*_slews(s), strict=True)
-    value, low, high = ([(v, *lag[k : k + 1]) for v in row] for k, row in enumerate(rows))
-    return starts(1.0, value, low[0], high[0])
-
-
-def _traps(s: Surroundings, strength: float, most: float):
-    """Start time constants slower than the resonance, up to the longest record."""
-    taus = np.geomspace(max(8 / s.omega, s.duration / 100), s.duration / 3, 3)
-    return starts(1.0, [(strength, tau) for tau in taus], (1e-4, 1.0 / s.omega), (most, 3 * s.duration))
 
 
 _SLEW = Parameter("inverse", "s/V", off=0.0, linear=False)
@@ -72,69 +46,81 @@ def _slow_enough(p, v, dt):
 DRIVE = (
     EffectSpec(
         "electrode_rc", "one lag", (_TAU,), "The electrodes' resistance delays the charging of the film.",
-        "tau V' = u - V", "drive", "IN", kernel=lags(1.0), start=lag_starts, law=last_lag,
+        "tau V' = u - V", "drive", "IN", kernel=lags(1.0), law=last_lag,
         inverse=lambda p, v, dt: lead(v, dt, p.tau),
     ),
     EffectSpec(
         "electrode_rc", "ladder", (_TAU,), "A resistive electrode charges from its edge inwards.",
         "three lags of (0.8, 0.15, 0.05) tau in a row: a diffusion line", "drive", "IN",
-        kernel=lags(*_LADDER, in_a_row=True), start=lag_starts, law=last_lag,
+        kernel=lags(*_LADDER, in_a_row=True), law=last_lag,
         inverse=lambda p, v, dt: lead(v, dt, *(r * p.tau for r in _LADDER)),
     ),
     EffectSpec(
         "slew_limit", "rate limit", (_SLEW,), "The amplifier cannot change its voltage faster than a limit.",
         "V follows u with |V'| <= s, inverse = 1 / s", "drive", "IN", kernel=slew(), law=_slewed,
-        start=_slew_starts, inverse=lambda p, v, dt: v, passes=_slow_enough,
+        inverse=lambda p, v, dt: v, passes=_slow_enough,
     ),
     EffectSpec(
         "slew_limit", "rate limit and lag", (_SLEW, Parameter("tau", "s")),
         "The amplifier nears its rate limit gradually.",
         "tau V' = u - V with |V'| <= s, inverse = 1 / s", "drive", "IN", law=_slewed, passes=_slow_enough,
         kernel=slew(lambda p, z, before, after, h: lag_after(z, before, after, p.tau, h)),
-        start=lambda s: _slew_starts(s, 0.1 / s.omega, 0.3 * s.dt, 2.0 / s.omega),
         inverse=lambda p, v, dt: v + jnp.where(p.inverse > 0, p.tau * slope(v, dt), 0.0),
     ),
     EffectSpec(
         "voltage_clip", "hard", (Parameter("inverse", "1/V", off=0.0, linear=False),),
         "The amplifier does not go above a voltage.", "V = min(max(u, -u_max), u_max), inverse = 1 / u_max",
-        "drive", "IN", start=lambda s: starts(1 / s.voltage, [1.08, 1.3], 1, 4),
+        "drive", "IN",
         law=lambda p, u, z: jnp.clip(u, -1 / jnp.maximum(p.inverse, 1e-30), 1 / jnp.maximum(p.inverse, 1e-30)),
     ),
     EffectSpec(
         "voltage_clip", "rounded", (Parameter("inverse", "1/V", off=0.0, linear=False),),
         "The amplifier's voltage bends off towards a limit.", "V = u / (1 + |u / u_max|^8)^(1/8), inverse = 1 / u_max",
-        "drive", "IN", start=lambda s: starts(1 / s.voltage, [1.1], 0.8, 4),
+        "drive", "IN",
         law=lambda p, u, z: u * (1 + (p.inverse * u) ** 8) ** (-1 / 8), inverse=_rounded,
     ),
     EffectSpec(
         "dead_zone", "symmetric", (Parameter("threshold", "V", off=0.0, linear=False),),
         "Nothing moves below a voltage, and above it acts what exceeds it.",
         "V = 0 for |u| < u_0, else u - u_0 sgn(u), u_0 = threshold", "drive", "IN",
-        start=lambda s: starts(s.voltage, [0.05, 0.2], 1e-3, 0.6),
         law=lambda p, u, z: u - jnp.clip(u, -p.threshold, p.threshold),
         inverse=lambda p, v, dt: v + p.threshold * jnp.sign(v),
     ),
     EffectSpec(
         "voltage_offset", "constant", (Parameter("offset", "V", positive=False, off=0.0),),
-        "A constant voltage is added to the commanded one.", "V = u + offset", "drive", "IN", only=True,
-        start=lambda s: starts(s.voltage, [0.03, -0.03], -0.5, 0.5), law=lambda p, u, z: u + p.offset,
+        "A constant voltage is added to the commanded one.", "V = u + offset", "drive", "IN",
+        law=lambda p, u, z: u + p.offset,
     ),
     EffectSpec(
         "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts T later.",
-        "V(t) = u(t - T), T = time", "drive", "IN", only=True, kernel=DELAY, law=lambda p, u, z: u,
+        "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, law=lambda p, u, z: u,
         # to a period of the resonance: behind a bus or a filter it may be that late
-        start=lambda s: starts(1 / s.omega, [0.1, 0.4, 1.5], 0.02 * s.dt * s.omega, max(6.0, 4 * s.dt * s.omega)),
     ),
     EffectSpec(
         "charge_leak", "one trap", (Parameter("kappa", off=0.0), Parameter("tau", "s")),
         "Charge creeps into the film and takes away part of a held voltage.", "V = u - kappa q, tau q' = u - q",
-        "drive", "IN", kernel=lags(1.0), start=lambda s: _traps(s, 0.15, 0.9),
+        "drive", "IN", kernel=lags(1.0),
         law=lambda p, u, z: u - p.kappa * z[0],
     ),
     EffectSpec(
         "charge_retention", "one store", (Parameter("k", off=0.0), Parameter("tau", "s")),
         "Charge stays in the film and goes on pulling when the voltage is gone.", "V = u + q, tau q' = k |u| - q",
-        "drive", "IN", kernel=lags(1.0, of=lambda p, u: p.k * jnp.abs(u)), start=lambda s: _traps(s, 0.1, 3.0),
+        "drive", "IN", kernel=lags(1.0, of=lambda p, u: p.k * jnp.abs(u)),
         law=lambda p, u, z: u + z[0],
+    ),
+    EffectSpec(
+        "hysteresis", "plays of the drive",
+        (*(Parameter(f"w{k}", positive=False, off=0.0) for k in (1, 2, 3, 4)), Parameter("width", "V")),
+        "The film polarises along a loop that is the same at every frequency.",
+        "V = u + sum_j w_j (z_j - u), z_j plays of u of half width (0.04, 0.125, 0.25, 0.4) width", "dissipation", "IN",
+        kernel=play(0.04, 0.125, 0.25, 0.4),
+        law=lambda p, u, z: u + p.w1 * (z[0] - u) + p.w2 * (z[1] - u) + p.w3 * (z[2] - u) + p.w4 * (z[3] - u),
+    ),
+    EffectSpec(
+        "hysteresis", "Dahl of the command's integral",
+        (Parameter("level", "V", positive=False, off=0.0), Parameter("width", "V s")),
+        "Where the command is a speed, a force builds up over the way that it asks for and then stays.",
+        "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN", kernel=dahl_of_integral(),
+        law=lambda p, u, z: u + p.level * z[0],
     ),
 )  # fmt: skip

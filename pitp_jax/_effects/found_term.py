@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from .dissipation import dry
 from .effect import Effect, Instant
 from .kernels import Kernel, lags
-from .spec import EffectSpec, Parameter, Start, Surroundings, starts
+from .spec import EffectSpec, Parameter
 
 KNEES = (
     Parameter("a", "x", length=1, positive=False),
@@ -151,17 +151,6 @@ def _knees(p, functions) -> list:
     return [p.knees[held.index(k)] if k in held else jnp.ones((), p.c.dtype) for k in range(len(KNEES))]
 
 
-def _starts(s: Surroundings) -> list[Start]:
-    """Start all coefficients at zero, bounded by thirty times the restoring force; knees within the records."""
-    speed = 2 * s.speed  # of a motion with this rms, about its largest
-    units = [s.pull / (s.reach ** f.powers[0] * speed ** f.powers[1] * s.pull ** f.powers[3]) for f in _LISTED]
-    units[-1] = s.inertia / s.reach  # c x x'': of a mass, not of a force
-    knees = (0.0, s.speed, 0.5 * s.pull, 1 / s.omega, s.top)
-    low = [*(-30 * u for u in units), s.bottom, 0.02 * s.speed, 0.02 * s.pull, 2 * s.dt, s.bottom]
-    high = [*(30 * u for u in units), s.top, 5 * s.speed, 2 * s.pull, s.duration, s.top]
-    return starts(1.0, [(*[0.0] * len(units), *knees)], low, high)
-
-
 @lru_cache(maxsize=256)
 def term_row(functions: tuple[str, ...]) -> EffectSpec:
     """Build the row of a sum of these functions; its numbers are their coefficients c and those knees they have."""
@@ -197,7 +186,7 @@ def term_row(functions: tuple[str, ...]) -> EffectSpec:
     return EffectSpec(
         "found_term", "sum of functions", (*(LIBRARY[name].parameter for name in functions), *(KNEES[k] for k in held)),
         "An equation found in the data, where no name fits.", "f = sum_j c_j phi_j(x, x', F, z), tau z' = x - z",
-        "found", "K", start=_starts, law=law, mass=mass if any(LIBRARY[name].inertial for name in functions) else None,
+        "found", "K", law=law, mass=mass if any(LIBRARY[name].inertial for name in functions) else None,
         kernel=Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), with_tau(lag.advance)),
         driven=any(LIBRARY[name].powers[3] for name in functions),
         arrays=(("c", len(functions)), ("knees", len(held))), functions=functions,

@@ -1,7 +1,8 @@
 """Add masses the nominal does not have, and loads that let go (port M); a_2 is the nominal's mass, k its stiffness.
 
 added_mass    d a_2 x''
-second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass carried along by a spring,
+second_mode   f = k kappa (x - z),  z'' = w^2 (x - z) - 2 zeta w z'       a mass that a spring carries and air holds,
+              f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w          a mass hung on a spring and a damper,
               f = p a_2 (w^2 (x - z) + 2 zeta w (x' - z') - x'')          or a part of the mass come loose
 slack         x'' >= -g, sharp or soft: a load that is only pulled falls freely once the film lets go
 """
@@ -11,19 +12,7 @@ import jax.numpy as jnp
 
 from .effect import Instant
 from .kernels import oscillator
-from .spec import EffectSpec, Parameter, Surroundings, starts
-
-
-def _massive(start):
-    """Build starts that are none for a nominal of order 1, which has no mass."""
-    return lambda s: start(s) if s.inertia > 0 else []
-
-
-def mode_starts(s: Surroundings, strength: float, most: float = 20.0, ratios=(0.6, 1.6, 2.5, 4.5)):
-    """Start resonances below and above the nominal's, within reach of the sampling; `most`: bound of the strength."""
-    high = min(20 * s.omega, 1.5 / s.dt)  # half a turn a sample and more cannot be told from less
-    values = [(strength, min(m * s.omega, 0.9 * high), 0.04) for m in ratios]
-    return starts(1.0, values, (1e-4, 0.2 * s.omega, 1e-3), (most, high, 0.4))  # with more damping it is a lag
+from .spec import EffectSpec, Parameter
 
 
 def _loosened(p, now: Instant):
@@ -35,35 +24,43 @@ def _loosened(p, now: Instant):
     return p.p * now.coefficients[2] / (now.rates[0] * now.rates[1]) * pull
 
 
+def _hung(p, now: Instant):
+    """Compute the pull of a mass whose damper, too, ends at the body: z = q + r q', q the oscillator of the kernel."""
+    r, (q, speed) = 2 * p.zeta / p.omega, now.z
+    # q'' by the equation of the oscillator; then z' = q' + r q''
+    acceleration = p.omega**2 * (now.x - q - r * speed)
+    return now.k * p.kappa * (now.x - q - r * speed + r * (now.rates[0] * now.v - speed - r * acceleration))
+
+
 MODE = Parameter("omega", "rad/s"), Parameter("zeta")
 
 MASSES = (
     EffectSpec(
         "added_mass", "share", (Parameter("d", positive=False, off=0.0),),
-        "More (or less) mass moves than the model knows of.", "f = d a_2 x''", "inertia", "M", only=True,
-        start=_massive(lambda s: starts(1.0, [0.15, -0.15], -0.8, 5.0)), law=lambda p, now: 0.0 * now.x,
+        "More (or less) mass moves than the model knows of.", "f = d a_2 x''", "inertia", "M",
+        law=lambda p, now: 0.0 * now.x,
         mass=lambda p, now: p.d * now.coefficients[min(2, now.order)],
     ),
     EffectSpec(
         "second_mode", "attached", (Parameter("kappa", off=0.0), *MODE),
         "A second moving mass resonates beside the first one.",
         "f = k kappa (x - z), z'' = omega^2 (x - z) - 2 zeta omega z'", "inertia", "M", kernel=oscillator(),
-        start=lambda s: mode_starts(s, 0.2), law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]),
+        law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]),
+    ),
+    EffectSpec(
+        "second_mode", "hung on", (Parameter("kappa", off=0.0), *MODE),
+        "A second mass hangs on the first one by a spring and a damper.",
+        "f = k kappa (x - z + r (x' - z')), z'' = omega^2 (x - z + r (x' - z')), r = 2 zeta / omega", "inertia", "M",
+        kernel=oscillator(), law=_hung,
     ),
     EffectSpec(
         "second_mode", "come loose", (Parameter("p", off=0.0), *MODE),
         "Part of the mass has come loose and hangs on a spring.",
         "f = p a_2 (omega^2 (x - z) + 2 zeta omega (x' - z') - x''), z as of the attached mass", "inertia", "M",
         kernel=oscillator(), law=_loosened,
-        start=_massive(lambda s: mode_starts(s, 0.1, 0.9, (1.2, 1.6, 2.5, 4.5))),
         mass=lambda p, now: -p.p * now.coefficients[2] if now.order > 1 else 0.0,
     ),
 )  # fmt: skip
-
-
-def _falling(start):
-    """Build starts that are none where there is no mass, or no acceleration that a load could not follow."""
-    return lambda s: start(s) if s.inertia > 0 and s.acceleration > 0 else []
 
 
 def _free_fall(sign: float):
@@ -90,23 +87,18 @@ def _soft_fall(p, now: Instant):
 
 
 _FALL = Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False)
-_fall_starts = _falling(lambda s: starts(1 / s.acceleration, [1.3, 2.5], 0.7, 50))
-
 SLACK = (
     EffectSpec(
         "slack", "free fall", (_FALL,), "The load is only pulled, and falls freely where the actuator lets go.",
-        "x'' >= -g, inverse = 1 / g", "stiffness", "M", start=_fall_starts, law=_free_fall(1.0),
+        "x'' >= -g, inverse = 1 / g", "stiffness", "M", law=_free_fall(1.0),
     ),
     EffectSpec(
         "slack", "free fall, hanging", (_FALL,), "A hanging load is only pulled, and falls in the direction of motion.",
-        "x'' <= g, inverse = 1 / g", "stiffness", "M", start=_fall_starts, law=_free_fall(-1.0),
+        "x'' <= g, inverse = 1 / g", "stiffness", "M", law=_free_fall(-1.0),
     ),
     EffectSpec(
         "slack", "free fall, soft", (_FALL, Parameter("softness")), "The load is only pulled, and lets go gradually.",
         "x'' = -g + w log(1 + exp((a + g) / w)), a without it, w = softness g, inverse = 1 / g", "stiffness", "M",
-        start=_falling(lambda s: starts(
-            (1 / s.acceleration, 1), [(1.3, 0.1), (3.0, 0.1)], (0.7, 0.01), (50, 1)
-        )),
         law=_soft_fall,
     ),
 )  # fmt: skip

@@ -3,7 +3,7 @@
     lags         tau_i z_i' = w - z_i, side by side, or each behind the one before         (exact for w linear)
     oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
     play         z stays within w - r <= z <= w + r                                        (exact for w monotonic)
-    dahl         dz = dw - |dw| z / r                                                      (exact for w monotonic)
+    dahl         dz = dw - |dw| z / r, of w or of its integral                             (exact for w monotonic)
     bouc_wen     dz = dw (1 - c |z / r|^n), c one number on loading and one on unloading   (midpoint rule)
     farthest     z = max |w| so far,                clock   z' = 1                         (exact)
     slew         |z'| <= s towards u, or towards a lag of u                                (exact for one step's goal)
@@ -130,6 +130,17 @@ def dahl(width: str = "width") -> Kernel:
         return end + (z - end) * jnp.exp(-jnp.abs(after - before) / r)
 
     return _travelled(advance)
+
+
+def dahl_of_integral() -> Kernel:
+    """Build a state between -1 and 1 that follows the integral of what enters, and saturates over a `width` of it."""
+
+    def advance(p, z, before, after, h):
+        way = h / 2 * (before + after)  # exact while what enters keeps its sign
+        end = jnp.sign(way)
+        return end + (z - end) * jnp.exp(-jnp.abs(way) / p.width)
+
+    return Kernel(1, lambda p, w, age: jnp.zeros((1,)), advance)
 
 
 def bouc_wen(loading: Callable, unloading: Callable, power: Callable) -> Kernel:

@@ -11,12 +11,10 @@ stiffness_drift     f = -k d (1 - exp(-t / T)) x  or  -k rate t x,  t the sessio
 A loop of hysteresis has the same area however fast it is run through.
 """
 
-from collections.abc import Callable
-
 import jax.numpy as jnp
 
 from .kernels import CLOCK, bouc_wen, dahl, lags, play
-from .spec import EffectSpec, Parameter, Start, Surroundings, starts
+from .spec import EffectSpec, Parameter
 
 BORDER = 15.0  # tau omega_0 between relaxation and creep
 _STRENGTH = Parameter("kappa", off=0.0)
@@ -24,34 +22,14 @@ _BRANCH = (_STRENGTH, Parameter("tau", "s"))
 _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
-def _branch_starts(slow: bool, most: float) -> Callable[[Surroundings], list[Start]]:
-    """Start time constants a decade apart on the right side of the border."""
-
-    def start(s: Surroundings):
-        border = BORDER / s.omega
-        # two starts: the error is flat in tau a decade off
-        if slow:
-            high = max(2 * s.duration, 2 * border)  # slower creep is a drift within any record
-            taus = 2.5 * border, min(12 * border, 0.7 * high)
-            return starts(1.0, [(0.2, tau) for tau in taus], (1e-4, border), (most, high))
-        return starts((1, 1 / s.omega), [(0.2, 1.0), (0.2, 5.0)], (1e-4, 0.15), (most, BORDER))
-
-    return start
-
-
 def _branches(name: str, form: str, title: str, *ratios: float, fresh: bool = False) -> EffectSpec:
     """Build one row of creep or relaxation; `fresh`: the nominal is the film before it gave way."""
     pull = "-z_i" if fresh else "x - z_i"
     return EffectSpec(
         name, form, _BRANCH, title, f"f = k kappa mean_i ({pull}), tau_i z_i' = x - z_i, tau_i = tau {ratios}",
-        "viscoelastic", "K", kernel=lags(*ratios), start=_branch_starts(name == "creep", 0.9 if fresh else 20.0),
+        "viscoelastic", "K", kernel=lags(*ratios),
         law=lambda p, now: now.k * p.kappa * (-now.z if fresh else now.x - now.z).mean(),
     )  # fmt: skip
-
-
-def _loop_starts(*widths: float, low: float, high: float, strength: float, most: float = 20.0):
-    """Start widths that are narrow and wide beside the largest displacement."""
-    return lambda s: starts((1, s.reach), [(strength, width) for width in widths], (1e-4, low), (most, high))
 
 
 BRANCHES = (
@@ -67,19 +45,17 @@ LOOPS = (
         "hysteresis", "plays", _WIDTH, "Rubbing inside the material makes a loop that is the same at every frequency.",
         "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
         # widths about evenly apart in their logarithm: the loop is rounded like a real one, by four numbers in one
-        kernel=play(0.15, 0.4, 1.0, 2.2), start=_loop_starts(0.08, 0.3, low=0.02, high=0.8, strength=0.4),
+        kernel=play(0.15, 0.4, 1.0, 2.2),
         law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
     ),
     EffectSpec(
         "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each turn and then stays.",
         "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
-        start=_loop_starts(0.1, 0.4, low=0.04, high=2, strength=0.3),
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     EffectSpec(
         "hysteresis", "Bouc-Wen", _WIDTH, "Part of the spring yields and slips.",
         "f = k kappa (z - x), dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
-        start=_loop_starts(0.1, 0.4, low=0.04, high=2, strength=0.3, most=0.9),
         law=lambda p, now: now.k * p.kappa * (now.z[0] - now.x),
     ),
     EffectSpec(
@@ -87,9 +63,6 @@ LOOPS = (
         "A spring that yields as smoothly or sharply as n says.",
         "f = k kappa z, dz = dx (1 - |z / width|^n) on loading, dx on unloading, n = sharpness", "dissipation", "K",
         kernel=bouc_wen(lambda p: 1.0, lambda p: 0.0, lambda p: p.sharpness),
-        start=lambda s: starts(
-            (1, s.reach, 1), [(0.3, 0.1, 1.5), (0.3, 0.4, 1.5)], (1e-4, 0.04, 0.4), (20, 3, 8)
-        ),
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     EffectSpec(
@@ -97,17 +70,9 @@ LOOPS = (
         "A loop that gets softer, or with gamma below -1 harder, the further it is run through.",
         "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K",
         kernel=bouc_wen(lambda p: p.gamma + 1, lambda p: p.gamma - 1, lambda p: 1.0),
-        start=lambda s: starts(
-            (1, s.reach, 1), [(0.3, 0.3, 0.5), (0.3, 0.6, -0.5), (0.1, 1.0, -1.5)], (1e-4, 0.15, -2.5), (20, 3, 3)
-        ),
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
 )  # fmt: skip
-
-
-def _within_session(start):
-    """Build starts that are none where the session is no longer than a record: its clock is not known then."""
-    return lambda s: start(s) if s.session > 1.5 * s.duration else []
 
 
 DRIFT = (
@@ -115,15 +80,10 @@ DRIFT = (
         "stiffness_drift", "settling", (Parameter("d", positive=False, off=0.0), Parameter("time", "s")),
         "The stiffness changes as the session goes on, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
         kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
-        start=_within_session(lambda s: starts(
-            1.0, [(0.1, max(part * s.session, 1.2 * s.duration)) for part in (0.1, 0.5)],
-            (-2.0, s.duration), (0.9, 5 * s.session),
-        )),
     ),
     EffectSpec(
         "stiffness_drift", "steady", (Parameter("rate", "1/s", positive=False, off=0.0),),
         "The stiffness changes steadily over the session.", "f = -k rate t x", "drift", "T", kernel=CLOCK,
-        start=_within_session(lambda s: starts(1 / s.session, [0.1], -2, 0.9)),
         law=lambda p, now: -now.k * p.rate * now.z[0] * now.x,
     ),
 )  # fmt: skip

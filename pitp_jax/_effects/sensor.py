@@ -1,6 +1,6 @@
 """Change what the sensor makes of the motion (port OUT): x to the reading y.
 
-sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3
+sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3,  tanh(c x) / c
 sensor_lag            tau y' = x - y, once or twice;   tau^2 y'' + 2 zeta tau y' + y = x
 backlash              y follows x as soon as it is width / 2 away
 second_mode           y = x + gain (z - x),  z'' = omega^2 (x - z) - 2 zeta omega z'
@@ -9,10 +9,10 @@ second_mode           y = x + gain (z - x),  z'' = omega^2 (x - z) - 2 zeta omeg
 import jax.numpy as jnp
 
 from .._model.drive import slope
-from .drive import lag_starts, last_lag
-from .inertia import MODE, mode_starts
+from .drive import last_lag
+from .inertia import MODE
 from .kernels import lags, lead, oscillator, play
-from .spec import EffectSpec, Parameter, starts
+from .spec import EffectSpec, Parameter
 
 _TURN = 50.0  # samples a play takes to be crossed at the speed from which a motion has one direction
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
@@ -36,47 +36,54 @@ def _across(p, y, dt):
 SENSOR = (
     EffectSpec(
         "sensor_gain", "share", (Parameter("d", positive=False, off=0.0),), "The sensor's scale factor is off.",
-        "y = (1 + d) x", "sensor", "OUT", only=True, start=lambda s: starts(1.0, [0.05], -0.9, 5),
+        "y = (1 + d) x", "sensor", "OUT",
         law=lambda p, x, z: (1 + p.d) * x,
     ),
     # the curves rise as far as the records go: within these bounds they can be undone
     EffectSpec(
         "sensor_nonlinearity", "quadratic", (_SECOND,), "The sensor's scale is curved.", "y = x + c2 x^2",
-        "sensor", "OUT", start=lambda s: starts(1 / s.reach, [0.1], -0.45, 2),
+        "sensor", "OUT",
         law=lambda p, x, z: x + p.c2 * x**2,
     ),
     EffectSpec(
         "sensor_nonlinearity", "cubic", (_THIRD,), "The sensor's scale bends alike on both sides.", "y = x + c3 x^3",
-        "sensor", "OUT", start=lambda s: starts(1 / s.reach**2, [0.1], -0.3, 2),
+        "sensor", "OUT",
         law=lambda p, x, z: x + p.c3 * x**3,
     ),
     EffectSpec(
         "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
         "The sensor's scale bends differently on either side.",
         "y = x + c2 x^2 + c3 x^3", "sensor", "OUT", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
-        start=lambda s: starts((1 / s.reach, 1 / s.reach**2), [(0.1, 0.0)], (-0.3, -0.1), (2, 2)),
+    ),
+    EffectSpec(
+        "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
+        "The sensor reads ever less of the motion towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
+        law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
+        # beyond its range the sensor could not read what is asked for: the last place that it could
+        inverse=lambda p, y, dt: jnp.where(
+            p.c > 0, jnp.arctanh(jnp.clip(p.c * y, -0.999, 0.999)) / jnp.maximum(p.c, 1e-6), y
+        ),
     ),
     # no inverse: of two displacements that read alike the one that is not folded is taken
     EffectSpec(
         "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6, linear=False),),
         "The sensor does not tell the direction: beyond a place it reads back again.",
-        "y = fold + |x - fold|", "sensor", "OUT", start=lambda s: starts(s.reach, [0.3, -0.1], -1, 1),
+        "y = fold + |x - fold|", "sensor", "OUT",
         law=lambda p, x, z: x + 2 * jnp.maximum(p.fold - x, 0.0), inverse=lambda p, y, dt: y,
     ),
     EffectSpec(
         "backlash", "play", (Parameter("width", "x", length=1, off=0.0, linear=False),),
         "There is play between what moves and what is measured.", "x - width/2 <= y <= x + width/2, y moved by x alone",
         "dissipation", "OUT", kernel=play(0.5), inverse=_across,
-        start=lambda s: starts(s.reach, [0.05, 0.2], 1e-3, 1.5),
         law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
     ),
     EffectSpec(
         "sensor_lag", "one lag", (_TAU,), "The sensor answers late.", "tau y' = x - y", "sensor", "OUT",
-        kernel=lags(1.0), start=lag_starts, law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau),
+        kernel=lags(1.0), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau),
     ),
     EffectSpec(
         "sensor_lag", "two lags", (_TAU,), "The sensor answers late, by two equal lags.",
-        "two lags of tau / 2 in a row", "sensor", "OUT", kernel=lags(0.5, 0.5, in_a_row=True), start=lag_starts,
+        "two lags of tau / 2 in a row", "sensor", "OUT", kernel=lags(0.5, 0.5, in_a_row=True),
         law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau / 2, p.tau / 2),
     ),
     EffectSpec(
@@ -84,16 +91,13 @@ SENSOR = (
         "The sensor is a low-pass filter, or stands on a soft mount.",
         "tau^2 y'' + 2 zeta tau y' + y = x", "sensor", "OUT",
         kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order,
-        start=lambda s: starts(
-            (1 / s.omega, 1), [(0.25, 0.8)], (min(0.2 * s.dt * s.omega, 0.003), 0.35), (5, 3)
-        ),
         # at tau = 0 the oscillator stands at its bound, and would be read instead of x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),
     EffectSpec(
         "second_mode", "between film and sensor", (Parameter("gain", off=0.0), *MODE),
         "A mass on a spring stands between the film and the sensor.", "y = x + gain (z - x), z as of the attached mass",
-        "inertia", "OUT", kernel=oscillator(), start=lambda s: mode_starts(s, 0.3),
+        "inertia", "OUT", kernel=oscillator(),
         # from gain 1 on what is read has a zero in the right half plane, and is left to the shooting on the rollout
         law=lambda p, x, z: x + p.gain * (z[0] - x), solvable=lambda p: p.gain < 0.95,
     ),

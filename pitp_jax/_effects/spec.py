@@ -7,7 +7,7 @@ are the kernel's states. All is in the model's scaled coordinates: X_i = x^(i) /
 stiffness in units of the nominal's; voltages in V, times in s. `Parameter` says how a number returns to physical units.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,73 +45,6 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What starts and bounds are taken from: the nominal's dynamics and the ranges the records cover.
-
-    Attributes:
-        omega: natural frequency of the nominal, rad/s.
-        dt: sampling interval, s.
-        duration, session: longest record and whole session, s.
-        top, bottom: highest and lowest scaled displacement measured.
-        speed: rms of the scaled velocity X_1.
-        acceleration: highest scaled X_2 the nominal reaches.
-        voltage: largest absolute drive voltage, V.
-        slew: largest absolute voltage slew, V/s.
-        stiffness, inertia: scaled nominal coefficients of x and (order 2 and up) x''.
-        damping: scaled nominal coefficient of x'.
-    """
-
-    omega: float
-    dt: float
-    duration: float
-    session: float
-    top: float
-    bottom: float
-    speed: float
-    acceleration: float
-    voltage: float
-    slew: float
-    stiffness: float
-    inertia: float
-    damping: float
-
-    @property
-    def reach(self) -> float:
-        """Largest absolute scaled displacement."""
-        return max(self.top, -self.bottom)
-
-    @property
-    def pull(self) -> float:
-        """Largest scaled restoring force."""
-        return self.stiffness * self.reach
-
-
-@dataclass(frozen=True)
-class Start:
-    """One active start: a value and bounds (low, high) for every parameter, in their order."""
-
-    values: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-
-
-def starts(unit, values: Sequence, low, high) -> list[Start]:
-    """Build starts in units of the surroundings: one number or one per parameter in each place.
-
-    Args:
-        unit: what values and bounds are multiples of.
-        values: one row per start.
-        low, high: bounds of all of them.
-    """
-    scale, bottom, top = (np.atleast_1d(np.asarray(v, float)) for v in (unit, low, high))
-
-    def numbers(row) -> tuple[float, ...]:  # one unit may serve all parameters, or each has its own
-        return tuple(map(float, scale * np.atleast_1d(row)))
-
-    return [Start(numbers(row), numbers(bottom), numbers(top)) for row in values]
-
-
-@dataclass(frozen=True)
 class EffectSpec:
     """One form of one effect, as data; two rows are equal where name, form and parameters are.
 
@@ -121,7 +54,6 @@ class EffectSpec:
         equation: its law in symbols.
         family, port: see above.
         parameters: its numbers.
-        start: active starts with bounds; empty where the effect cannot be at work on such records.
         law: p are the numbers by name.
             IN, OUT: fn(p, w, z), what leaves where w enters, z the states at that instant.
             SQ: fn(p, force, x), the force on the structure.
@@ -133,7 +65,6 @@ class EffectSpec:
             SQ: fn(p, force, x), infinite where no field makes it.
         solvable: fn(p), false where solving a law with a memory would grow without end: what leaves is then handed on.
         passes: fn(p, series, dt), true where some drive gives this film voltage (IN).
-        only: there is no other way to write it down, so where it is the cause, it leaves noise.
         driven: its force depends on that of the film, for which an inverse then solves.
         arrays: of a found term: names and sizes of the arrays its numbers are stored in.
         functions: of a found term: what it sums.
@@ -146,14 +77,12 @@ class EffectSpec:
     equation: str = field(compare=False)
     family: str = field(compare=False)
     port: str = field(compare=False)
-    start: Callable[[Surroundings], list[Start]] = field(compare=False)
     law: Callable[..., Any] = field(compare=False)
     kernel: Kernel = field(default=NOTHING, compare=False)
     mass: Callable[..., Any] | None = field(default=None, compare=False)
     inverse: Callable[..., Any] | None = field(default=None, compare=False)
     solvable: Callable[..., Any] | None = field(default=None, compare=False)
     passes: Callable[..., Any] | None = field(default=None, compare=False)
-    only: bool = field(default=False, compare=False)
     driven: bool = field(default=False, compare=False)
     arrays: tuple[tuple[str, int], ...] = field(default=(), compare=False)
     functions: tuple[str, ...] = field(default=(), compare=False)

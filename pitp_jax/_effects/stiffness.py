@@ -12,7 +12,7 @@ A Gent-like spring fitted by a cubic alone lost to an end stop, hence several fo
 import jax.numpy as jnp
 
 from .kernels import FARTHEST
-from .spec import EffectSpec, Parameter, Surroundings, starts
+from .spec import EffectSpec, Parameter
 
 _LIMIT = 0.97**2  # of the squared length of the Gent-like spring; beyond, the force goes on linearly
 _SMALL = 0.03  # below, a ratio is replaced by its series: 0/0 in float32
@@ -74,17 +74,6 @@ def _contact(p, depth, speed):
     return _hertz(depth) * jnp.clip(1 + p.loss * speed, 0.0, 10.0)
 
 
-def _stop_starts(far: float, s: Surroundings, *more: float):
-    """Start hard and soft stops within what was reached; `more`: start, low and high of a loss."""
-    if far <= 0.05 * s.reach:  # this side was hardly visited: no record can show a stop there
-        return []
-    # a stop whose resonance is above the sampling rate cannot be told from a harder one
-    hardest = (1.0 / (s.dt * s.omega)) ** 2 + 1
-    loss, low, high = ([v] if more else [] for v in more or (0.0, 0.0, 0.0))
-    values = [(3.0, 0.85 * far, *loss), (min(15.0, hardest), 0.6 * far, *loss), (3.0, 0.4 * far, *loss)]
-    return starts(1.0, values[:2] if more else values, (1e-2, 0.1 * far, *low), (hardest, 0.999 * far, *high))
-
-
 _STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1))
 _BUMPER = (
     Parameter("kappa", "1/x^(1/2)", length=-0.5, off=0.0),
@@ -98,76 +87,70 @@ SPRINGS = (
     EffectSpec(
         "stiffening", "cubic", (Parameter("c", "1/x^2", length=-2, off=0.0),),
         "The spring gets harder the further it is moved.", "f = k c x^3", "stiffness", "K",
-        start=lambda s: starts(1 / s.reach**2, [0.2], 1e-4, 30),
         law=lambda p, now: now.k * p.c * now.x**3,
     ),
     EffectSpec(
         "stiffening", "power", (Parameter("c", off=0.0), Parameter("p"), Parameter("reach", "x", length=1)),
         "The spring gets harder with a power of the displacement.", "f = k c x |x / reach|^p", "stiffness", "K",
-        start=lambda s: starts((1, 1, s.reach), [(0.3, p, 1) for p in (1.5, 4.0)], (1e-4, 0.7, 1), (30, 10, 1)),
         law=_power,
     ),
     EffectSpec(
         "stiffening", "limited chain", _CURVATURE, "The spring cannot be stretched further than a length L (Gent).",
         "f = k x (1 / (1 - r^2) - 1), r = |x| / L, curvature = 1 / L", "stiffness", "K",
-        start=lambda s: starts(1 / s.reach, [0.5, 0.85], 0.02, 1.02), law=_gent,
+        law=_gent,
     ),
     EffectSpec(
         "softening", "quadratic", (Parameter("c", "1/x", length=-1, off=0.0),),
         "The spring gets softer the further it is moved.",
         "f = -k c x^2, no further than where the spring's slope is a tenth of k", "stiffness", "K",
-        start=lambda s: starts(1 / s.reach, [0.1], 1e-4, 3), law=_quadratic,
+        law=_quadratic,
     ),
     EffectSpec(
         "softening", "saturating", _CURVATURE, "The spring's force stops growing at large displacements.",
         "f = 0.97 k (L tanh(x / L) - x), curvature = 1 / L", "stiffness", "K",
-        start=lambda s: starts(1 / s.reach, [0.6], 0.02, 4), law=_saturating,
+        law=_saturating,
     ),
     EffectSpec(
         "softening", "exponential", (Parameter("b", "1/x", length=-1, off=0.0, linear=False),),
         "The spring gets softer the further it is stretched, and harder the other way.",
         "f = k ((1 - exp(-b x)) / b - x)", "stiffness", "K",
-        start=lambda s: starts(1 / s.reach, [0.5], 0.01, 3), law=_exponential,
+        law=_exponential,
     ),
     EffectSpec(
         "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, which pulls less the further it turns.",
         "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K",
-        start=lambda s: starts(1 / s.reach, [0.6, 1.5], 0.02, 3),
         law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
     ),
     EffectSpec(
         "softening", "root", _CURVATURE, "The spring's force grows as the root of a large displacement.",
         "f = k (L (sqrt(1 + 2 |x| / L) - 1) sgn(x) - x), curvature = 1 / L", "stiffness", "K",
-        start=lambda s: starts(1 / s.reach, [0.6, 4.0], 0.02, 50), law=_root,
+        law=_root,
     ),
     EffectSpec(
         "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),
         "What was stretched further before is softer since.",
         "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST,
-        start=lambda s: starts((1, s.reach), [(0.2, 0.3), (0.2, 1.0)], (1e-4, 0.03), (0.9, 3)),
         law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.length) * now.x,
     ),
     EffectSpec(
         "end_stop", "above", _STOP, "Beyond some displacement the motion runs into something stiff.",
-        "f = k kappa max(x - place, 0)", "stiffness", "K", start=lambda s: _stop_starts(s.top, s),
+        "f = k kappa max(x - place, 0)", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * jnp.maximum(now.x - p.place, 0.0),
     ),
     EffectSpec(
         "end_stop", "below", _STOP, "Below a displacement the motion runs into something stiff.",
-        "f = -k kappa max(-x - place, 0)", "stiffness", "K", start=lambda s: _stop_starts(-s.bottom, s),
+        "f = -k kappa max(-x - place, 0)", "stiffness", "K",
         law=lambda p, now: -now.k * p.kappa * jnp.maximum(-now.x - p.place, 0.0),
     ),
     EffectSpec(
         "end_stop", "both sides", _STOP, "On either side the motion runs into something stiff.",
         "f = k kappa (max(x - place, 0) - max(-x - place, 0))", "stiffness", "K",
-        start=lambda s: _stop_starts(min(s.top, -s.bottom), s)[:2],
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.place, p.place)),
     ),
     EffectSpec(
         "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1)),
         "On each side, at a place of its own, the motion runs into something stiff.",
         "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))", "stiffness", "K",
-        start=lambda s: _stop_starts(min(s.top, -s.bottom), s, 0.8 * -s.bottom, 0.1 * -s.bottom, -s.bottom),
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),
     ),
 )  # fmt: skip
@@ -177,13 +160,11 @@ BUMPERS = (
     EffectSpec(
         "end_stop", "above, damped", _BUMPER, "Beyond a displacement the motion hits a bumper that takes energy.",
         "f = k kappa max(x - place, 0)^(3/2) max(1 + loss x', 0)", "stiffness", "K",
-        start=lambda s: _stop_starts(s.top, s, *_LOSS),
         law=lambda p, now: now.k * p.kappa * _contact(p, now.x - p.place, now.v),
     ),
     EffectSpec(
         "end_stop", "both sides, damped", _BUMPER, "On either side the motion hits a bumper that takes energy.",
         "the damped stop above, and its mirror image", "stiffness", "K",
-        start=lambda s: _stop_starts(min(s.top, -s.bottom), s, *_LOSS),
         law=lambda p, now: now.k * p.kappa * (
             _contact(p, now.x - p.place, now.v) - _contact(p, -now.x - p.place, -now.v)
         ),

@@ -19,7 +19,9 @@ def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Re
     seen = record.observed[: count * size].reshape(count, size)
     y = np.where(seen, record.displacement[: count * size].reshape(count, size), 0.0).sum(1)
     observed = seen.sum(1)
+    # a half or more of the block was observed
     y = np.where(2 * observed >= size, y / np.maximum(observed, 1), np.nan)
+    # a mean belongs to the middle of its block
     middle = record.time[0] + record.dt * ((size - 1) / 2 + size * np.arange(count))
     force = np.asarray(force, np.float64)[: count * size].reshape(count, size).mean(1)
     return Record(record.name, middle, force, y, source=record.source)

@@ -67,6 +67,7 @@ def check_samples(
             f"column {columns[2]!r}, {place(0)} to {len(displacement) - 1}: every output sample is "
             "missing; leave this record out or pick another column with --output-column"
         )
+    # an infinite time was told above
     if not np.isinf(time).any():
         try:
             (check_time if uniform else _check_clock)(time, source, columns[0], place)
@@ -172,8 +173,10 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
             f"{source}: column {column!r}, {place(at)}: time {how} ({time[at - 1]:.9g} s, then "
             f"{time[at]:.9g} s); sort or split the record there"
         )
+    # the usual step, whatever a gap adds
     typical, offset = float(np.median(steps)), _grid_offset(time)
     jumps = np.abs(steps / typical - 1.0) > 2 * TIME_TOLERANCE
+    # drift has no jump: then the sample farthest from the grid
     at = _first(jumps) + 1 if jumps.any() else int(np.argmax(offset))
     raise BadInput(
         f"{source}: column {column!r}, {place(at)}: time is not uniform (step "
@@ -182,20 +185,31 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
     )
 
 
+def line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
+    """a, b of the line a + b k nearest to the times; sums, not BLAS products, whose threads cost more.
+
+    Args:
+        index: k, shape (T,).
+        time: in s, shape (T,).
+    """
+    k, t = index - index.mean(), time - time.mean()
+    b = float(np.sum(k * t) / np.sum(k * k))
+    return float(time.mean() - b * index.mean()), b
+
+
 def _grid_offset(time: np.ndarray) -> np.ndarray:
     """Distance of every time from the best uniform grid, in samples, shape (T,).
 
     The grid is fitted by least squares; where that is not within the tolerance but near it, by the smallest
     largest distance, so that jitter of up to 1 % about any uniform grid passes.
     """
-    index = np.arange(len(time)) - (len(time) - 1) / 2
-    centred = time - time.mean()
-    # sums, not BLAS products: its threads cost 2 s over 78 records on two busy cores
-    dt = float(np.sum(index * centred) / np.sum(index * index))
-    offset = np.abs(centred - dt * index) / dt
+    index = np.arange(len(time))
+    start, dt = line(index, time)
+    offset = np.abs(time - start - dt * index) / dt
     if not TIME_TOLERANCE < offset.max() < 4 * TIME_TOLERANCE:
         return offset
-    centred, index = centred / dt, index / len(time)  # both of order one for the search below
+    # both of order one for the search below
+    centred, index = (time - time.mean()) / dt, (index - index.mean()) / len(time)
 
     def spread(shift: float) -> float:
         return float(np.ptp(centred - (len(time) + shift) * index))

@@ -50,14 +50,17 @@ def stencil(values: np.ndarray, dt: float) -> np.ndarray:
     """
     count = len(values)
     slope = np.zeros(count)
+    # where four neighbours lie on either side
     inside = slice(4, count - 4)
     for k, weight in enumerate(_STENCILS[3], start=1):
         slope[inside] += weight * (values[4 + k : count - 4 + k] - values[4 - k : count - 4 - k])
+    # towards the ends ever shorter stencils, which still are central
     for reach in (1, 2, 3):
         for at in (reach, count - 1 - reach):
             slope[at] = sum(
                 weight * (values[at + k] - values[at - k]) for k, weight in enumerate(_STENCILS[reach - 1], start=1)
             )
+    # one-sided of second order, (-3 y_0 + 4 y_1 - y_2) / 2
     slope[0] = -1.5 * values[0] + 2.0 * values[1] - 0.5 * values[2]
     slope[-1] = 1.5 * values[-1] - 2.0 * values[-2] + 0.5 * values[-3]
     return slope / dt

@@ -22,10 +22,12 @@ def is_sweep(record: Record) -> bool:
 
     The drive is taken about its own mid-range; a record with fewer than 16 crossings in all is no sweep.
     """
+    # about mid-range, which a bias does not move
     u = record.voltage - (record.voltage.max() + record.voltage.min()) / 2
     crossings = np.flatnonzero(np.diff(np.signbit(u)))
     if len(crossings) < _SEGMENTS:
         return False
+    # a sweep crosses ever more (or less) often
     counts = np.bincount(np.minimum(crossings * _SEGMENTS // record.samples, _SEGMENTS - 1), minlength=_SEGMENTS)
     if len(np.unique(counts)) < 4:
         return False

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from .._errors import BadInput
-from .checks import MIN_SAMPLES, TIME_TOLERANCE, refuse_time
+from .checks import MIN_SAMPLES, TIME_TOLERANCE, line, refuse_time
 from .preprocess import force_band
 
 _HALF, _ROUNDING = 0.55, 1e-6  # of a sample: a half, and what the line may be off that was fitted to such times
@@ -75,6 +75,7 @@ def on_grid(
     Raises:
         BadInput: time decreases, or is no grid with lost samples.
     """
+    # a logger that writes a row twice shows no sample more
     kept = _once(time, voltage, displacement)
     doubled = len(time) - int(kept.sum())
     if doubled:
@@ -83,6 +84,7 @@ def on_grid(
     lost = np.diff(index) - 1
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
         return Gridded((Piece(time, voltage, displacement),), jitter, doubled=doubled)
+    # what the drive did in a longer gap cannot be interpolated
     cuts = np.flatnonzero(lost > _longest_gap(voltage, index, dt)) + 1
     pieces, dropped = [], 0
     for begin, end in zip((0, *cuts.tolist()), (*cuts.tolist(), len(time)), strict=True):
@@ -121,7 +123,9 @@ def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]
     if (steps < 0).any():
         refuse_time(time, source, column, place)
     index = np.arange(len(time))
+    # equal times have no step
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    # 2.0 usual steps: one sample was lost
     moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
     trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if moves.sum() < 2**53 else [index]
     # One row lost in the middle of a long record stays within half a sample of a straight line: both are tried
@@ -129,6 +133,7 @@ def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]
     fits = [line for line in lines if line[3].max() <= _HALF + _ROUNDING]
     if not fits or np.mean(fits[0][3] ** 2) > np.mean(lines[0][3] ** 2):  # then one time that is wrong shifted the rest
         return refuse_time(time, source, column, place)
+    # of two grids that fit, the one with the smaller rest
     best = min(fits, key=lambda line: float(np.mean(line[3] ** 2)))
     if best[0][-1] - index[-1] > _ROUNDED * len(time) and lines[0][3].max() * lines[0][2] <= (_HALF + 0.1) * usual:
         best = lines[0]  # a clock in whole ms at 700 Hz: steps of 1 and 2, each within half a ms of a straight line
@@ -138,16 +143,9 @@ def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]
 
 def _distances(index: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, float, float, np.ndarray]:
     """Places, the start and step of their line, and how far every time is from it, in samples."""
-    start, dt = _line(index, time)
+    start, dt = line(index, time)
     off = np.abs(time - start - dt * index) / dt if dt > 0 else np.full(len(time), np.inf)
     return index, start, dt, off
-
-
-def _line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
-    """a, b of the line a + b k nearest to the times; sums, not BLAS products, whose threads cost more."""
-    k, t = index - index.mean(), time - time.mean()
-    b = float(np.sum(k * t) / np.sum(k * k))
-    return float(time.mean() - b * index.mean()), b
 
 
 def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
@@ -155,6 +153,7 @@ def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
 
     A drive with few lost samples is taken whole, since short stretches of a slow drive would look fast.
     """
+    # fewer lost than seen
     if index[-1] < 2 * len(voltage):
         stretches = [np.interp(np.arange(index[-1] + 1), index, voltage)]
     else:
@@ -170,12 +169,15 @@ def _piece(time, voltage, displacement, index, line, jitter) -> Piece:
     where = index - index[0]
     grid = start + dt * (index[0] + np.arange(where[-1] + 1))
     output = np.full(len(grid), np.nan)
+    # lost samples stay missing
     output[where] = displacement
     lost = len(grid) - len(time)
+    # the grid may begin half a sample before the first time: nothing is extrapolated
     at = np.clip(grid, time[0], time[-1])
     if jitter <= TIME_TOLERANCE + _ROUNDING or (np.diff(time) <= 0).any():  # equal times: rounded, not measured, ones
         drive = np.interp(grid, start + dt * index, voltage)
     else:
+        # monotone cubics overshoot no step, as splines would
         seen = np.isfinite(displacement)
         drive = np.interp(at, time, voltage)
         if seen.sum() > 1:

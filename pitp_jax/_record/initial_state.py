@@ -55,6 +55,7 @@ def noise_std(displacement: np.ndarray) -> float:
 
     An upper bound where the signal is not oversampled (then the 5th difference sees the motion too).
     """
+    # (1, 5, 10, 10, 5, 1): squares sum to 252
     fifth = np.diff(displacement, 5)
     fifth = fifth[np.isfinite(fifth)]
     if len(fifth) == 0:
@@ -103,12 +104,14 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
     span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
     noise = min(noise_std(record.displacement), 0.01 * span)
     values, errors = [], []
+    # windows grow by sqrt 2 up to a quarter of the record
     count = int(2 * np.log2(max(record.samples / 4 / _FEWEST, 1)))
     for window in np.unique(np.round(_FEWEST * np.sqrt(2.0) ** np.arange(count + 1)).astype(int)):
         y = record.displacement[:window]
         keep = np.isfinite(y)
         if keep.sum() < _FEWEST:
             continue
+        # orthogonal over the window, so the higher terms stand for what the lower ones miss
         basis = legvander(2 * np.arange(window)[keep] / window - 1, 6)
         fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
         free = max(keep.sum() - 7, 1)
@@ -168,6 +171,7 @@ def standing_drive(record: Record) -> tuple[int, float]:
     moved = np.abs(record.voltage - np.median(record.voltage[:8])) > np.clip(6 * noise, _FLAT * span, _LEVEL * span)
     count = int(np.argmax(moved)) if moved.any() else record.samples
     level = float(np.median(record.voltage[: max(count, 1)]))
+    # noise of a mean over so many samples
     none = max(_FLAT * float(np.abs(record.voltage).max()), 4 * noise / np.sqrt(max(count, 1)))
     return count, 0.0 if abs(level) <= none else level
 
@@ -191,6 +195,7 @@ def settled_samples(record: Record, omega: float) -> int:
     means = np.array([np.mean(b[np.isfinite(b)]) for b in blocks if np.isfinite(b).any()])
     noise = noise_std(record.displacement) / np.sqrt(count / len(blocks))
     span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
+    # squared, as the force is; beside a linear drive the bound is the tighter one
     jump = (level / np.abs(record.voltage).max()) ** 2 if level else np.inf
     return count if np.ptp(means) <= 5 * noise + min(_LEVEL, jump / 3) * span else 0
 
@@ -199,6 +204,7 @@ def first_known(record: Record) -> int:
     """First sample from which a state can be estimated: 0, unless the record begins with a gap longer than that."""
     seen = np.concatenate([[0], np.cumsum(record.observed)])
     ahead = seen[np.minimum(np.arange(record.samples) + _WITHIN, record.samples)] - seen[:-1]
+    # enough samples seen within the next ones to fit a state
     enough = ahead >= _FEWEST
     return 0 if enough[0] else int(np.argmax(enough & record.observed))
 
@@ -231,12 +237,14 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
     """
     levels = np.array([rest_level(r) for r in records]).reshape(-1, 2)
     spans = np.array([np.nanmax(r.displacement) - np.nanmin(r.displacement) for r in records])
+    # four errors, but never a large part of the motion
     tolerance = np.minimum(4 * levels[:, 1], 0.015 * spans) + 0.002 * spans
     open_, groups = list(range(len(records))), []
     while open_:
         near = [
             [m for m in open_ if abs(levels[m, 0] - levels[k, 0]) <= max(tolerance[k], tolerance[m])] for k in open_
         ]
+        # the zero that most share first, then the next among the others
         members = max(near, key=len)
         value, weights = levels[members, 0], 1 / (levels[members, 1] ** 2 + 1e-30)
         zero = float(np.average(value, weights=weights))
@@ -258,6 +266,7 @@ def rest_level(record: Record) -> tuple[float, float]:
         t, y = np.arange(window) / window, record.displacement[:window]
         keep = np.isfinite(y)
         if keep.sum() >= 8:
+            # no linear term: at rest the velocity is zero
             basis = np.stack([t**0, t**2, t**3, t**4], -1)[keep]
             fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
             misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))

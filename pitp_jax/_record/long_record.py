@@ -56,6 +56,7 @@ class LongRecord:
         voltage, kept = self.voltage.astype(float), self.displacement.astype(float)
         seen, place = np.isfinite(kept), np.arange(len(kept))
         displacement = self._between(np.interp(place, place[seen], kept[seen]))
+        # what was filled in to resample is missing again
         displacement[np.repeat(~seen, self.step)] = np.nan
         return Record("long record", self.dt * np.arange(len(displacement)), self._between(voltage), displacement)
 
@@ -76,11 +77,14 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     if np.ptp(force) == 0:
         return None
     step = int(1 / (_PER_PERIOD * force_band([force], record.dt) * record.dt))
+    # rounded up: never more than the most that are kept
     step = max(step, -(-record.samples // _MOST), 1)
     step = min(step, max(record.samples // 64, 1))  # what `Record` asks for
     known = record.observed
+    # the low-pass needs every sample
     filled = np.interp(record.time, record.time[known], record.displacement[known])
     seen = np.ones(-(-record.samples // step), bool)
+    # a kept sample is missing where any that it stands for is
     seen[np.flatnonzero(~known) // step] = False
     displacement = np.where(seen, _thin(filled, step), np.nan)
     return LongRecord(record.dt, step, rest, _thin(record.voltage, step).astype("<f4"), displacement.astype("<f4"))

@@ -63,14 +63,17 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     moving = steps[steps > 0]
     if len(moving) < _FEWEST_VALUES:
         return Masked(displacement)
+    # of the steps that are not zero: a quantised sensor mostly repeats its value
     step = float(np.median(moving))
     drive = voltage[seen]
     off_scale, jumps = _off_scale(y), _jumps(drive)
+    # an answer to a pulse looks like a spike: only where the drive did not step
     bad = off_scale | (_spikes(y, step) & ~jumps)
     certain, held = _stuck(y, step, drive)
     bad |= certain & ~jumps
     clipped = _clipped(np.where(bad, np.nan, y), drive)
     held = int((held & ~jumps & ~bad & ~clipped).sum())
+    # more than half cannot be outliers
     if 2 * bad.sum() > len(y):
         far = float(y[off_scale][0]) if off_scale.any() else np.nan
         return Masked(displacement, limit=far, unseen=int(off_scale.sum()))
@@ -118,6 +121,7 @@ def _spikes(y: np.ndarray, step: float) -> np.ndarray:
         count = len(y) - run - 5
         if count <= 0:
             break
+        # three samples before the run and three after it, for every place at once
         a, b, c, d, e, f = (y[k : k + count] for k in (0, 1, 2, run + 3, run + 4, run + 5))
         local = np.maximum.reduce([np.abs(p - q) for p, q in ((a, b), (b, c), (c, d), (d, e), (e, f))])
         bound = _FAR * np.maximum(local, step)
@@ -132,6 +136,7 @@ def _spikes(y: np.ndarray, step: float) -> np.ndarray:
 def _off_scale(y: np.ndarray) -> np.ndarray:
     """Samples at a value farther from all others than those are apart: what a laser reads that sees nothing."""
     bad = np.zeros(len(y), dtype=bool)
+    # sorted: both ends are looked at in turn
     values = np.unique(y)
     while len(values) > _FEWEST_VALUES:
         low, high = values[1] - values[0], values[-1] - values[-2]
@@ -152,6 +157,7 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
 
 def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
     """First and one past the last sample of every run of equal values."""
+    # where a run of equal values begins, and one past the last
     edges = np.flatnonzero(np.append(True, np.append(y[1:] != y[:-1], True)))
     long = np.flatnonzero(np.diff(edges) >= least)
     return [(int(edges[k]), int(edges[k + 1])) for k in long]
@@ -176,15 +182,18 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if np.ptp(drive[b:e]) > 0]
     inside = np.zeros(len(y) - 1, dtype=bool)
     for begin, end in runs:
+        # steps within the runs say nothing of the sensor elsewhere
         inside[begin : end - 1] = True
     if inside.all():
         return bad, kept
+    # a coarse sensor repeats values while it sees: its runs are no dropouts
     repeats = float(np.mean((y[1:] == y[:-1])[~inside])) >= _NOISY
     quiet = _is_quiet(np.where(np.append(inside, False), np.nan, y), np.abs(np.diff(y))[np.diff(y) != 0])
     low, high = y.min(), y.max()
     for begin, end in runs:
         if begin < 3 or end > len(y) - 3 or end - begin > len(y) // 10 or y[begin] in (low, high):
             continue
+        # entered and left by jumps: far more than the steps beside the run
         before, after = y[begin - 3 : begin], y[end : end + 3]
         local = max(np.abs(np.diff(before)).max(), np.abs(np.diff(after)).max(), step)
         near, far = sorted((abs(before[-1] - y[begin]), abs(after[0] - y[begin])))
@@ -212,9 +221,11 @@ def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
     moving = steps[steps > 0]
     if not bad.any() or not len(moving):
         return np.zeros_like(bad)
+    # how often neighbours are equal by chance
     p = float(np.mean(steps == 0))
     if p > 0.5 or _is_quiet(np.where(bad, np.nan, y), moving):
         return np.zeros_like(bad)  # without any noise it is a stop, or a slow motion
+    # p^(n - 1) T < 1e-6, solved for n
     least = 1 + np.log(_CHANCE / len(y)) / np.log(max(p, 1e-4))
     for begin, end in runs:
         bad[begin:end] = end - begin >= least

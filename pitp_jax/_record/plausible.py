@@ -57,6 +57,7 @@ def questions(displacement: np.ndarray, unit: str) -> list[str]:
     lines = []
     if unit == "m" and np.ptp(seen) > _LONG:
         lines.append(f"moves by {np.ptp(seen):.3g} m: is the output's unit right?")
+    # the median is the value of most, where there is one
     equal = float(np.mean(seen == np.median(seen)))
     if equal > _EQUAL:
         lines.append(f"{100 * equal:.0f} % of its outputs are equal: does the sensor read?")

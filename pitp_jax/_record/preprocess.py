@@ -66,6 +66,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_SH
     frequencies, energies = [], []
     for force in forces:
         force = np.asarray(force, dtype=np.float64)
+        # by length, so that the records pool by their energy (Parseval)
         energy = np.abs(np.asarray(scipy.fft.rfft(force - force.mean()))) ** 2 / len(force)
         energy[1 : (len(force) + 1) // 2] *= 2.0  # both signs of the frequency
         energy[0] = 0.0
@@ -73,8 +74,10 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_SH
         energies.append(energy)
     frequency, energy = np.concatenate(frequencies), np.concatenate(energies)
     scale = sum(float(np.sum(np.square(force, dtype=np.float64))) for force in forces)
+    # rounding of a constant force leaves some energy
     if not energy.sum() > 1e-20 * scale:
         raise BadInput("the drive never changes in any of these records; give records with an excitation")
+    # records of other lengths have other frequencies: merged, then summed
     order = np.argsort(frequency, kind="stable")
     total = np.cumsum(energy[order])
     return float(frequency[order][np.searchsorted(total, share * total[-1])])
@@ -130,6 +133,7 @@ def preprocess(
     force = np.asarray(force, dtype=np.float64)
     dt = record.dt
     _check(record, order, cutoff_hz, force, displacement, difference)
+    # second-order sections: the polynomials of a low cut-off lose all their digits
     sos = np.asarray(scipy.signal.butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * dt, output="sos"))
     edge = edge_samples(cutoff_hz, dt, order)
     states = np.zeros((record.samples, order + 1))
@@ -141,11 +145,13 @@ def preprocess(
         values = _filtered(sos, displacement[start:stop], edge)
         for i in range(order + 1):
             states[start:stop, i] = values
+            # eq. 8: each derivative from the one below it
             values = DIFFERENCES[difference](values, dt) if i < order else values
         known[start:stop] = True
         valid[start + edge : stop - edge] = True
     x = np.where(known, states[:, 0], displacement)
     usable = known if known.any() else np.isfinite(displacement)
+    # memories follow x across gaps, though the loss does not look there
     states[:, 0] = np.interp(record.time, record.time[usable], x[usable])
     return StateRecord(record.name, record.time, _filtered(sos, force, edge), states, valid, float(cutoff_hz), dt)
 
@@ -161,6 +167,7 @@ def stretches(observed: np.ndarray) -> list[tuple[int, int]]:
     Args:
         observed: shape (T,).
     """
+    # +1 where a run begins, -1 one past its end
     change = np.diff(np.concatenate([[False], observed, [False]]).astype(np.int8))
     return list(zip(np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True))
 

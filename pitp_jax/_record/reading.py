@@ -8,7 +8,7 @@ folders go in front (`clean/sine0`). What every file lacks is told in one messag
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from glob import glob
 from pathlib import Path
@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from .._errors import BadInput
-from .._shown import Shown
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
 from .._table.guard import cleaned
@@ -29,7 +28,7 @@ from .checks import TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
 from .outliers import Masked, at_limit, mask_faults
 from .plausible import questions, refuse_implausible
-from .record import Record
+from .record import Record, Timed, range_in
 from .remarks import Remark
 from .sets import check_set
 
@@ -38,7 +37,7 @@ _QUANTITIES = ("time", "voltage", "displacement")
 
 
 @dataclass(frozen=True, eq=False)
-class Target(Shown):
+class Target(Timed):
     """A wanted trajectory, for the inverse model.
 
     Attributes:
@@ -63,14 +62,8 @@ class Target(Shown):
         check_wanted(self.time, self.displacement, self.source or "target")
 
     def __repr__(self) -> str:
-        ends = [from_base(float(f(self.displacement)), self.displacement_unit) for f in (np.min, np.max)]
-        span = f"{ends[0]:.4g} to {ends[1]:.4g} {self.displacement_unit}"
+        span = range_in(self.displacement, self.displacement_unit)
         return f"Target({len(self.time)} samples at {1 / self.dt:.6g} Hz, {span})"
-
-    @property
-    def dt(self) -> float:
-        """Sampling interval in s."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
 
 def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
@@ -139,18 +132,34 @@ def options_of(said: Mapping[str, Any]) -> ReadOptions:
     return ReadOptions(**said)
 
 
-def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
-    """Records, refusals by name, and how many files there were."""
+def attempted(
+    paths: Sequence[str | os.PathLike], options: ReadOptions, quantities: Sequence[str], make: Callable[..., Sequence]
+) -> tuple[list, dict[str, BadInput], int]:
+    """What `make(path, label, columns)` makes of every part of every file, refusals by name, and how many files.
+
+    Args:
+        paths: files and folders.
+        options: what is said of them.
+        quantities: of `time`, `voltage`, `displacement`.
+        make: from a file, the label of a part and its columns to a list.
+    """
     files = files_of(paths)
-    records: list[Record] = []
+    made: list = []
     refused: dict[str, BadInput] = {}
-    names = names_of(files)
-    for file, name in zip(files, names, strict=True):
+    for file, name in zip(files, names_of(files), strict=True):
         try:
-            records += _read_one(file, name, options)
+            parts = load_columns(file, options, quantities)
+            labels = [f"{name}.{cleaned(one.label)}" if one.label else name for one in parts]
+            made += [piece for label, one in zip(labels, parts, strict=True) for piece in make(file, label, one)]
         except BadInput as error:
             refused[name] = error
-    return _unique(_limited(records)), refused, len(files)
+    return made, refused, len(files)
+
+
+def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
+    """Records, refusals by name, and how many files there were."""
+    records, refused, files = attempted(paths, options, _QUANTITIES, _records)
+    return _unique(_limited(records)), refused, files
 
 
 def _limited(records: list[Record]) -> list[Record]:
@@ -180,6 +189,7 @@ def _unique(records: list[Record]) -> list[Record]:
     kept = []
     for record in records:
         name = record.name
+        # a mark that no suffix and no split makes
         while name in taken:
             name += "'"
         taken.add(name)
@@ -263,6 +273,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
             raise BadInput(
                 f"{cleaned(path)}: cannot list the folder: {error.strerror or error}; check its rights"
             ) from None
+        # read-mes and pictures beside the recordings are no records
         inside = [file for file in inside if _is_record(file)]
         if not inside:
             raise BadInput(
@@ -287,6 +298,7 @@ def names_of(files: Sequence[Path]) -> list[str]:
     Raises:
         BadInput: a file given twice, or two of one folder that differ by their suffix alone.
     """
+    # links and relative paths: the file itself counts
     real = [Path(os.path.realpath(file)) for file in files]
     stems, depth = [cleaned(split_suffix(file.name)[0]) for file in files], [0] * len(files)
     names = list(stems)
@@ -302,28 +314,31 @@ def names_of(files: Sequence[Path]) -> list[str]:
                     "rename one of the two"
                 )
             for k in same:
+                # one folder more in front, until the names differ
                 depth[k] += 1
                 folders = [cleaned(part) for part in real[k].parent.parts[1:][-depth[k] :]]
                 names[k] = "/".join((*folders, stems[k]))
     return names
 
 
-def _read_one(path: Path, name: str, options: ReadOptions) -> list[Record]:
-    """The records of one file: one, or several by its parts and where its gaps are too long."""
-    loaded = load_columns(path, options, _QUANTITIES)
-    named = [(f"{name}.{cleaned(one.label)}" if len(loaded) > 1 or one.label else name, one) for one in loaded]
-    return [record for label, one in named for record in _records(path, label, one)]
-
-
-def gridded(one: Loaded, displacement: np.ndarray) -> Gridded:
-    """A file's columns on their uniform grid; a clock that repeats is refused with the option that replaces it.
+def mended(one: Loaded) -> tuple[Masked, Gridded]:
+    """A file's columns checked, with the sensor's faults masked, on their uniform grid; without an output, zeros.
 
     Raises:
-        BadInput: time decreases, repeats, or is no grid with lost samples.
+        BadInput: samples that no later step could use, values that no rig has, time that decreases or repeats.
     """
-    time, clock, source = one.values["time"], one.chosen["time"], one.table.source
+    time, voltage, source = one.values["time"], one.values["voltage"], one.table.source
+    output = one.values.get("displacement")
+    displacement = np.zeros(len(time)) if output is None else output
+    names = {q: choice.name for q, choice in one.chosen.items()}
+    columns = names["time"], names["voltage"], names.get("displacement", "displacement")
+    check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
+    units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
+    refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
+    # before the grid: interpolating over a spike would smear it
+    masked = Masked(displacement) if output is None else mask_faults(displacement, voltage)
     try:
-        return on_grid(time, one.values["voltage"], displacement, source, clock.name, one.place)
+        return masked, on_grid(time, voltage, masked.displacement, source, columns[0], one.place)
     except BadInput as error:
         if (np.diff(time) == 0).any() and not (np.diff(time) < 0).any() and one.options.rate is None:
             why = str(error).removeprefix(f"{source}: ") + ", or give --rate HZ"
@@ -332,21 +347,14 @@ def gridded(one: Loaded, displacement: np.ndarray) -> Gridded:
 
 
 def _records(path: Path, name: str, one: Loaded) -> list[Record]:
-    time, voltage, displacement = (one.values[q] for q in _QUANTITIES)
-    source, chosen = one.table.source, one.chosen
-    columns = chosen["time"].name, chosen["voltage"].name, chosen["displacement"].name
-    check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
     drive, unit = one.unit("voltage"), one.unit("displacement")
-    refuse_implausible(voltage, displacement, (base_unit(drive), base_unit(unit)), source, columns[1:], one.place)
-    masked = mask_faults(displacement, voltage)
-    put = gridded(one, masked.displacement)
-    lost, many = sum(piece.lost for piece in put.pieces), len(put.pieces) > 1
+    masked, put = mended(one)
+    many = len(put.pieces) > 1
     remarks = _remarks(name, masked, put, unit)
     seen = {
         "file": one.table.form,
         **{OPTIONS[quantity]: one.words(quantity) for quantity in _QUANTITIES},
         "jitter": put.jitter,
-        "lost": lost,
         "outliers": masked.outliers,
         "clipped": masked.clipped,
         **({"limit": masked.limit} if masked.clipped else {}),

@@ -28,8 +28,25 @@ def _column(values: Any) -> np.ndarray:
     return np.array(values, dtype=np.float64)
 
 
+class Timed(Shown):
+    """What is sampled uniformly."""
+
+    time: np.ndarray
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval in s."""
+        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+
+def range_in(values: np.ndarray, unit: str) -> str:
+    """The range of values (base unit, nan where missing) in the unit of their file: `0 to 2.5 kV`."""
+    low, high = (from_base(float(end(values)), unit) for end in (np.nanmin, np.nanmax))
+    return f"{low:.4g} to {high:.4g} {unit}"
+
+
 @dataclass(frozen=True, eq=False)
-class Record(Shown):
+class Record(Timed):
     """One excitation of one actuator, in base units.
 
     Attributes:
@@ -68,19 +85,9 @@ class Record(Shown):
 
     def __repr__(self) -> str:
         """One line: length, rate, ranges in the file's units."""
-        unit, seen = self.displacement_unit, self.displacement[self.observed]
-        volts = [from_base(float(v), self.voltage_unit) for v in (self.voltage.min(), self.voltage.max())]
-        output = [from_base(float(v), unit) for v in (seen.min(), seen.max())]
+        ranges = range_in(self.voltage, self.voltage_unit), range_in(self.displacement, self.displacement_unit)
         lost = f", {self.missing} missing" if self.missing else ""
-        return (
-            f"Record({self.name!r}: {self.samples} samples at {1 / self.dt:.6g} Hz, {volts[0]:.4g} to {volts[1]:.4g} "
-            f"{self.voltage_unit}, {output[0]:.4g} to {output[1]:.4g} {unit}{lost})"
-        )
-
-    @property
-    def dt(self) -> float:
-        """Sampling interval in s."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+        return f"Record({self.name!r}: {self.samples} samples at {1 / self.dt:.6g} Hz, {', '.join(ranges)}{lost})"
 
     @property
     def samples(self) -> int:

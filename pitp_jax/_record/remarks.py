@@ -60,6 +60,7 @@ def by_kind(remarks: Sequence[Remark]) -> list[str]:
         if len(same) == 1 or kind not in (*_COUNTED, *_MEASURED):
             lines += [f"{remark.record}: {remark}" for remark in same]
             continue
+        # one line a kind: "9 records: 1 to 3 lost samples each"
         low, high = (float(f([remark.value for remark in same])) for f in (min, max))
         names = ", ".join(remark.record for remark in same[:3]) + (", ..." if len(same) > 3 else "")
         if kind in _MEASURED:

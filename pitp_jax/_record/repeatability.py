@@ -22,8 +22,10 @@ def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> flo
     """Its square in one record: the largest over the lags that repeat the drive best; None where none does."""
     u = record.voltage
     period = _period(record)
+    # too few samples of a period, or periods of a record, to compare
     if not 8 <= period <= len(u) / (2 * _FEWEST):
         return None
+    # the period is known to a sample or two after several of them
     lags = {round(k * period) + d for k in range(1, _PERIODS + 1) for d in (-2, -1, 0, 1, 2)}
     rows = [_at(u, error, counts, lag, int(np.ceil(2 * period))) for lag in sorted(lags)]
     rows = [row for row in rows if row is not None]
@@ -36,6 +38,7 @@ def _period(record: Record) -> float:
     size = spectrum(record)
     k = int(np.argmax(size[1:-1])) + 1
     a, b, c = np.log(np.maximum(size[k - 1 : k + 2], 1e-300))
+    # vertex of the parabola through three points, in lines
     shift = 0.5 * (a - c) / min(a - 2 * b + c, -1e-12)
     return record.samples / (k + float(np.clip(shift, -0.5, 0.5)))
 
@@ -55,6 +58,7 @@ def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
     apart = np.sqrt(_square(change, more, np.ones_like(both))) / np.maximum(spread, 1e-30)
     change, more = (windows(v) for v in _change(error, lag))
     square = _square(change, more, both)
+    # the drive repeats there, it moves, and half was observed
     good = (apart < _SAME) & (spread > _MOVING * spread.max()) & (both.mean(1) > 0.5)
     return (float(np.median(apart[good])), float(np.median(square[good]))) if good.sum() >= _FEWEST else None
 

@@ -70,6 +70,7 @@ def session_clock(records: Sequence[Record]) -> bool:
     Args:
         records: the records of a set, in any order.
     """
+    # one after another: half a sample of overlap is rounding
     spans = sorted((record.time[0], record.time[-1], record.dt) for record in records)
     return all(later[0] > span[1] - 0.5 * span[2] for span, later in zip(spans, spans[1:], strict=False))
 
@@ -84,6 +85,7 @@ def alike(records: Sequence, length: Callable[..., int] = lambda record: record.
     if max(lengths) * len(lengths) <= 2 * sum(lengths):
         return [list(range(len(lengths)))]
     sets: list[list[int]] = []
+    # the longest first, and all within half of it beside it
     for k in np.argsort(lengths)[::-1].tolist():
         if not sets or lengths[k] < lengths[sets[-1][0]] / 2:
             sets.append([])

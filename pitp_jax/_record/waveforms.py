@@ -36,6 +36,7 @@ def _finish(time: np.ndarray, values: np.ndarray, rate: float, rise: float, rest
         raise ValueError(f"rise {rise} s and rest_s {rest_s} s cannot be negative")
     if rise > 0:
         values = values * smooth_step(time / rise)
+    # whole samples, on the same clock
     rest = round(rest_s * rate)
     return np.arange(len(time) + rest) / rate, np.concatenate([values, np.zeros(rest)])
 
@@ -135,6 +136,7 @@ def steps(levels: Sequence[float], hold: float, rate: float, *, rise: float, res
     time = _clock(hold * len(levels), rate)
     values = np.asarray(levels, dtype=np.float64)
     before = np.concatenate([[0.0], values[:-1]])
+    # which level, minding times that fall a bit short of a whole hold
     k = np.minimum((time / hold + 1e-9).astype(int), len(levels) - 1)
     share = smooth_step((time - k * hold) / rise) if rise > 0 else 1.0
     return _finish(time, before[k] + (values - before)[k] * share, rate, 0.0, rest_s)
@@ -170,6 +172,7 @@ def multisine(
         time in s and values in V.
     """
     time = _clock(duration, rate)
+    # lines of the period: the tones come back exactly
     bins = np.arange(int(np.ceil(band[0] * duration - 1e-9)), int(np.floor(band[1] * duration + 1e-9)) + 1)
     bins = bins[(bins > 0) & (bins < len(time) / 2)]
     if len(bins) == 0:
@@ -180,6 +183,7 @@ def multisine(
     for _ in range(0 if crest is None else 100):
         if crest is None or _crest(best) <= crest:
             break
+        # peaks are cut and only the phases of what remains kept (Van der Ouderaa)
         limit = 0.85 * np.abs(trial).max()
         phase = np.angle(np.fft.rfft(np.clip(trial, -limit, limit))[bins])
         trial = _tones(bins, phase, len(time))

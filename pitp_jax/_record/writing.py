@@ -47,9 +47,11 @@ def is_stream(path: str | os.PathLike) -> bool:
 def _replace(target: Path, data: bytes) -> None:
     temporary = target.parent / f".pitp-{secrets.token_hex(8)}.tmp"
     try:
+        # in the same folder: a rename does not cross file systems
         with open(temporary, "xb") as file:
             file.write(data)
             file.flush()
+            # before the rename, or a power cut leaves an empty file
             os.fsync(file.fileno())
         if target.exists():
             os.chmod(temporary, target.stat().st_mode & 0o7777)  # the mode stays

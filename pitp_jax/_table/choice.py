@@ -113,6 +113,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
             chosen[quantity] = _choose(seen, pools[quantity], quantity, options)
         except _Ask as ask:
             problems[quantity] = ask
+    # the channels may carry the clock themselves (TDMS): only known once they are chosen
     ports = [s for q in ("voltage", "displacement") for s in seen if q in chosen and s.place == chosen[q].place]
     if "time" in problems and options.time_column is None and len(ports) == len(quantities) - 1 and not pools["time"]:
         try:
@@ -153,6 +154,7 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
     """
     seen = time[np.isfinite(time)]
     step = float(np.median(np.diff(seen))) if len(seen) > 1 else 0.0
+    # 0, 1, 2, ... may count samples, ms or s
     whole = step >= 1 and np.array_equal(seen, np.round(seen))
     if not (whole or step >= _SLOWEST or 0 < step < _FASTEST):
         return None
@@ -172,7 +174,9 @@ def _stated_ports(options: ReadOptions) -> bool:
 def _seen(place: int, column: Column) -> _Seen:
     header = read_header(column.name)
     beside = spelt(column.beside) if column.beside else None
+    # name and units row may both say it; twice the same is one statement
     stated = tuple(dict.fromkeys(unit for unit in (header.unit, beside) if unit))
+    # a unit row that we cannot read is stronger than brackets in the name
     unknown = column.beside if column.beside and not beside else header.unknown
     counted = header.unknown is not None and header.unknown[:1].isdigit()  # `(100us)` is no microsecond
     if stated and not counted:
@@ -190,6 +194,7 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
         if wanted is not None:
             named = [s for s in seen if s.column.name == wanted]
             pools[quantity] = named or [s for s in seen if str(wanted).isdecimal() and s.place + 1 == int(wanted)]
+    # what the user named is no candidate for anything else
     taken = {s.place for pool in pools.values() for s in pool}
     open_ = [s for s in seen if s.place not in taken and s.column.form != "text"]
     for quantity in quantities:
@@ -205,10 +210,12 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
     ]
     data = [s for s in open_ if s not in clocks and not s.counts_rows]
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
+    # a laser or an encoder may well be read in volts
     sensed = [s for s in volts if s.role == "output"]
     driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
     if not driving and lengths:  # the only voltage beside a length, whatever it is called
         sensed, driving = [], sensed
+    # volts are a drive only beside something that answers
     moving = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
     if "voltage" in quantities and "voltage" not in pools:
         alone = "displacement" not in quantities and driving
@@ -217,7 +224,9 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
         )
     if "displacement" in quantities and "displacement" not in pools:
         drive = pools.get("voltage", [])
+        # the drive itself is no answer
         data = [s for s in data if len(drive) != 1 or s is not drive[0]]
+        # a scale is given for volts, so they come first then
         first, second = (sensed, lengths) if options.output_scale is not None else (lengths, sensed)
         pair = [s for s in first if s in data] or [s for s in second if s in data]
         usual = bool(driving) or "voltage" not in quantities or not pair
@@ -363,6 +372,7 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
             if first is not None:
                 ports[quantity] = first
                 taken.add(first.place)
+    # an amplifier has two monitors: where the drive is one, so is the answer
     daq = "voltage" in ports and _is_monitor(_values(table, ports["voltage"].place), ports["voltage"])
     for quantity, port in ports.items():
         name = _said(seen, port) if len(pools[quantity]) != 1 else None
@@ -413,6 +423,7 @@ def _values(table: Table, place: int) -> np.ndarray:
 
 def _roughness(values: np.ndarray) -> float:
     """Noise of a column beside its range, by the median of its fifth differences."""
+    # what a motion does hardly passes five differences, noise passes them sixteenfold
     rough = np.abs(np.diff(values[np.isfinite(values)], 5))
     return float(np.median(rough) / max(np.ptp(values), 1e-300)) if len(rough) else np.inf
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from .._errors import BadInput
-from .choice import Choice, choose_columns, clock_question
+from .choice import Choice, choose_columns, clock_question, listed
 from .formats import Parts, open_parts
+from .names import read_header
 from .options import OPTIONS, ReadOptions, with_folder
 from .refusal import Refused
 from .table import Column, Table
@@ -96,11 +97,7 @@ def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tup
             return _agreed(tables, options, quantities)
         except BadInput as error:
             refusals.append(error)
-    raise (
-        refusals[0]
-        if len(refusals) == 1
-        else max(refusals, key=lambda error: isinstance(error, Refused) and bool(error.options))
-    )
+    raise max(refusals, key=lambda error: isinstance(error, Refused) and bool(error.options))
 
 
 def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
@@ -117,6 +114,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
             refusals.append(error)
     if not good:
         raise refusals[0]
+    # several encodings fit most bytes: the one whose names are words
     table, chosen = max(good, key=lambda one: _legible(one[0].columns))
     for other, choices in good:
         if {q: c.reading for q, c in choices.items()} != {q: c.reading for q, c in chosen.items()}:
@@ -135,8 +133,6 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
 
 def _legible(columns: Sequence[Column]) -> int:
     """How far the names of columns look like names: letters, and words that we know."""
-    from .names import read_header
-
     names = [c.name for c in columns]
     strange = sum(not (c.isalnum() or ord(c) < 128) for name in names for c in name)
     return sum(read_header(name).role is not None for name in names) - strange
@@ -144,9 +140,7 @@ def _legible(columns: Sequence[Column]) -> int:
 
 def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Loaded:
     """The chosen columns in base units, scaled; a time of --rate where there is none or its clock repeats."""
-    places = [choice.place for choice in chosen.values() if choice.place is not None]
-    values, lost = _values(table, chosen, places, options)
-    chosen = chosen | lost
+    values, chosen = _values(table, chosen, options)
     count = len(next(iter(values.values()))) if values else 0
     loaded = {}
     with np.errstate(over="ignore"):  # infinite values are refused later
@@ -154,6 +148,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
             if choice.clock is not None and choice.place is None:
                 loaded[quantity] = choice.clock[0] + choice.clock[1] * np.arange(count)
             elif choice.place is not None:
+                # unit first, scale second: 2 V of a monitor of 1000 V per V
                 base = to_base(values[choice.place], choice.unit)
                 scale = options.scale(quantity)
                 loaded[quantity] = base if scale is None else base * scale
@@ -164,45 +159,22 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
     return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options)
 
 
-def _values(table: Table, chosen, places, options) -> tuple[dict[int, np.ndarray], dict[str, Choice]]:
-    """The columns at these places; with --rate a clock that cannot be read is done without."""
+def _values(
+    table: Table, chosen: dict[str, Choice], options: ReadOptions
+) -> tuple[dict[int, np.ndarray], dict[str, Choice]]:
+    """The chosen columns by their places; with --rate a clock that cannot be read is done without."""
+    places, clock = [choice.place for choice in chosen.values() if choice.place is not None], chosen.get("time")
     try:
-        return dict(zip(places, table.load(places), strict=True)), {}
+        return dict(zip(places, table.load(places), strict=True)), chosen
     except BadInput as error:
-        clock = chosen.get("time")
-        rest = [place for place in places if clock is None or place != clock.place]
-        if clock is None or clock.place is None or len(rest) == len(places):
+        if clock is None or clock.place is None:
             raise
+        rest = [place for place in places if place != clock.place]
+        values = dict(zip(rest, table.load(rest), strict=True))  # what is wrong with these comes first
         if options.rate is None:
-            try:
-                table.load(rest)
-            except BadInput:
-                raise error from None
-            raise Refused(
-                table.source, str(error).removeprefix(f"{table.source}: "), _once_more(table, options, chosen)
-            ) from None
-        return dict(zip(rest, table.load(rest), strict=True)), {
-            "time": Choice(None, "--rate", "s", f"{clock.name!r} is not readable")
-        }
-
-
-def _once_more(table: Table, options: ReadOptions, chosen: dict[str, Choice]) -> list[str]:
-    """Options that do without the clock."""
-    try:
-        choose_columns(
-            replace(
-                table,
-                columns=tuple(
-                    c if k != chosen["time"].place else replace(c, name="", form="text")
-                    for k, c in enumerate(table.columns)
-                ),
-            ),
-            options,
-            tuple(chosen),
-        )
-    except Refused as error:
-        return list(error.options)
-    return []
+            why = str(error).removeprefix(f"{table.source}: ")
+            raise Refused(table.source, why, [*options.words(), "--rate", "RATE"]) from None
+        return values, chosen | {"time": Choice(None, "--rate", "s", f"{clock.name!r} is not readable")}
 
 
 def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: ReadOptions) -> Choice:
@@ -224,14 +196,16 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         return choice
     seen = time[np.isfinite(time)]
     steps = np.diff(seen)
-    still = len(seen) < 2 or (bool((steps >= 0).all()) and bool((steps == 0).any()))
-    if rate is not None and still:
-        loaded["time"] = np.arange(count) / rate
-        return Choice(None, "--rate", "s", f"the clock {name!r} {'is empty' if len(seen) < 2 else 'repeats'}")
-    if choice.clock is None and not len(seen):
-        raise Refused(source, f"the clock {name!r} is empty; give --rate HZ", [*options.words(), "--rate", "RATE"])
+    if len(seen) < 2 or ((steps >= 0).all() and (steps == 0).any()):
+        how = f"the clock {name!r} {'repeats' if len(seen) > 1 else 'is empty'}"
+        if rate is not None:
+            loaded["time"] = np.arange(count) / rate
+            return Choice(None, "--rate", "s", how)
+        if not len(seen):
+            raise Refused(source, f"{how}; give --rate HZ", [*options.words(), "--rate", "RATE"])
     if choice.clock is not None or not len(steps):
         return choice
+    # the usual step: lost samples and jitter do not move it
     step = float(np.median(steps))
     if choice.note.startswith("no unit") and (strange := clock_question(time, name)):
         raise Refused(source, strange, [*options.words(), "--time-unit", "UNIT"])
@@ -247,6 +221,7 @@ def _without_empty_rows(loaded: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Rows without a filled cell taken out: the clock shows the gap."""
     if len({len(v) for v in loaded.values()}) > 1:
         return loaded
+    # only rows empty in all columns: an empty input alone must be refused later
     empty = np.all([np.isnan(v) for v in loaded.values()], axis=0)
     return {q: v[~empty] for q, v in loaded.items()} if empty.any() else loaded
 
@@ -256,12 +231,15 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     places = [k for k, c in enumerate(table.columns) if c.name == name]
     if not places:
         words = "; sheet and group split a file by those" if name in ("sheets", "groups") else ""
-        raise BadInput(f"{table.source}: column {name!r} of --split-by is missing{words}; give one of {_listed(table)}")
+        raise BadInput(
+            f"{table.source}: column {name!r} of --split-by is missing{words}; give one of {listed(table.columns)}"
+        )
     whole = _load(table, chosen, options)
     count = len(whole.values["voltage"] if "voltage" in whole.values else next(iter(whole.values.values())))
     keys = table.texts(places[0]) if table.texts is not None else table.load(places)[0]
     if len(keys) != count:
         raise BadInput(f"{table.source}: column {name!r} of --split-by has {len(keys)} values for {count} samples")
+    # run 1.0 of a float column is called 1
     labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
     first = list(dict.fromkeys(labels))
     if len(first) > _MOST_PARTS:
@@ -270,12 +248,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
         )
     parts = []
     for label in first:
+        # a run may be taken up again later in the file
         rows = np.flatnonzero(np.array(labels) == label)
         parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=rows))
     return parts
-
-
-def _listed(table: Table) -> str:
-    from .choice import listed
-
-    return listed(table.columns)

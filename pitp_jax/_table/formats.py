@@ -12,7 +12,7 @@ import io
 import re
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from datetime import datetime, time, timedelta
+from datetime import timedelta
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,8 @@ from .matlab import flat
 from .names import read_header
 from .options import ReadOptions
 from .robot import bag, is_bag, parquet
-from .stamps import over_midnight
 from .table import Table, array_table
-from .text import text_tables
+from .text import numbers_of, text_tables
 from .units import kind_of, spelt
 
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".lvm")
@@ -59,6 +58,7 @@ def xlsx(path: Path, options: ReadOptions) -> Parts:
             raise BadInput(f"{cleaned(path)}: has no sheet {options.sheet!r}; give --sheet one of {', '.join(titles)}")
         for sheet in book.worksheets:
             if options.sheet in (None, cleaned(sheet.title)):
+                # what a sheet says of its size is often wrong
                 sheet.reset_dimensions()
                 rows = list(enumerate(islice(sheet.iter_rows(values_only=True), _ROWS), 1))
                 try:
@@ -77,21 +77,21 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
     source, filled = cleaned(path), [(k, row) for k, row in rows if any(cell is not None for cell in row)]
     check_columns(max((len(row) for _, row in filled), default=0), source)
     width = max((len(row) for _, row in filled[:_HEAD]), default=0)
-    cells = [[*map(_shown, row), *[""] * (width - len(row))] for _, row in filled[:_HEAD]]
-    head = Rows(cells, [k for k, _ in filled[:_HEAD]], [False] * len(cells))
     decimal = options.decimal or ("," if _texts_with_commas(filled) else ".")
+    cells = {k: [_shown(cell, decimal) for cell in (*row, *[None] * width)[:width]] for k, row in rows}
+    numbers = [k for k, _ in filled[:_HEAD]]
+    head = Rows([cells[k] for k in numbers], numbers, [False] * len(numbers))
     made = layouts(head, "\t", decimal, source, options.header_line, options.units_line)
-    start = filled[made[0].first][0]
-    body = [(k, row) for k, row in rows if start <= k <= filled[-1][0]]
+    body = [k for k in cells if numbers[made[0].first] <= k <= filled[-1][0]]
 
     def place(sample: int) -> str:
-        return f"sample {sample} (row {body[sample][0]})" if sample < len(body) else f"sample {sample}"
-
-    def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [_numbers(body, k, made[0].columns[k].name, source, place, decimal) for k in places]
+        return f"sample {sample} (row {body[sample]})" if sample < len(body) else f"sample {sample}"
 
     def texts(k: int) -> np.ndarray:
-        return np.array([_shown(row[k]) if k < len(row) else "" for _, row in body])
+        return np.array([cells[row][k] for row in body])
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        return [numbers_of(texts(k).tolist(), made[0], k, source, place) for k in places]
 
     return [
         Table(
@@ -101,38 +101,20 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
     ]
 
 
-def _shown(value: Any) -> str:
-    """A cell as text for the search of the header; a span of time as an hour."""
-    return "" if value is None else "00:00:00" if isinstance(value, timedelta) else cleaned(value).strip()
+def _shown(value: Any, decimal: str) -> str:
+    """A cell as a text has it; a span of time as hours."""
+    if isinstance(value, timedelta):
+        minutes, seconds = divmod(value.total_seconds(), 60)
+        return f"{minutes // 60:02.0f}:{minutes % 60:02.0f}:{seconds:09.6f}"
+    if isinstance(value, float):
+        return repr(value).replace(".", decimal)
+    return "" if value is None else cleaned(value).strip()
 
 
 def _texts_with_commas(rows: list[tuple[int, tuple]]) -> bool:
     """Whether the numbers of a sheet are texts with a decimal comma."""
     cells = [cell for _, row in rows[-_HEAD:] for cell in row if cell is not None]
     return 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in cells) > len(cells)
-
-
-def _numbers(body, k: int, column: str, source: str, place, decimal: str) -> np.ndarray:
-    """One column of a sheet; dates and hours become seconds."""
-    values, daily = np.full(len(body), np.nan), False
-    for sample, (_, row) in enumerate(body):
-        cell = row[k] if k < len(row) else None
-        if cell is None or (isinstance(cell, str) and cell.strip().lower() in ("", "nan", "na", "n/a")):
-            continue
-        if isinstance(cell, datetime):
-            cell = (cell.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds()
-        elif isinstance(cell, timedelta):
-            cell = cell.total_seconds()
-        elif isinstance(cell, time):
-            cell, daily = cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond * 1e-6, True
-        try:
-            values[sample] = float(cell.replace(",", ".") if decimal == "," and isinstance(cell, str) else cell)
-        except (TypeError, ValueError, OverflowError):
-            raise BadInput(
-                f"{source}: column {column!r}, {place(sample)}: text {cleaned(cell)[:20]!r} where a number "
-                "belongs; write a number (leave a missing output empty)"
-            ) from None
-    return over_midnight(values) if daily else values
 
 
 def tdms(path: Path, options: ReadOptions) -> Parts:
@@ -164,37 +146,33 @@ def npz(path: Path, options: ReadOptions) -> Parts:
     check_archive(path)
     with zipfile.ZipFile(path) as archive:
         members = [name for name in archive.namelist() if name.endswith(".npy")]
-    stored = {name.removesuffix(".npy"): (lambda name=name: _npy(path, name)) for name in members}
-    shapes = {name.removesuffix(".npy"): _npy_shape(path, name) for name in members}
-    return [[array_table(path, stored, "NumPy archive", shapes=shapes)]]
+        stored = {name.removesuffix(".npy"): _npy(archive, name) for name in members}
+    return [[array_table(path, stored, "NumPy archive")]]
 
 
-def _npy_header(data: Any) -> tuple:
-    """Shape, order and type of an array that a stream of bytes holds."""
-    version = np.lib.format.read_magic(data)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    return read(data)
+def _npy(archive: zipfile.ZipFile, name: str) -> np.ndarray | Callable[[], np.ndarray]:
+    """One array of an archive, whose header may not promise more than the member holds.
 
-
-def _npy_shape(path: Path, name: str) -> tuple[int, ...]:
+    What is wrong with it is told only where its column is asked for.
+    """
     try:
-        with zipfile.ZipFile(path) as archive, archive.open(name) as file:
-            return _npy_header(file)[0]
-    except (ValueError, OSError, zipfile.BadZipFile):
-        return ()  # told where the column is chosen
+        data = io.BytesIO(archive.read(name))
+        first = np.lib.format.read_magic(data) == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(data)
+        if dtype.hasobject:
+            return np.empty(0, dtype=object)  # refused as "not plain numbers"
+        if int(np.prod(shape, dtype=object)) * dtype.itemsize > len(data.getbuffer()) - data.tell():
+            raise ValueError(f"{name} ends too early")
+        data.seek(0)
+        return np.lib.format.read_array(data, allow_pickle=False)
+    except Exception as error:  # zipfile and NumPy raise nearly anything on damaged members
+        damage = error
 
+    def broken() -> np.ndarray:
+        raise damage
 
-def _npy(path: Path, name: str) -> np.ndarray:
-    """One array of an archive, whose header may not promise more than the member holds."""
-    with zipfile.ZipFile(path) as archive, archive.open(name) as file:
-        data = io.BytesIO(file.read())
-    shape, _, dtype = _npy_header(data)
-    if dtype.hasobject:
-        return np.empty(0, dtype=object)  # refused as "not plain numbers"
-    if int(np.prod(shape, dtype=object)) * dtype.itemsize > len(data.getbuffer()) - data.tell():
-        raise ValueError(f"{name} ends too early")
-    data.seek(0)
-    return np.lib.format.read_array(data, allow_pickle=False)
+    return broken
 
 
 def mat(path: Path, options: ReadOptions) -> Parts:
@@ -204,6 +182,7 @@ def mat(path: Path, options: ReadOptions) -> Parts:
     _signed(path, b"MATLAB", "a MATLAB file", "save it from MATLAB with -v7 or -v7.3")
     source = cleaned(path)
     stored = {n: v for n, v in scipy.io.loadmat(flat(file_bytes(path), source)).items() if not n.startswith("__")}
+    # tables, strings and datetimes are stored in a form that MathWorks does not publish
     objects = [n for n, v in stored.items() if type(v).__name__ == "MatlabOpaque"]
     plain = {n: v for n, v in stored.items() if not v.dtype.names and n not in objects}
     groups = {n: dict(_fields(v)) for n, v in stored.items() if v.dtype.names and n not in objects}
@@ -215,6 +194,7 @@ def mat(path: Path, options: ReadOptions) -> Parts:
         )
     if options.split_by == "group" and groups:
         return [[_variables(path, fields, ", fields of a struct", n)] for n, fields in groups.items()]
+    # one struct is what the user saved; of several the struct names the column too
     if len(groups) == 1:
         return [[_variables(path, plain | next(iter(groups.values())), ", fields of a struct")]]
     return [[_variables(path, plain | {f"{n}/{f}": v for n, fields in groups.items() for f, v in fields.items()}, "")]]
@@ -224,6 +204,7 @@ def _fields(structs: np.ndarray, place: str = "") -> Iterator[tuple[str, np.ndar
     """Fields of structs by their places; of ControlDesk and Simulink, the data by the name that stands beside them."""
     for k, one in enumerate(structs.reshape(-1)):
         fields = {f: np.asarray(one[f]) for f in structs.dtype.names or ()}
+        # X(k).Data beside X(k).Name: the name is a value, not a field
         data = next((v for f, v in fields.items() if f.lower() in ("data", "values") and v.dtype.kind in "fiu"), None)
         names = [v for f, v in fields.items() if f.lower() in ("name", "label") and v.dtype.kind == "U" and v.size == 1]
         if data is not None and names:
@@ -287,6 +268,7 @@ def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
 def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
     """Paths of the datasets in a group and in those below it, by group."""
     check_columns(len(group), source)
+    # by group, so that the same names in two groups stay apart
     groups: dict[str, list[str]] = {above: []}
     for name in group:
         if not above and name.startswith("#"):  # what MATLAB keeps for itself
@@ -296,6 +278,7 @@ def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
             groups[above].append(place)
         elif kind is h5py.Group and above.count("/") < _DEEPEST:
             groups |= _datasets(group[name], source, place)
+        # while walking: a hostile tree ends here
         check_columns(sum(map(len, groups.values())), source)
     return {name: places for name, places in groups.items() if places}
 

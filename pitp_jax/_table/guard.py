@@ -73,6 +73,7 @@ def file_bytes(path: Path, count: int = -1) -> bytes:
     """
     source = cleaned(path)
     try:
+        # a pipe would block for ever, a device never end
         state = os.stat(path)
         if not stat.S_ISREG(state.st_mode):
             raise BadInput(f"{source}: is not a regular file; copy the record into one")
@@ -102,6 +103,7 @@ def as_column(values: Any, column: str, source: str) -> np.ndarray:
     if values.dtype.kind not in "fiub":
         kind = {"c": "complex numbers", "S": "text", "U": "text"}.get(values.dtype.kind, "not plain numbers")
         raise BadInput(f"{source}: column {column!r}, sample 0: {kind} where real numbers belong; store it as float64")
+    # (T, 1) and (1, T) are vectors, as MATLAB writes them
     if values.ndim > 1 and values.size != max(values.shape):
         raise BadInput(
             f"{source}: column {column!r}, sample 0: a matrix of shape {values.shape} where a vector "
@@ -147,6 +149,7 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
     """
     engine, pieces, total = zlib.decompressobj(), [], begun
     while not engine.eof:
+        # piece by piece: what unfolds too far is never held
         piece = engine.decompress(data, _PIECE)
         data = engine.unconsumed_tail
         if not piece and not data and not engine.eof:

@@ -92,6 +92,7 @@ def layouts(
         BadInput: no row of numbers, no such line, names that do not fit the rows, more columns than reasonable.
     """
     check_columns(max(map(len, rows.cells), default=0), source)
+    # numbers above a header that the user names are settings
     body = [k for k in range(len(rows.cells)) if not rows.commented[k] and rows.numbers[k] > (header_line or 0)]
     width = _width([rows.cells[k] for k in body], decimal)
     full = [row for row in map(rows.cells.__getitem__, body) if len(row) == width and _count(row, decimal)]
@@ -101,6 +102,7 @@ def layouts(
     first = _first(rows, body, width, forms, decimal)
     if first is None:
         raise BadInput(f"{source}: no row in which every column has its number; correct the first rows")
+    # empty columns at the right need no name
     filled = [len(trimmed(row)) for row in rows.cells[first:] if len(row) == width]
     widths = range(max(filled, default=width), width + 1)
     bare = Layout(separator, decimal, tuple(Column("", form=form) for form in forms), first, width)
@@ -126,6 +128,7 @@ def layouts(
 
 def _width(body: Sequence[Sequence[str]], decimal: str) -> int:
     """The usual number of cells of rows that hold numbers."""
+    # half of the cells are numbers: a column or two may be words
     lengths = Counter(len(r) for r in body if len(r) > 1 and 2 * _count(r, decimal) >= len(trimmed(r)))
     return lengths.most_common(1)[0][0] if lengths else 0
 
@@ -136,6 +139,7 @@ def _count(row: Sequence[str], decimal: str) -> int:
 
 def _settings(block: Sequence[Sequence[str]]) -> int:
     """How many rows at the top are settings with numbers (`BlockSize,400,400`): keyed, and no row below them is."""
+    # settings have their key in the first cell, numbers leave it empty
     keyed = next((k for k, row in enumerate(block) if not row[0]), 0)
     return keyed if keyed > 2 and not any(row[0] for row in block[keyed:]) else 0
 
@@ -167,6 +171,7 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
     good = [k for k in body if holds(k)]
     if len(good) > 1 and _counts_samples(rows.cells[good[0]]) and all(rows.cells[k][0] for k in good[1:]):
         good = good[1:]
+    # two rows of numbers in a row begin the data
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
     return pairs[0] if pairs else good[0] if good else None
 
@@ -193,6 +198,7 @@ def _units_row(
         if not any(row[0] for row in rows.cells[first:] if row):  # no key of its own, no column below it
             rows.cells[named[-1]][0] = ""
         return ["", *rows.cells[united[-1]][1:]], named[-1:]
+    # the units stand directly above the numbers, or above one more row
     for k in fits[::-1][:2]:
         if _is_units(rows.cells[k][: widths[0]]) and not (rows.commented[k] and not fits.index(k)):
             names = [m for m in fits if m < k]
@@ -225,6 +231,7 @@ def _numeric(row: Sequence[str]) -> bool:
 def _is_units(row: Sequence[str]) -> bool:
     """Whether a row is one of units: most cells are, the others short (`mA`, `-`)."""
     cells = [_of_unit(cell) for cell in row if cell.strip("[]()- ") and not _numeric([cell])]
+    # a channel in dB or of no unit beside them is allowed
     known = sum(spelt(cell) is not None for cell in cells)
     return known > 0 and 2 * known >= len(cells) and all(len(cell) <= _LONGEST_UNIT for cell in cells)
 
@@ -243,6 +250,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
         names = ["row", *names]
         notes.append("row names before the first column")
         counts = [row[0] for row in rows.cells[first:] if len(row) == width]
+        # R counts its rows from 1, pandas from 0
         start = next((int(c) for c in counts if c.isdecimal()), -1)
         if any(c != str(start + i) for i, c in enumerate(counts)):
             raise BadInput(
@@ -278,6 +286,7 @@ def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths:
 def _with_names(bare: Layout, names: Sequence[str], units: Sequence[str], rows: Rows, first: int) -> Layout:
     spoken = _spoken(rows, first)
     beside = [_of_unit(unit) if unit.strip("[]()- ") else None for unit in (*units, *[""] * bare.width)]
+    # the units row leaves the row names out, too
     if len(trimmed(units)) == len(trimmed(names)) - 1 and names[0] == "row":
         beside = [None, *beside]
     columns = tuple(
@@ -301,6 +310,7 @@ def _spoken(rows: Rows, first: int) -> dict[str, str]:
     for cells, commented in zip(rows.cells[:first], rows.commented, strict=False):
         for between in (",", " "):  # cells were cut at commas or the like, or at blanks
             parts = [p.strip() for p in re.split(r"[,;]|\s{2,}", between.join(cells)) if p.strip()]
+            # whole parts alone: a sentence with "min" in it says no unit
             pairs = [_PAIR.fullmatch(part) for part in parts]
             if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
                 said |= {pair[1].lower(): pair[2] for pair in pairs if pair}

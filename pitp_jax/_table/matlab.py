@@ -21,6 +21,7 @@ def flat(data: bytes, source: str) -> io.BytesIO:
     Raises:
         BadInput: truncated, damaged, nested too deeply or unfolding to too much.
     """
+    # the mark MI as the writer's machine stored it
     order = "<" if data[126:128] == b"IM" else ">"
     pieces, at, unfolded, budget = [data[:128]], 128, 0, [_ELEMENTS]
     while at + 8 <= len(data):
@@ -57,4 +58,5 @@ def _check_nesting(element: memoryview, order: str, source: str, budget: list[in
             continue
         if kind == _MATRIX:
             _check_nesting(element[at : at + 8 + size], order, source, budget, depth + 1)
+        # elements are padded to eight bytes
         at += 8 + size + (-size) % 8

@@ -74,7 +74,8 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
     for bracket in _BRACKETS.finditer(text):
         inside = bracket[1]
         # `(in)` is an inch, the word before a unit is none
-        unit = "inch" if inside == "in" else spelt(inside) or spelt(re.split(r"[,;]", inside)[0])
+        inch = inside == "in" and text[: bracket.start()].strip() not in ("V", "I")  # V(in) is a node of SPICE
+        unit = "inch" if inch else spelt(inside) or spelt(re.split(r"[,;]", inside)[0])
         if unit:
             return (text[: bracket.start()] + text[bracket.end() :]).strip(), unit, None
         if not inside.isdecimal():  # position[2] is the third joint
@@ -87,6 +88,7 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
     if (whole := spelt(text)) and len(text) > 1 and whole not in ("min", "h", "d"):
         return text, whole, None
     text = re.sub(r"\s*/\s*", "/", text)
+    # what follows the last blank or underscore: `U/V`, `v_mm/s`
     last = re.split(r"[\s_,;:]+", text)[-1]
     if "/" in last:
         return _ratio(text, last)
@@ -118,9 +120,12 @@ def _ratio(text: str, last: str) -> tuple[str, str | None, str | None]:
 
 
 def _words(stem: str) -> frozenset[str]:
+    # é as e: names come with and without accents
     lower = "".join(c for c in unicodedata.normalize("NFKD", stem.lower()) if not unicodedata.combining(c))
+    # digits and camel case separate words: `Voltage0`, `laserHead`
     parts = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", lower))
     words = {w for k, w in enumerate(parts) if len(w) > 1 or k == 0} | ({lower} & {"x_value"})
+    # no blanks between words there
     far_east = {w for known in _WORDS.values() for w in known if ord(w[0]) > 0x3000 and w in stem}
     return frozenset(words | far_east)
 
@@ -128,7 +133,9 @@ def _words(stem: str) -> frozenset[str]:
 def _role(words: frozenset[str]) -> str | None:
     if "x_value" in words:
         return "time"
+    # a commanded position is an input, though a position is an output
     if words & _COMMANDS:
         return "input"
+    # `input displacement` says two things, so nothing
     named = [role for role, known in _WORDS.items() if words & known]
     return named[0] if len(named) == 1 else None

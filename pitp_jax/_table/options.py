@@ -165,10 +165,12 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
         if strange:
             keys = ", ".join(sorted(n.replace("_", "-") for n in known))
             raise BadInput(f"{source}: {', '.join(strange)}: no option of reading; the keys are {keys}")
+        # later tables win, so that one file can differ from its kind
         if fnmatch(path.name, glob):
             said |= {names[key]: value for key, value in table.items()}
     if isinstance(said.get("units_line"), int):
         said["units_line"] = str(said["units_line"])
+    # what stands on the command line
     own = {f.name: getattr(options, f.name) for f in fields(options)}
     try:
         return replace(options, **{name: value for name, value in said.items() if own[name] is None})

@@ -46,6 +46,7 @@ def composed(
     named = ", ".join(short[:3]) + (f" and {len(short) - 3} more" if len(short) > 3 else "")
     command = "; try: " + shlex.join(["pitp", "check", *paths, *options]) if options else ""
     room = _LONGEST - _PROGRAM - len(command) - len(before) - len(named) - 2
+    # the command must be whole, or it cannot be run
     if len(why) > room:
         why = why[: max(room - 3, 40)].rstrip() + "..."
     text = f"{why} ({aside})" if aside and len(why) + len(aside) + 3 <= room else why
@@ -66,6 +67,7 @@ def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) 
     for refusal in refusals:
         source, _, why = str(refusal).partition(": ")
         curable = isinstance(refusal, Refused)
+        # files of one kind are refused for one reason: said once
         key = (refusal.why, refusal.options, refusal.aside) if curable else (why, (), "")
         kinds.setdefault(key, []).append(refusal.source if curable else source)
     before = f"{len(refusals)} of {files} files are refused: "

@@ -42,6 +42,7 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
     with pyarrow.parquet.ParquetFile(path) as file:
         schema, about = file.schema_arrow, file.metadata
     check_count(about.num_rows, cleaned(path))
+    # the footer says what the columns unfold to
     unfolded = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
     check_unfolded(unfolded, path.stat().st_size, cleaned(path))
 
@@ -112,6 +113,7 @@ def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
 
 def _topics(path: Path, rows: dict[str, list[tuple[float, float, dict[str, float]]]]) -> Table:
     """Topics as one table, whose rows are the messages of the last column asked for: the output's."""
+    # one clock for all topics: two would shift command against answer
     unset = [topic for topic, each in rows.items() if np.isnan([stamp for _, stamp, _ in each]).any()]
     clocks = {topic: np.array([row[0 if unset else 1] for row in each]) for topic, each in rows.items()}
     values = {topic: pd.DataFrame([row[2] for row in each]) for topic, each in rows.items()}
@@ -125,8 +127,10 @@ def _topics(path: Path, rows: dict[str, list[tuple[float, float, dict[str, float
     def load(asked: Sequence[int]) -> list[np.ndarray]:
         topics = [places[k][0] for k in asked if places[k][0]] or list(rows)[:1]
         begin = max(clocks[topic][0] for topic in topics)  # nothing is known of a command before the first one
+        # the rows are those of the output, asked for last
         time = clocks[topics[-1]]
         time = time[time >= begin]
+        # the last message at or before each row
         held = {topic: np.searchsorted(clocks[topic], time, side="right") - 1 for topic in topics}
         return [
             time if not name else values[topic][name].to_numpy()[held[topic]]

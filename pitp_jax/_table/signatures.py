@@ -4,6 +4,7 @@ LabVIEW Measurement     separator, decimal mark, units and names by its own keys
 TwinCAT Scope           keys in every second cell, a clock beside every channel
 """
 
+import re
 from collections.abc import Callable, Sequence
 
 from .._errors import BadInput
@@ -12,6 +13,7 @@ from .header import Layout, trimmed
 from .table import Column
 
 _LABVIEW, _END = "labview measurement", "***end_of_header***"
+_NUMBER = re.compile(r"[\d.,-]+")
 
 
 def labview(lines: Sequence[str], source: str) -> Layout | None:
@@ -24,31 +26,30 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
         return None
     separator = "," if any(line.startswith("Separator,Comma") for line in lines[:12]) else "\t"
     rows = [[cell.strip() for cell in line.split(separator)] for line in lines]
-    keys = {row[0].lower(): row[1:] for row in rows if len(row) > 1}
-    ends = [k for k, row in enumerate(rows) if row[0].lower() == _END]
-    if not ends or len(rows) <= ends[-1] + 2:
+    said = {row[0].lower(): row[1:] for row in rows if len(row) > 1}
+    clock, decimal, what = (said.get(key, [""])[0] for key in ("x_columns", "decimal_separator", "x_dimension"))
+    # one header for the file and one for every segment: names follow the last
+    first = 1 + max((k for k, row in enumerate(rows) if row[0].lower() == _END), default=len(rows))
+    if len(rows) <= first + 1:
         raise BadInput(f"{source}: a LabVIEW file without a table below its header; write it again")
-    if keys.get("x_columns", ["One"])[0].lower() == "multi":
+    if clock.lower() == "multi":
         raise BadInput(
             f"{source}: LabVIEW wrote a clock for every channel (X_Columns Multi); write one (X_Columns One)"
         )
-    first = ends[-1] + 1
     names = [name for name in trimmed(rows[first]) if name.lower() != "comment"]
-    named = not all(name.replace(".", "").replace(",", "").replace("-", "").isdigit() for name in names[1:])
-    names = names if named else ["X_Value", *(f"channel {k}" for k in range(1, len(trimmed(rows[first]))))]
-    first += named
-    timed = keys.get("x_dimension", ["Time"])[0].lower() in ("time", "")
-    units = ["s" if timed else "?", *keys.get("y_unit_label", [])]
-    none = keys.get("x_columns", [""])[0].lower() == "no"
+    if all(_NUMBER.fullmatch(name) for name in names[1:]):  # X_Columns and names left out
+        names = ["X_Value", *(f"channel {k}" for k in range(1, len(trimmed(rows[first]))))]
+    else:
+        first += 1
+    units = ["s" if what.lower() in ("time", "") else "?", *said.get("y_unit_label", [])]
     columns = [Column(cleaned(n), u or None) for n, u in zip(names, [*units, *[""] * len(names)], strict=False)]
-    columns[0] = Column("", form="text") if none else columns[0]
+    # without a clock the first column is empty, and Delta_X says the step
+    step = f"Delta_X {said.get('delta_x', [''])[0]}" if clock.lower() == "no" else ""
+    columns[0] = Column("", form="text") if step else columns[0]
+    # the comment column is often not filled
     width = max(len(names), *(len(row) for row in rows[first:]))
     columns += [Column("", form="text")] * (width - len(columns))
-    step = keys.get("delta_x", [""])[0] if none else ""
-    decimal = keys.get("decimal_separator", ["."])[0] or "."
-    return Layout(
-        separator, decimal, tuple(columns), first, width, ("LabVIEW measurement",), f"Delta_X {step}" * bool(step)
-    )
+    return Layout(separator, decimal or ".", tuple(columns), first, width, ("LabVIEW measurement",), step)
 
 
 def twincat(lines: Sequence[str], source: str) -> Layout | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 _DAY = 86400.0
 _STAMP = re.compile(
-    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]+)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?(Z|UTC|GMT|[+-]\d\d:?\d\d))?$"
+    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]+)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?([AP]M|Z|UTC|GMT|[+-]\d\d:?\d\d))?$"
 )
 
 
@@ -40,9 +40,11 @@ def seconds(stamps: Sequence[str]) -> np.ndarray:
         iso = _dates(series, False)
         assert iso is not None  # no part of a date that begins with its year is taken for a month
         return iso
+    # both readings, unless a number above 12 can only be a day
     orders = [values for dayfirst in (True, False) if (values := _dates(series, dayfirst)) is not None]
     if not orders:
         raise ValueError("no dates and hours")
+    # points are written where the day comes first; within a day the order changes no step
     if len(orders) == 1 or "." in dated[0] or np.array_equal(np.diff(orders[0]), np.diff(orders[1]), equal_nan=True):
         return orders[0]
     smooth = [values for values in orders if np.nanmax(np.abs(np.diff(values))) < _DAY]
@@ -70,6 +72,7 @@ def _dates(series, dayfirst: bool) -> np.ndarray | None:
 
 def _hours(series) -> np.ndarray:
     """Hours of a day, on over midnight; `10:01` in steps of one may as well be minutes and seconds."""
+    # hours above 24 are spans of time and go on
     parts = series.str.split(":", expand=True).astype(np.float64).to_numpy()
     if parts.shape[1] == 2:
         raise ValueError("hours and minutes, or minutes and seconds")

@@ -109,6 +109,7 @@ def array_table(
 
 def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
     """A vector as it is; a matrix that is long one way as its columns (or rows) `data[1]`, `data[2]`, ..."""
+    # long one way: an image or a map of both sides long is none
     if len(shape) != 2 or not 1 < min(shape) <= _WIDEST < max(shape):
         return [(name, values)]
 

@@ -33,6 +33,7 @@ _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are no comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
+_ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
 _BROKEN = 50  # lines looked through for names that are broken within their quotes
 _FOOTER = 50  # lines below the rows of numbers that may be a summary
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
@@ -88,6 +89,7 @@ def _table(path: Path, data: bytes, start: int, layout: Layout, encoding: str) -
 def _text(path: Path, source: str) -> bytes:
     """The unfolded text with plain line ends; UTF-16 becomes UTF-8."""
     data, wide = file_bytes(path), None
+    # by its first bytes, since downloads lose or gain suffixes
     zipped = data.startswith(b"\x1f\x8b")
     if path.name.lower().endswith(".gz"):
         if not zipped:
@@ -97,6 +99,7 @@ def _text(path: Path, source: str) -> bytes:
         raise BadInput(f"{source}: is gzip, not text as its suffix says; rename it to end in .gz")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         wide = "utf-16"
+    # every second byte is zero: UTF-16 of plain text without its mark
     elif data[1:400:2].count(0) > 0.9 * len(data[1:400:2]) > 3:
         wide = "utf-16-le"
     elif data[0:400:2].count(0) > 0.9 * len(data[0:400:2]) > 3:
@@ -110,6 +113,8 @@ def _text(path: Path, source: str) -> bytes:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = _unbroken(data.rstrip(b"\x1a\x00"))  # the end of a DOS file
+    if _ARROW.match(data):  # what a serial monitor puts before every line
+        data = data.replace(b" -> ", b",")
     if len(data.translate(None, _CONTROL)) != len(data):
         bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
         raise BadInput(f"{source}: line {bad}: not UTF-8 text as its suffix says (control characters); save it as CSV")
@@ -158,6 +163,7 @@ def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
     """Where the first lines that are not empty begin and end, and their numbers; comments do not count."""
     spans, begin, number, plain = [], 0, 0, 0
     while begin < len(data) and plain < _LINES and (begin < _HEAD or not plain):
+        # bounded, so that a binary file without line ends costs nothing
         stop, number = data.find(b"\n", begin, begin + _LONGEST), number + 1
         if stop < 0:
             if len(data) - begin > _LONGEST:
@@ -196,6 +202,7 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source:
 def _with_blanks(lines: Sequence[str], cells: list[list[str]], decimal: str) -> list[list[str]]:
     """Rows of cells cut at single blanks; names that hold such blanks are cut at two and more where that fits."""
     widths = Counter(len(row) for row in cells if len(row) > 1 and all(is_number(cell, decimal) for cell in row))
+    # as many cells as most rows of numbers have
     usual = widths.most_common(1)[0][0] if widths else 0
     wide = [re.split(r"\s{2,}|\t", line.strip()) for line in lines]
     return [many if len(many) == usual != len(row) else row for row, many in zip(cells, wide, strict=True)]
@@ -207,6 +214,7 @@ def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
     for k in range(max(map(len, cells), default=0)):
         column = [row[k] for row in cells if k < len(row)]
         units = [m[1] for m in map(_DURATION.match, column) if m and spelt(m[1])]
+        # most cells carry it, and all the same: else it is text
         if 2 * len(units) > len(column) and len(set(units)) == 1:
             marked[k] = units[0]
             for row in cells:
@@ -245,8 +253,10 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
             rows = [cells_of(line, separator) for line in plain]
         except csv.Error:
             continue
+        # the point first: it wins where a file has whole numbers alone
         for decimal in (options.decimal,) if options.decimal else ".,":
             score = _score(rows, decimal)
+            # equal scores keep the separator tried first
             if score > best + 1e-9:
                 best, dialect = score, (separator, decimal)
     if dialect is None:
@@ -262,6 +272,7 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
     widths: dict[int, list[int]] = {}
     for row in rows:
         filled = trimmed(row)
+        # a word among numbers (a flag, a name) does not disqualify a row
         good = sum(bool(c) and (is_number(c, decimal) or is_stamp(c) or bool(_DURATION.match(c))) for c in filled)
         if good >= 2 or (good and len(filled) == 2):
             counts = widths.setdefault(len(row), [0, 0, 0])
@@ -270,6 +281,7 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
             counts[2] += sum(map(bool, filled))
     if not widths:
         return 0.0
+    # the usual length is that of most rows, headers and settings have others
     many, good, filled = max(widths.values())
     return good / filled * many / len(rows)
 
@@ -290,6 +302,7 @@ def _rows_only(body: bytes, layout: Layout) -> bytes:
     """The text without comment lines, blank lines, and rows without a filled cell at its end."""
     if b"\n\n" in body or b"\n " in body or any(b"\n" + mark in body for mark in _MARKS):
         body = b"\n".join(line for line in body.split(b"\n") if _is_row(line, layout.separator))
+    # rows of separators alone, which a sheet leaves below its data
     kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
     end = body.find(b"\n", len(kept))  # an empty last cell belongs to its row
     return body if end < 0 else body[:end]
@@ -314,6 +327,7 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
     """Wanted columns by the C parser, or None where the text needs a closer look."""
     import pandas as pd
 
+    # quotes about numbers only cost the parser its fast path
     if b'"' in body:
         body = body.replace(b'"', b"")
     if not _rectangular(body, layout):
@@ -338,6 +352,7 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
 
 def _rectangular(body: bytes, layout: Layout) -> bool:
     """True where every row has the usual number of cells."""
+    # counted in bytes, since the C parser fills short rows without a word
     codes = np.frombuffer(body, dtype=np.uint8)
     ends = np.append(np.flatnonzero(codes == ord("\n")), len(codes))
     if layout.separator == " ":
@@ -347,6 +362,7 @@ def _rectangular(body: bytes, layout: Layout) -> bool:
         marks, each = np.flatnonzero(codes == ord(layout.separator)), layout.width - 1
     if len(marks) != len(ends) * each:
         return False
+    # the marks of row k lie between the ends of rows k - 1 and k
     marks = marks.reshape(-1, each)
     return bool(np.all(marks[:, -1] < ends) and np.all(marks[1:, 0] > ends[:-1]))
 
@@ -361,6 +377,7 @@ def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int],
     values, width = [], layout.width
     try:
         for row in _split(body, layout, encoding):
+            # separators at the end of a row
             while len(row) > width and not row[-1].strip():
                 row.pop()
             if len(row) != width and not (len(row) == width - 1 and not layout.columns[-1].name):
@@ -373,11 +390,15 @@ def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int],
     except csv.Error as error:
         raise BadInput(f"{source}: sample {len(values)}: not readable as CSV ({error}); save it as plain CSV") from None
     columns = list(zip(*values, strict=True)) or [()] * len(places)
-    return [_column(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
+    return [numbers_of(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
 
 
-def _column(cells: Sequence[str], layout: Layout, k: int, source: str, place) -> np.ndarray:
-    """One column of cells as numbers."""
+def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place: Callable[[int], str]) -> np.ndarray:
+    """The cells of column k as numbers, dates and hours as seconds.
+
+    Raises:
+        BadInput: with the first cell that is none.
+    """
     column = layout.columns[k]
     if column.form == "stamp":
         try:

@@ -73,6 +73,7 @@ def spelt(text: str) -> str | None:
     bare = plain(text).strip("()[]{}<>").strip().removesuffix(".")
     if bare in ("Nm", "mNm"):  # nm is a length
         return bare[:-1] + " m"
+    # the exact symbol first: mV is no MV, and Pa no PA
     return bare if bare in _FACTORS else _SPELLINGS.get(bare.lower())
 
 

@@ -17,8 +17,10 @@ from pitp_jax.cli import main
 
 TAU = 0.02  # s: the electrode's lag that the nominal does not know
 KEYS = {"verdict", "effects", "equivalent", "gap", "ranking", "where", "next_experiment", "records", "term"}
-GAP = {"before", "after", "unrefitted", "noise_floor", "floor_from", "closed_fraction", "ci95"}
+KEYS |= {"budget", "handed_back"}
+GAP = {"before", "after", "unrefitted", "noise_floor", "floor_from", "closed_fraction", "ci95", "explainable"}
 RANKED = {"effect", "family", "form", "parameters", "train", "heldout", "closed_fraction", "ci95"}
+RANKED |= {"probability"}
 WHERE = {"cells", "frequency", "displacement", "velocity", "voltage", "time", "records", "harmonics", "summary"}
 
 
@@ -72,7 +74,7 @@ def test_finds_the_lag_and_says_so(run):
     assert run.told["gap"]["closed_fraction"] > 0.95
     assert "verdict: explained by electrode_rc" in run.out
     assert "electrode_rc *" in run.out and "closed (%)" in run.out
-    assert "pitp: diagnosing" in run.err and "pitp: fit: step" in run.err
+    assert "pitp: diagnosing" in run.err and "pitp: sets of 1" in run.err
 
 
 def test_json_has_the_keys_of_the_contract(run):
@@ -80,10 +82,13 @@ def test_json_has_the_keys_of_the_contract(run):
     assert set(told) - {"coefficients_over_given", "added", "notes"} == KEYS
     assert set(told["gap"]) == GAP
     assert set(told["where"]) - {"tone"} == WHERE
-    assert set(told["records"]) == {"fitted", "heldout"}
-    assert sorted(told["records"]["fitted"] + told["records"]["heldout"]) == ["sine2", "sine4", "sweep"]
+    assert set(told["records"]) == {"fitted", "heldout", "folds"}
+    assert sorted(told["records"]["fitted"]) == sorted(told["records"]["heldout"]) == ["sine2", "sine4", "sweep"]
+    assert sorted(n for fold in told["records"]["folds"] for n in fold) == ["sine2", "sine4", "sweep"]
+    parts = {k: v for k, v in told["budget"].items() if k != "effects"} | told["budget"]["effects"]
+    assert sum(p["share"] for p in parts.values()) == pytest.approx(1)
     for row in told["ranking"]:
-        assert set(row) - {"screened"} == RANKED
+        assert set(row) == RANKED
         assert all(set(p) == {"value", "unit", "stderr"} for p in row["parameters"].values())
     assert len({row["effect"] for row in told["ranking"]}) == len(told["ranking"])
     for cell in told["where"]["cells"]:

@@ -63,7 +63,7 @@ def test_an_experiment_is_written_and_named_and_an_old_one_goes(bench, quick, ca
     assert header == ["time_s", "voltage_V"]
     np.testing.assert_allclose(values[:, 1], experiment.voltage, atol=1e-5)
     assert (tmp_path / "d" / "figures" / "next_experiment.png").is_file() and str(csv) in out
-    assert "cannot be told from: delay" in out
+    assert "electrode_rc" in out
     assert call(*argv)[0] == 0
     assert json.loads((tmp_path / "j").read_text())["next_experiment"]["csv"] is None
     quick.found = replace(quick.found, verdict="no_gap", effects=(), next_experiment=None)

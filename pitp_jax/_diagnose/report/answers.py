@@ -1,4 +1,4 @@
-"""The first screen of a report: the verdict, and where the gap lies, which effect causes it, how far it shrinks."""
+"""The first screen of a report: verdict, budget, and where the gap lies, which effect causes it, how far it shrinks."""
 
 import numpy as np
 
@@ -6,87 +6,106 @@ from ..._report import html
 from ..._report.html import tag
 from ..._report.numbers import figure, interval, of_range, percent
 from ..diagnosis import Diagnosis
-from ..result import GAP
-from ..verdict import ENOUGH, HELPS
 from .formatting import gathers, named, plain_words
 from .gap_figure import output_unit, outside_line, refitted, time_spent, worst
-from .which import crowd, share_closed, which
+from .which import share_closed, which
 
 NEXT_CSV = "next_experiment.csv"
 
 
+_HELPS = 0.1  # of the gap: less is called nothing
+
+
 def headline(d: Diagnosis) -> str:
     """The verdict in one line."""
-    if d.verdict == "explained":
-        if d.effects == ("parameter_change",):
-            return "The model's own coefficients have changed; nothing is missing from it"
-        return f"The gap is explained by {named(d.effects)}{''.join(f', or by {name}' for name in d.equivalent)}"
-    if crowd(d):
-        alike = "explain the gap alike" if (d.gap.closed_fraction or 0) >= ENOUGH else "help alike, and too little"
-        return f"Unknown: {len(d.equivalent) + 1} effects {alike}"
+    if d.effects == ("parameter_change",):
+        return "The model's own coefficients have changed; no effect is missing from it"
+    if d.effects:
+        said = f"explained by {named(d.effects)}{''.join(f', or by {name}' for name in d.equivalent)}"
+        return f"The gap is {'partly ' if d.verdict == 'partly' else ''}{said}"
     if d.verdict == "unknown":
-        return "Unknown: there is a gap, and no effect in the catalogue explains it"
-    return "No gap once the model's coefficients are refitted" if _moved(d) else "No gap: the error is sensor noise"
+        return "Unknown: there is a gap, and no name in the catalogue is sure"
+    return "No gap: the error is the model's own"
 
 
 def verdict_text(d: Diagnosis) -> str:
     """What the verdict means, in one or two sentences."""
     if d.verdict == "no_gap":
-        if _moved(d):
-            return f"As given, the model was off by {of_range(d.gap.unrefitted)} of range; refitted, {_error_left(d)}."
         return f"On {_judged_on(d)}, {_error_left(d)}. There is no effect to add."
-    if d.verdict == "explained":
+    if d.effects:
         what = "; ".join(plain_words(name) for name in d.effects)
-        return f"{what[:1].upper()}{what[1:]}. {_far(d)}"
-    if crowd(d):
-        return f"These data cannot tell them apart. {_far(d)} The experiment below separates two of them."
+        more = (
+            " A part of the error can be explained from the input, and no name is sure for it."
+            if d.verdict == "partly"
+            else ""
+        )
+        return f"{what[:1].upper()}{what[1:]}. {_far(d)}{more}"
     line = outside_line(d)
     if line:
         return (
             f"In every recording, whatever its drive, at least {percent(line[1])} of the error is one oscillation at "
             f"{figure(line[0])} Hz: something disturbs the rig from outside (vibration, pick-up, a supply)."
         )
-    if (d.gap.closed_fraction or 0) < HELPS:
+    if (d.gap.closed_fraction or 0) < _HELPS:
         return (
             f"No candidate reduces the error on {_judged_on(d)}: either something disturbs the rig "
             "from outside, or the cause has a form the catalogue does not hold."
         )
-    return (
-        f"The best candidate helps and leaves too much: the cause, or a part of it, is not in the catalogue. {_far(d)}"
+    return f"The best candidate helps, and no name is sure: {'; '.join(d.notes[:1]) or 'see below'}. {_far(d)}"
+
+
+def budget_bar(d: Diagnosis) -> str:
+    """The gap's energy as one bar that adds to 100 %, with what each part is."""
+    b = d.budget
+    if not b:
+        return ""
+    parts = [
+        ("sensor's zero and start", b["nuisance"], "#b9cfe0"),
+        ("the model's own numbers", b["parameters"], "#6a9fc9"),
+    ]
+    parts += [(name, row, "#0072b2") for name, row in b["effects"].items()]
+    parts += [
+        ("explainable without a name", b["unnamed"], "#e69f00"),
+        ("not from the input", b["unexplainable"], "#999999"),
+    ]
+    bar, rows = [], []
+    for label, row, color in parts:
+        width = 100 * max(row["share"], 0.0)
+        if width >= 0.5:
+            bar.append(f'<span style="display:inline-block;height:1.6em;width:{width:.1f}%;background:{color}"></span>')
+            low, high = row["ci95"]
+            sure = row.get("probability")
+            p = f", P {sure:.2f}" if sure is not None else ""
+            rows.append(f"{label}: {percent(row['share'])} ({percent(low)} to {percent(high)}{p})")
+    if not bar:
+        return ""
+    return f'<div style="white-space:nowrap;overflow:hidden">{"".join(bar)}</div>' + tag(
+        "p", "Of the gap's energy: " + "; ".join(rows) + ".", "soft"
     )
 
 
 def next_step(d: Diagnosis) -> str:
     """What to do about it, in one sentence."""
     if d.verdict == "no_gap":
-        if any("rezero" in note for note in d.notes):
-            return "Next: rezero the sensor before a recording, or give each a second of rest at 0 V."
-        return "Next: predict and invert with this model; more recordings teach it nothing." if not _moved(d) else (
-            "Next: predict and invert with the refitted model."
-        )  # fmt: skip
+        return "Next: predict and invert with this model; more recordings teach it nothing."
     if d.next_experiment is not None:
         return f"Next: play and record {NEXT_CSV}, which tells {named(d.next_experiment.separates)} apart."
-    if d.verdict == "explained":
+    if d.effects:
         return "Next: predict and invert with model_augmented, or mend the rig and diagnose again."
     if outside_line(d):
         return "Next: find what hums at that frequency; no model of the actuator will."
     return f"Next: look at {worst(d).name}, where most of it is, then record a drive of another kind beside it."
 
 
-def _moved(d: Diagnosis) -> bool:
-    """Whether a refit alone closed a gap."""
-    return refitted(d) and d.gap.unrefitted > GAP * (d.gap.noise_floor or d.gap.before)
-
-
 def _error_left(d: Diagnosis) -> str:
     g = d.gap
     if g.noise_floor is None:
         return f"it is off by {of_range(g.before)} of range"
-    return f"it is off by {of_range(g.before)} of range, of which the sensor's noise alone is {of_range(g.noise_floor)}"
+    return f"it is off by {of_range(g.before)} of range, and by {of_range(g.noise_floor)} on its own"
 
 
 def _far(d: Diagnosis) -> str:
-    adding = "Adding it" if len(d.effects) == 1 else "Adding both" if d.effects else "The best candidate"
+    adding = "Adding it" if len(d.effects) == 1 else "Adding them" if d.effects else "The best candidate"
     adding = "Refitting them" if d.effects == ("parameter_change",) else adding
     before, after = of_range(d.gap.before), of_range(d.gap.after)
     return f"{adding} takes the error on {_judged_on(d)} from {before} to {after} of range."
@@ -112,7 +131,8 @@ def _where(d: Diagnosis) -> str:
 def _how_far(d: Diagnosis) -> str:
     g = d.gap
     floor = "not known" if g.noise_floor is None else f"{of_range(g.noise_floor)} of range"
-    lines = [f"Noise floor: {floor} ({g.floor_from})."]
+    lines = [f"The model's own error: {floor} ({g.floor_from})."]
+    lines += [f"Handed back: the model with {named(d.handed_back)}."] if d.handed_back else []
     if refitted(d):
         lines.insert(0, f"Model as given: {of_range(g.unrefitted)}; refitted without any effect: {of_range(g.before)}.")
     if g.closed_fraction is not None:
@@ -121,13 +141,15 @@ def _how_far(d: Diagnosis) -> str:
             ci = f" (95 % interval {interval(*g.ci95)})"
         lines.insert(0, f"{share_closed(g.closed_fraction)} of the closable gap is closed{ci}.".capitalize())
     if d.verdict == "no_gap":
-        big = f"{of_range(g.unrefitted)} → {of_range(g.before)}" if _moved(d) else f"{of_range(g.before)} of range"
+        big = f"{of_range(g.before)} of range"
         lines.insert(0, "Nothing left to close.")
     else:
         big = f"{of_range(g.before)} → {of_range(g.after)}"
         lines.append(_in_units(d))
     lines.append(
-        f"Judged on {named(list(d.heldout))}, which no fit saw." if d.heldout else "No recording was held out."
+        "Every recording was judged by a fit that did not see it."
+        if d.heldout
+        else "Judged on stretches of one recording."
     )
     return html.card("How far", big, *(tag("p", line) for line in lines))
 

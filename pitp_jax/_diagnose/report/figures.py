@@ -19,7 +19,7 @@ from ..._report.numbers import percent
 from ..diagnosis import Diagnosis
 from .gap_figure import gap, output_unit
 
-TIED, PALE = "#e69f00", "#b9cfe0"
+TIED = "#e69f00"
 _HEAT = LinearSegmentedColormap.from_list("gap", ["#f3f6f9", "#e69f00", "#c03a00"])
 _SMALL = 8.0
 _ROWS, _LABEL = 12, 18  # names in the ranking figure; letters of a record under its bar
@@ -84,7 +84,7 @@ def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
         ax: where to draw; None makes a figure.
 
     Returns:
-        The axes: a bar per name, best first; the effects named blue, tied ones orange, those only screened pale.
+        The axes: a bar per name, best first; the effects named blue, tied ones orange.
     """
     rows = _bars(diagnosis)
     drawn: Axes = own_axes(ax, 1, (5.0, 0.7 + 0.24 * max(len(rows), 2)))[0]
@@ -113,7 +113,7 @@ def _bars(diagnosis: Diagnosis) -> list[tuple]:
     for r in diagnosis.ranking:
         if r.closed_fraction is None or not np.isfinite(r.closed_fraction):
             continue
-        color = PALE if r.screened else TIED if r.effect in diagnosis.equivalent else MEASURED
+        color = TIED if r.effect in diagnosis.equivalent else MEASURED
         color = PREDICTED if r.effect in diagnosis.effects else color
         rows.append((r.effect, r.closed_fraction, r.ci95, color))
     return rows[:_ROWS]
@@ -167,23 +167,6 @@ def _labels(name: str, table: list[dict], scale: float) -> list[str]:
     return [f"{digits(factor * row[key][0], 2)}–\n{digits(factor * row[key][1], 2)}" for row in table]
 
 
-def found_force(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """The term found in the data over its main variable, beside the force that the records lack.
-
-    Args:
-        diagnosis: one that has a term.
-        ax: where to draw; None makes a figure.
-    """
-    if diagnosis.term is None or diagnosis.term.drawn is None:
-        raise ValueError("this diagnosis found no term")
-    drawn, d, (scale, unit) = own_axes(ax, 1, (5.0, 2.8))[0], diagnosis.term.drawn, output_unit(diagnosis)
-    factor = 1.0 if d.variable == "voltage" else scale
-    drawn.plot(factor * d.at, d.measured, ".", color=MEASURED, ms=2.5, label="measured")
-    drawn.plot(factor * d.along, d.curve, color=PREDICTED, lw=1.8, label="term, mean")
-    finish(np.array([drawn]), _AXES[d.variable].format(unit=unit), ["missing force (%)"], legend_columns=2)
-    return drawn
-
-
 def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
     """The voltage of the next experiment over time.
 
@@ -211,8 +194,6 @@ def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
         wanted["shares"] = lambda: shares(diagnosis)[0]
         wanted["force"] = lambda: shares(diagnosis, names=("displacement", "velocity", "voltage"))[0]
         wanted["ranking"] = lambda: ranking(diagnosis)
-    if diagnosis.term is not None:
-        wanted["term"] = lambda: found_force(diagnosis)
     if diagnosis.next_experiment is not None:
         wanted["next_experiment"] = lambda: excitation(diagnosis)
     return {name: _drawn(draw) for name, draw in wanted.items()}
@@ -231,4 +212,4 @@ def _drawn(draw: Callable[[], Axes]) -> Figure:
         return figure
 
 
-FIGURES = ("gap", "where", "shares", "force", "ranking", "term", "next_experiment")
+FIGURES = ("gap", "where", "shares", "force", "ranking", "next_experiment")

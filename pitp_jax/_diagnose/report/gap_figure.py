@@ -71,10 +71,10 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
     part = telling(trace)
     time, measured = trace.time[part], scale * trace.measured[part]
     runs = [("model as given" if not refitted(diagnosis) else "model, refitted", trace.nominal, ERROR)]
-    if diagnosis.verdict == "explained":
-        added = "both effects" if len(diagnosis.effects) > 1 else "".join(diagnosis.effects)
+    if diagnosis.effects:
+        added = "all effects" if len(diagnosis.effects) > 1 else "".join(diagnosis.effects)
         runs.append((f"with {added}", trace.augmented, PREDICTED))
-    elif diagnosis.verdict == "unknown":
+    elif diagnosis.handed_back:
         runs.append(("best candidate" if diagnosis.term is None else "with the term found", trace.augmented, PREDICTED))
     line(axes[0], time, measured, color=MEASURED, lw=2.6, label="measured")
     for k, (label, run, color) in enumerate(runs):

@@ -5,10 +5,10 @@ import numpy as np
 from ..._report import html
 from ..._report.html import tag
 from ..._report.numbers import figure, interval, percent
-from .. import verdict as rule
+from .. import rules
 from ..diagnosis import Diagnosis
 from ..result import Gap, Ranked
-from .answers import NEXT_CSV, cards, headline, next_step, verdict_text
+from .answers import NEXT_CSV, budget_bar, cards, headline, next_step, verdict_text
 from .figures import figures
 from .gap_figure import left, output_unit, worst
 from .which import parameter_lines
@@ -25,6 +25,7 @@ def report(diagnosis: Diagnosis) -> str:
         tag("h1", headline(diagnosis), diagnosis.verdict),
         tag("p", verdict_text(diagnosis), "lead"),
         tag("p", next_step(diagnosis), "lead"),
+        budget_bar(diagnosis),
         f'<div class="cards">{"".join(cards(diagnosis))}</div>',
         *_pictures(diagnosis),
         *_next(diagnosis),
@@ -41,7 +42,7 @@ def _pictures(d: Diagnosis) -> list[str]:
     """The figures but the next experiment's, under their headings."""
     drawn = figures(d)
     shown = {name: html.picture(name, drawn[name], caption) for name, caption in _captions(d).items() if name in drawn}
-    rooms = {"The gap at a glance": ("gap", "ranking", "term"), "Where it lies": ("where", "shares", "force")}
+    rooms = {"The gap at a glance": ("gap", "ranking"), "Where it lies": ("where", "shares", "force")}
     parts = []
     for heading, names in rooms.items():
         there = "".join(shown[name] for name in names if name in shown)
@@ -54,16 +55,13 @@ def _captions(d: Diagnosis) -> dict[str, str]:
     side = "held out: no fit saw it" if d.heldout else "no recording was held out"
     return {
         "gap": f"{name} ({side}), the stretch where the model is furthest off; below, model less measurement.",
-        "term": "The force that the records held out lack (dots) and the equation found for it (line: its mean), in % "
-        "of the largest force of the film.",
         "where": "Share of the missing force by drive frequency and amplitude; outlined where it stands out.",
         "shares": "Share of the model's error by recording (held-out ones darker), by the error's own frequency, and "
         "by part of a recording.",
         "force": "Share of the missing force (what the equation lacks along the measured motion) by displacement, "
         "velocity and voltage.",
         "ranking": f"Share of the {'held-out ' if d.heldout else ''}gap each effect closes by itself, with its 95 % "
-        "interval: 100 % leaves only noise. Blue: named; orange: tied with it; pale: only screened, not fitted on "
-        "whole recordings.",
+        "interval: 100 % leaves only the model's own error. Blue: named; orange: tied with it.",
     }
 
 
@@ -88,14 +86,10 @@ def _ranking(d: Diagnosis) -> list[str]:
         rows.append(("named", (" + ".join(d.effects), "together", "", "", figure(d.gap.after), _closed(d.gap))))
     for r in d.ranking:
         tied = " (tied)" if r.effect in d.equivalent else ""
-        css = "named" if r.effect in d.effects else "pale" if r.screened else ""
-        form = f"{r.form}{', screened' if r.screened else ''}"
+        css = "named" if r.effect in d.effects else ""
         figures_ = (figure(r.train), figure(r.heldout), _closed(r))
-        rows.append((css, (f"{r.effect}{tied}", form, "; ".join(parameter_lines(d, r)), *figures_)))
-    note = (
-        "Each effect by itself, in its best form; errors in % of a recording's range. Those marked screened were left "
-        "out of the fit on whole recordings: their figures are first estimates."
-    )
+        rows.append((css, (f"{r.effect}{tied}", r.form, "; ".join(parameter_lines(d, r)), *figures_)))
+    note = "Each effect by itself, in its best form; errors in % of a recording's range."
     return [tag("p", note, "soft"), html.table(header, rows, {1: "left", 2: "long"})]
 
 
@@ -133,17 +127,16 @@ def _records(d: Diagnosis) -> list[str]:
 
 def _reading(d: Diagnosis) -> list[str]:
     method = (
-        "Every effect of the catalogue was added to the model and fitted to the free run of the fitted recordings; it "
-        "is judged by how much smaller the error becomes on other recordings, which no fit saw. Closed is the share of "
-        "the error above the sensor's noise that this takes away."
+        "Sets of up to four effects of the catalogue were added to the model and fitted to free runs; judged is "
+        "the error it leaves on recordings that its fit did not see, each recording counting by the logarithm of its "
+        "mean square. P is the share of draws of recordings and of stretches within them in which it is better."
     )
-    verdicts = (  # the numbers of `verdict`
-        f"“No gap” means that the error is within {rule.GAP:g} times the noise, beside each recording's own zero, or "
-        f"within {rule.DOUBT:g} times where no effect closes {percent(rule.ENOUGH)} of it, since the noise is an "
-        f"estimate itself. A name is given where at least {percent(rule.HALF)} of the gap is closed, "
-        f"{percent(rule.ENOUGH)} where more than {rule.LITTLE:g} times the noise is left, {percent(rule.MOST)} above "
-        f"{rule.MUCH:g} times the noise or {rule.LARGE:g} % of range, and never where more than {rule.TOO_LARGE:g} % "
-        f"of range is left, where zeros alone do as much or more than {rule.TIES} other names do as well. Else the "
-        "verdict is “unknown”: no name is given, and none should be read off the ranking."
+    verdicts = (
+        f"“No gap” means that the error is within {rules.OWN:g} times what the model leaves on its own recordings. "
+        f"A name is said where its set beats the best set searched without it with P of at least {rules.SURE:g}, "
+        "where it also beats a flexible model that knows no names, and where it closes at least "
+        f"{percent(rules.LISTED)} of what the set closes; with fewer than {rules.EXCITATIONS} kinds of excitation only "
+        f"where the best rival leaves {rules.TWICE:g} times the error. Else the verdict is “unknown”, "
+        "and no name should be read off the ranking. P means best of the catalogue, not the chance of being right."
     )
     return [tag("h2", "How to read this"), tag("p", method), tag("p", verdicts)]

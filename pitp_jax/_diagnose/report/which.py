@@ -2,26 +2,20 @@
 
 import numpy as np
 
-from ..._effects.physical import physical
 from ..._report import html
 from ..._report.html import tag
 from ..._report.numbers import of_range, percent, with_error
 from ..diagnosis import Diagnosis
 from ..result import Ranked
-from .formatting import coefficient_name, equation, named, parameter
+from .formatting import coefficient_name, named, parameter
 from .gap_figure import refitted
 
 _NEAREST = 3  # rejected candidates named
 
 
-def crowd(d: Diagnosis) -> bool:
-    """Unknown because too many names are tied."""
-    return d.verdict == "unknown" and len(d.equivalent) > 3
-
-
 def which(d: Diagnosis) -> str:
     """The card that names the effect, or says why none is named."""
-    if d.verdict == "explained":
+    if d.effects:
         lines = [_effect(d, name) for name in d.effects]
         if refitted(d):
             lines.append(
@@ -29,16 +23,14 @@ def which(d: Diagnosis) -> str:
             )
         return html.card("Which", named(d.effects), *lines, tag("p", _rivals(d)))
     if d.verdict == "no_gap":
-        if not refitted(d):
-            return html.card("Which", "None", tag("p", "No effect takes off more than the noise allows to see."))
-        text = "The model's own coefficients over those given:"
-        return html.card("Which", "Only its own coefficients", tag("p", text), html.bullets(_shift(d)))
-    term = _term(d)
-    if crowd(d):
-        tied = tag("p", f"Tied: {named([d.ranking[0].effect, *d.equivalent])}.")
-        return html.card("Which", "Too many to say", tied, term)
-    nearest = [f"{r.effect}: closes {share_closed(r.closed_fraction)}" for r in d.ranking if not r.screened]
-    return html.card("Which", "None of the catalogue", term, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST]))
+        return html.card(
+            "Which", "None", tag("p", "No effect takes off more than the model's own error allows to see.")
+        )
+    nearest = [f"{r.effect}: closes {share_closed(r.closed_fraction)}" for r in d.ranking]
+    why = tag("p", f"{d.notes[0][:1].upper()}{d.notes[0][1:]}.") if d.notes else ""
+    return html.card(
+        "Which", "No name is sure", _term(d), why, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST])
+    )
 
 
 def _term(d: Diagnosis) -> str:
@@ -55,7 +47,7 @@ def _rivals(d: Diagnosis) -> str:
     """What the explanation cannot be told from, or how far behind the next name is."""
     if d.equivalent:
         return f"These data cannot tell {d.effects[0]} from {named(d.equivalent)}."
-    others = [r for r in d.ranking if r.effect not in d.effects and not r.screened]
+    others = [r for r in d.ranking if r.effect not in d.effects]
     if not others:
         return "No other effect comes near."
     left, closed = of_range(others[0].heldout), share_closed(others[0].closed_fraction)
@@ -71,19 +63,15 @@ def _effect(d: Diagnosis, name: str) -> str:
     """One named effect: its form and its numbers, as the model that is handed back has them."""
     if name == "parameter_change":
         return tag("p", "Coefficients over those given:") + html.bullets(_shift(d))
-    row = next((r for r in d.ranking if r.effect == name), None)
-    mine = next((e for e in reversed(d.model.effects) if e.name == name), None)
-    if mine is None:
-        return html.bullets(parameter_lines(d, row)) if row else ""
-    told = {}
-    for p in mine.spec.parameters:
-        value, unit = physical(d.model, p, float(getattr(mine, p.name)))
-        fitted = row.parameters.get(p.name) if row is not None and row.form == mine.form else None
-        near = fitted is not None and np.isclose(fitted["value"], value, rtol=1e-2)
-        told[p.name] = {"value": value, "unit": unit, "stderr": fitted["stderr"] if fitted and near else None}
-    lines = [_line(d, key, number) for key, number in told.items()]
-    title = f"{name}, form “{mine.form}”" if len(d.effects) > 1 else f"Form “{mine.form}”"
-    return tag("p", f"{title}: {equation(mine.spec)}") + html.bullets(lines)
+    row = next((a for a in d.added if a.effect == name), None)
+    if row is None:
+        other = next((r for r in d.ranking if r.effect == name), None)
+        return html.bullets(parameter_lines(d, other)) if other else ""
+    lines = [_line(d, key, number) for key, number in row.parameters.items()]
+    title = f"{name}, form “{row.form}”" if len(d.effects) > 1 else f"Form “{row.form}”"
+    p = d.probability.get(name)
+    sure = tag("p", f"P {p:.2f} that no other set without it does as well.") if p is not None else ""
+    return tag("p", title) + html.bullets(lines) + sure
 
 
 def _line(d: Diagnosis, name: str, told: dict) -> str:
@@ -98,7 +86,7 @@ def parameter_lines(d: Diagnosis, row: Ranked) -> list[str]:
 
 def _shift(d: Diagnosis) -> list[str]:
     """Every coefficient over the one given, with its standard error where the ranking has it."""
-    row = next((r for r in d.ranking if r.effect == "parameter_change" and not r.screened), None)
+    row = next((r for r in d.ranking if r.effect == "parameter_change"), None)
     order, lines = len(d.shift) - 1, []
     for i, factor in enumerate(d.shift):
         told = row.parameters.get(f"a_{i} over given") if row else None

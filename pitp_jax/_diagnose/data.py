@@ -1,0 +1,264 @@
+"""The data of a diagnosis: records beside a nominal, thinned, in the model's scaled coordinates, with folds.
+
+    a_0 X + a_1 X' + a_2 X'' = F,   y = lag or filter of X        (orders three and four: the slower two poles, then a
+                                                                   lag or a filter of the output for the others)
+
+Every k-th sample is kept, drive (as a force) and motion averaged over the k samples around it by the same weights, so
+that a linear plant's run on the averaged drive is the averaged run. k leaves the fastest mode or drive that matters
+some 50 samples a period; below 10 the simulator's own error earns names. Zero and direction of a record are taken out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .._errors import BadInput
+from .._model.model import Model
+from .._record.initial_state import aligned, noise_std
+from .._record.preprocess import force_band
+from .._record.record import Record
+from .._record.sets import session_clock
+from .._simulate.prediction import at_rate, begin, predict
+from .library import slots_of
+from .simulator import INDEX, Drive, Film, Simulator, root
+
+PERIOD, COARSEST, BUDGET = 40.0, 16.0, 12_000  # samples a period of the fastest mode or drive; fewer where all exceed
+SCREEN = 5_000  # samples from which no further record is needed to tell a promising start
+STEPS = 24  # steps a period of the nominal's own mode, at least
+_FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
+_BLOCKS = 4  # folds of a single record
+_MOST_FOLDS = 6
+
+
+@dataclass(frozen=True)
+class Series:
+    """One thinned record.
+
+    Attributes:
+        record: as given.
+        output: scaled X as measured, nan where missing, shape (T,).
+        counts: samples that count, shape (T,).
+        span: peak to peak of the measurement, scaled.
+        begins: rest, held or moving; of the last two the first state is estimated.
+        noise: scaled standard deviation of the sensor's noise (fifth differences), of one thinned sample.
+        zero, direction: measured = direction * (scale X) + zero.
+    """
+
+    record: Record
+    output: np.ndarray
+    counts: np.ndarray
+    span: float
+    begins: str
+    noise: float
+    zero: float
+    direction: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """A nominal beside its records.
+
+    Attributes:
+        model: the nominal.
+        series: thinned, in the order given.
+        simulator: of all of them.
+        nominal: slots of the nominal, shape (slots,).
+        starts: (x, v) at the first samples, shape (records, 2).
+        thinned: samples of a record per thinned sample.
+        folds: records left out together; blocks of the one record where there is one.
+    """
+
+    model: Model
+    series: tuple[Series, ...]
+    simulator: Simulator
+    nominal: np.ndarray
+    starts: np.ndarray
+    thinned: int
+    folds: tuple[tuple[int, ...], ...]
+
+    @property
+    def dt(self) -> float:
+        """Step between thinned samples, s."""
+        return self.simulator.drives[0].dt
+
+    @property
+    def blocks(self) -> bool:
+        """Whether folds are blocks of one record."""
+        return len(self.series) == 1
+
+    def masks(self, fold: int | None) -> list[np.ndarray]:
+        """Weights 0 or 1 of the samples that a fit without a fold may see; all that count for None."""
+        if fold is None:
+            return [s.counts.astype(float) for s in self.series]
+        if not self.blocks:
+            return [s.counts.astype(float) * (k not in self.folds[fold]) for k, s in enumerate(self.series)]
+        (s,) = self.series
+        size, seen = len(s.output), s.counts.astype(float)
+        margin = size // 100
+        seen[max(fold * size // _BLOCKS - margin, 0) : (fold + 1) * size // _BLOCKS + margin] = 0.0
+        return [seen]
+
+    def screened(self) -> list[np.ndarray]:
+        """Samples that the first steps of a fit may see: of the records with the widest motion, `SCREEN` in all."""
+        rows = [s.counts.astype(float) for s in self.series]
+        kept = 0
+        for k in np.argsort([-s.span for s in self.series], kind="stable"):
+            if kept >= SCREEN:
+                rows[k] = np.zeros_like(rows[k])
+            kept += int(rows[k].sum())
+        return rows
+
+    def tested(self, fold: int) -> list[np.ndarray]:
+        """Samples that a fold is judged on."""
+        if not self.blocks:
+            return [s.counts & (k in self.folds[fold]) for k, s in enumerate(self.series)]
+        (s,) = self.series
+        size, place = len(s.output), np.arange(len(s.output))
+        return [s.counts & (place >= fold * size // _BLOCKS) & (place < (fold + 1) * size // _BLOCKS)]
+
+
+def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) -> Case:
+    """Thin the records, take out their zeros and directions and find how they begin.
+
+    Raises:
+        BadInput: a nominal that diverges on a record.
+    """
+    model = at_rate(model, records[0].dt)
+    known = len(records) > 1 and session_clock(records)
+    _, _, begun = begin(model, records, known)
+    for r, p in zip(records, predict(model, records), strict=True):
+        if p.diverged and model.physical_coefficients[0] > 0:
+            raise BadInput(f"the nominal model diverges on {r.name}: it cannot be diagnosed, identify it again")
+    nominal, foreign = slots_of(model)
+    turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
+    k = _thinning(model, nominal, turned)
+    scale, square = float(model.scales.state[0]), model.input_map.name == "square"
+    drives, series, starts = [], [], []
+    for r, b in zip(turned, begun, strict=True):
+        rest, held = b.begins == "rest", model.hold == "zoh"
+        first_node = r.dt * (k // 2 - _before(k, rest))  # s after the first sample
+        film = _film(r.voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
+        force = ramped(r.voltage, held) if square else r.voltage
+        if film is not None:
+            force = film.force(np.arange((r.samples + _before(k, rest) - k // 2 * 2 - k % 2) // k + 1) * r.dt * k)
+        volts = root(force) if square else force
+        x = averaged(model.output.to_model(r.displacement) / scale, k, rest)
+        seen = np.asarray(np.isfinite(x))
+        age = model.provenance.age(r.time[0]) if known else 0.0
+        age = max(age + first_node, 0.0)
+        first = x[seen][: max(1, min(5, len(x) // 100))].mean()
+        starts.append((0.0, 0.0) if rest else (first, 0.0))
+        jump = -r.dt / 2 if held else 0.0
+        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film))
+        noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
+        series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
+    dt = records[0].dt * k
+    omega = _omega(nominal)
+    substeps = int(np.clip(np.ceil(STEPS * omega * dt / (2 * np.pi)), 1, _MOST_STEPS))
+    simulator = Simulator(tuple(drives), square, float(model.scales.force), substeps, tuple(devices))
+    case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
+    return _beside(case, records) if foreign else case
+
+
+def _before(k: int, rest: bool) -> int:
+    """Samples of rest put before a record, so that its first average is of rest alone."""
+    return k + k // 2 if rest and k > 1 else 0
+
+
+def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
+    """The force's integral, exact for a voltage that holds, or runs straight from sample to sample."""
+    a, b = voltage[:-1], voltage[1:]
+    force = voltage * np.abs(voltage) if square else voltage
+    ramp = np.sign(a + b) * (a * a + a * b + b * b) / 3 if square else (a + b) / 2
+    impulse = np.append(0.0, np.cumsum(force[:-1] if held else ramp) * dt)
+    late = dt / 2 if held else 0.0  # a held drive's half sample stands in the nominal's delay
+    return Film(impulse, dt, -first - late, k * dt, (0.0 if rest else float(force[0]), float(force[-1])))
+
+
+def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
+    """V|V| at every sample, such that straight lines between them have the area of the squared ramps of V.
+
+    A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more.
+    It is taken off the larger end. A step inside a record would come a sixth of a sample early without it.
+    """
+    force = voltage * np.abs(voltage)
+    if held:
+        return force
+    rise, larger = np.diff(voltage) ** 2 / 6, np.abs(voltage[1:]) >= np.abs(voltage[:-1])
+    size = np.abs(force)
+    size[1:] -= rise * larger
+    size[:-1] -= rise * ~larger
+    return np.sign(force) * np.maximum(size, 0.0)
+
+
+def averaged(series: np.ndarray, k: int, rest: bool) -> np.ndarray:
+    """Every k-th sample as the mean of the k around it, from the rest before a record on; nan is no part."""
+    if k == 1:
+        return series
+    weights = np.ones(k) if k % 2 else np.r_[0.5, np.ones(k - 1), 0.5]
+    whole = np.concatenate([np.full(_before(k, rest), np.nan), series])
+    there = np.isfinite(whole)
+    sums = np.convolve(np.where(there, whole, 0.0), weights, "valid")[::k]
+    share = np.convolve(there, weights, "valid")[::k] / k
+    return np.where(share > 0.5, sums / k / np.maximum(share, 0.5), np.nan)
+
+
+def _omega(slots: np.ndarray) -> float:
+    """The frequency of an oscillating core, rad/s; 0 where it is damped or has no spring."""
+    a0, a1, a2 = (slots[INDEX[k]] for k in ("a0", "a1", "a2"))
+    return float(np.sqrt(a0 / a2)) if a2 > 0 and a1 < 2 * np.sqrt(a0 * a2) else 0.0
+
+
+def _thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> int:
+    """Samples to average: the fastest of mode and drive keeps `PERIOD` samples a period."""
+    dt = records[0].dt
+    motion = [np.interp(np.arange(r.samples), np.flatnonzero(r.observed), r.displacement[r.observed]) for r in records]
+    drive = force_band([model.input_map.force(r.voltage) for r in records], dt, 0.98)
+    moved = force_band([m for m in motion if np.ptp(m) > 0], dt, 0.98)
+    mode = _omega(nominal) / (2 * np.pi)
+    fastest = max(min(drive, moved), mode if mode < 3 * moved else 0.0, 1e-12)
+    wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / BUDGET
+    k = min(max(wanted, min(total, wanted * PERIOD / COARSEST)), max(r.samples for r in records) / _FEWEST)
+    return max(int(k), 1)
+
+
+def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
+    """Records left out one by one, or in at most six groups of neighbours in range."""
+    if len(series) == 1:
+        return tuple((k,) for k in range(_BLOCKS))
+    order = np.argsort([s.span for s in series], kind="stable")
+    groups = min(len(series), _MOST_FOLDS)
+    return tuple(tuple(int(k) for k in order[g::groups]) for g in range(groups))
+
+
+def _beside(case: Case, records) -> Case:
+    """The case of a trained nominal, or one with effects that are no slots.
+
+    What they do beside the linear model is taken off the measurement, so that the slots describe the change alone.
+    """
+    scale, model = float(case.model.scales.state[0]), case.model
+    runs = case.simulator.run(np.tile(case.nominal, (len(records), 1)), range(len(records)), case.starts)
+    series = []
+    for s, run, p in zip(case.series, runs, predict(model, records), strict=True):
+        own = p.direction * (p.displacement - p.zero) / scale
+        own = averaged(own, case.thinned, s.begins == "rest")
+        series.append(replace(s, output=s.output - np.nan_to_num(own - run), counts=s.counts & np.isfinite(own - run)))
+    return replace(case, series=tuple(series))
+
+
+def excitations(case: Case) -> int:
+    """How many distinct excitations there are: sixths of records that differ by 15 % in spread or centre frequency."""
+    rows = []
+    for d in case.simulator.drives:
+        for part in np.array_split(d.voltage[2:], 6):  # the first two may be the rest before a jump
+            w = part * part if case.simulator.square else part
+            spread, speed = np.std(w), np.std(np.diff(w)) / d.dt
+            rows.append((spread, speed / (spread + 1e-300)))
+    rows = np.array(rows)
+    top, seen = rows[:, 0].max(), []
+    for spread, speed in rows[rows[:, 0] > 0.05 * top]:
+        near = (abs(spread - a) < 0.15 * top and abs(speed - b) < 0.15 * max(speed, b) for a, b in seen)
+        if not any(near):
+            seen.append((spread, speed))
+    return len(seen)

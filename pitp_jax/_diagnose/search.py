@@ -1,0 +1,442 @@
+"""Search: sets of effects, forward by a beam of two with a backward step, each scored out of fold.
+
+Level d holds, for every front of level d - 1 and every name beside it, the best form: all starts take a few steps, the
+best two go on to their optimum, and are refitted without each fold. A set pays if its error is below FIRST (then
+FURTHER for every name) of the last that paid, with P >= SURE; a level that does not pay is stepped over.
+"""
+
+from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from . import rules
+from .budget import Budget
+from .data import Case
+from .evidence import Evidence, evidence, probability
+from .fit import SCREEN, Fit, Fitter
+from .library import Form, Scale, forms, named
+from .simulator import INDEX, OFF
+
+BEAM, DEPTH, NAMES = 2, 4, 8  # fronts, names of a set, names that are fitted beside each front
+_STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 2
+_AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
+PARAMETERS = "parameters"
+LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, fitted and judged out of fold.
+
+    Attributes:
+        fit: to all records.
+        labels: names as the catalogue has them, in the order of `fit.names`.
+        residuals: out of fold, per record.
+        evidence: of those.
+    """
+
+    fit: Fit
+    labels: tuple[str, ...]
+    residuals: list[np.ndarray]
+    evidence: Evidence
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the search."""
+        return self.fit.names
+
+    @property
+    def rms(self) -> float:
+        """Out-of-fold error, geometric mean over records, scaled."""
+        return self.evidence.rms
+
+
+def scale_of(case: Case, base: Fit) -> Scale:
+    """What starts are multiples of: ranges of the motion as measured and the base's own time constants."""
+    x = np.concatenate([s.output[s.counts] for s in case.series])
+    moves = [_smooth(s.output) for s in case.series]
+    v = np.concatenate([np.gradient(m, d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)])
+    a = np.concatenate(
+        [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
+    )
+    a0, a1, a2 = (base.value(k) for k in ("a0", "a1", "a2"))
+    tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
+    tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
+    drives = case.simulator.drives
+    volts = np.concatenate([d.voltage for d in drives])
+    force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
+    area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
+    ages = [d.age for d in drives]
+    longest = max(len(d.voltage) * d.dt for d in drives)
+    return Scale(
+        tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
+        reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
+        speed=float(np.quantile(np.abs(v), 0.9)) + 1e-12, acceleration=float(np.quantile(np.abs(a), 0.98) * (a2 > 0)),
+        voltage=float(np.abs(volts).max()),
+        slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
+        area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
+    )  # fmt: skip
+
+
+def _smooth(x: np.ndarray) -> np.ndarray:
+    filled = np.interp(np.arange(len(x)), np.flatnonzero(np.isfinite(x)), x[np.isfinite(x)])
+    return np.convolve(np.pad(filled, 2, mode="edge"), np.ones(5) / 5, "valid")
+
+
+class Search:
+    """The hypotheses of a case that were tried, by their names."""
+
+    def __init__(
+        self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None,
+        progress: Callable[[str], None] = lambda line: None, own: float = 0.0, misfit: float = 0.0,
+    ):  # fmt: skip
+        self.case, self.refit, self.exclude = case, refit, set(exclude)
+        self.own, self.misfit = own, misfit  # the nominal's own error with the sensor's noise, and beyond it
+        self.fitter, self.budget, self.progress = Fitter(case), budget or Budget(), progress
+        self.floors = np.array(self.fitter.floors)
+        self.samples = sum(int(s.counts.sum()) for s in case.series)
+        self.every: dict[frozenset, Hypothesis] = {}
+        self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
+        given = Fit((), (), case.nominal.copy(), case.starts.copy())
+        self.fitter.fit([given], 0)
+        self.given = self._judged([given])[0]
+        self.linear = self._linear()
+        base = self.linear if refit else self.given
+        self.base = base
+        self.scale = scale_of(case, base.fit)
+        self.every[frozenset()] = base
+        self.library = [
+            f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)
+        ]
+        self.library = [f for f in self.library if not (f.name == "delay" and "delay" in self.core and refit)]
+        if refit:
+            self.library = [
+                f
+                for f in self.library
+                if f.name != "sensor_gain" and not (f.name == "added_mass" and self.scale.a2 > 0)
+            ]
+        else:
+            if self.scale.a2 > 0:
+                heavier = [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
+                self.library += heavier if "added_mass" not in self.exclude else []
+            moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",))
+            if "parameter_change" not in self.exclude:
+                self.every[frozenset([PARAMETERS])] = moved
+                self.library += [Form(PARAMETERS, {})]
+
+    def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
+        """Evidence of out-of-fold residuals."""
+        return evidence(rows, np.sqrt(self.floors), rules.OWN * self.misfit)
+
+    # -- fits ----------------------------------------------------------------------------------------------------------
+
+    def _judged(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
+        found = []
+        for fit, rows in zip(fits, self.fitter.left_out(fits, steps), strict=True):
+            labels = tuple(
+                "parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names
+            )
+            found.append(Hypothesis(fit, labels, rows, self.weigh(rows)))
+        return found
+
+    def _linear(self) -> Hypothesis:
+        """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
+
+        Of several structures that with the fewest numbers counts which no other surely beats by a twentieth: effects
+        act on a core of order two at most, and a lag behind it that need not be there hides them.
+        """
+        fits = [self._structure(self.core, {})]
+        if self.refit:
+            fits += self._structures()
+        self.fitter.fit(fits, 25)
+        best: dict[tuple[str, ...], Fit] = {}
+        for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
+            best.setdefault(f.free, f)
+        tried = self._judged([*best.values()] or fits[:1], 4)
+        self.linears = sorted(tried, key=lambda h: len(h.fit.free))
+        least = min(tried, key=lambda h: h.rms)
+        return next(h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
+
+    def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
+        slots = self.case.nominal.copy()
+        for k in ("delay", "lag", "filter", "a2"):
+            slots[INDEX[k]] *= k in free
+        for k, v in values.items():
+            slots[INDEX[k]] = v
+        return Fit((), free, slots, self.case.starts.copy())
+
+    def _structures(self) -> list[Fit]:
+        """Orders one to four: a core with and without a mass, a delay, a lag or a second-order filter behind it."""
+        v = {k: self.case.nominal[INDEX[k]] for k in ("a0", "a1", "a2", "lag", "filter", "filter_zeta")}
+        dt, late = self.case.dt, self.case.nominal[INDEX["delay"]]
+        own, core = self.core, tuple(k for k in self.core if k not in ("lag", "filter"))
+        # the nominal's whole lateness at slow drives as one time constant, of a plant with a spring
+        tau = max(v["a1"] / v["a0"] + v["lag"] + 2 * v["filter_zeta"] * v["filter"], dt) if v["a0"] > 0 else 0.0
+        found = []
+        for faster in (0.5, 2.0):
+            found.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
+        if not late:
+            found.append(self._structure((*own, "delay"), {"delay": dt}))
+        if tau and ("a2" not in core or core != own):
+            for share in (0.03, 0.3):
+                numbers = {"a1": v["a0"] * tau, "a2": share * v["a0"] * tau**2}
+                found.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
+        if tau and own != ("a0", "a1"):
+            found.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
+            found.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
+        if "lag" not in own and "filter" not in own:
+            numbers = {"lag": 0.3 * max(tau, dt)}, {"filter": 0.2 * max(tau, dt), "filter_zeta": 0.3}
+            found += [self._structure((*own, *extra), extra) for extra in numbers]
+        return found
+
+    def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> list[Hypothesis]:
+        """Names beside every front, each by its best form."""
+        groups: dict[frozenset, list[Fit]] = {}
+        below: dict[int, Fit] = {}
+        for front in fronts:
+            for form in self.library:
+                key = frozenset([*front.names, form.name])
+                if form.name in {*front.names, *without} or key in self.every:
+                    continue
+                groups.setdefault(key, []).append(start := self._started(front.fit, form))
+                below[id(start)] = front.fit
+        groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
+        keys = list(groups)
+        # what promises most first; without a limit of time all of them side by side
+        size, found = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, []
+        for first in range(0, len(keys), max(size, 1)):
+            some = {key: groups[key] for key in keys[first : first + size]}
+            names = " and ".join("+".join(sorted(key)) for key in some)
+            if first and not self.budget.allows(names):
+                continue
+            found += self._climbed(some)
+        return found
+
+    def _climbed(self, groups: dict[frozenset, list[Fit]]) -> list[Hypothesis]:
+        """The optimum of every set that helps, judged out of fold."""
+        for f in (starts := [f for g in groups.values() for f in g]):
+            f.fold = SCREEN
+        self.fitter.fit(starts, _FIRST_STEPS)
+        groups = {
+            key: [
+                f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
+                for f in _varied(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))[:2]
+            ]
+            for key, g in groups.items()
+        }
+        self.fitter.fit([f for g in groups.values() for f in g], 0)
+        for key, group in groups.items():
+            least = [self.every[key - {f.names[-1]}].fit.cost - 2 * rules.GAIN * self.samples for f in group]
+            groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
+        self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
+        chosen = self._richer([self._plainest(g) for g in groups.values() if g])
+        found = [h for h in self._judged(chosen) if not self.exclude & set(h.labels)]
+        for h in found:
+            self.every[frozenset(h.names)] = h
+        return found
+
+    def _plainest(self, forms: Sequence[Fit]) -> Fit:
+        """The form with the fewest numbers of those that leave at most GAIN more than the best."""
+        most = min(f.cost for f in forms) + 2 * rules.GAIN * self.samples
+        return min((f for f in forms if f.cost <= most), key=lambda f: (len(f.free), f.cost))
+
+    def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
+        more: list[tuple[int, Fit]] = []
+        for n, f in enumerate(fits):
+            if f.names[-1] != "viscoelastic" or "branch2" in f.free:
+                continue
+            for ratio in (0.1, 10.0):
+                slots = f.slots.copy()
+                slots[INDEX["branch2"]] = 0.3 * f.value("branch")
+                slots[INDEX["branch2_tau"]] = ratio * f.value("branch_tau")
+                free = (*f.free, "branch2", "branch2_tau")
+                more.append((n, f.again(free=free, slots=slots, unit=np.zeros(0), jacobian=None, cost=np.inf)))
+        self.fitter.fit([f for _, f in more], _STEPS)
+        best = list(fits)
+        for n, f in more:
+            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+                best[n] = f
+        return best
+
+    def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
+        """Of every set the starts that promise most go on, and of the sets those whose best start does.
+
+        What helps beside another name may do nothing alone, so the order of the first level says little here.
+        """
+        many = [(key, f) for key, group in groups.items() for f in group]
+        costs = self.fitter.foreseen([f for _, f in many], [below[id(f)] for _, f in many])
+        ranked: dict[frozenset, list[Fit]] = {}
+        for n in np.argsort(costs, kind="stable"):
+            ranked.setdefault(many[n][0], []).append(many[n][1])
+        return {key: _varied(group)[:_STARTS] for key, group in list(ranked.items())[:most]}
+
+    def _started(self, front: Fit, form: Form) -> Fit:
+        slots = front.slots.copy()
+        if form.name == PARAMETERS:
+            return front.again(
+                names=(*front.names, PARAMETERS),
+                free=tuple(dict.fromkeys((*self.core, *front.free))),
+                slots=slots,
+                unit=np.zeros(0),
+                jacobian=None,
+                cost=np.inf,
+            )
+        for k, v in form.start.items():
+            slots[INDEX[k]] = v
+        stiff = 1 + slots[INDEX["bouc"]] * (
+            "bouc" in form.start
+        )  # what adds stiffness begins with as much less of the core
+        free = tuple(dict.fromkeys((*front.free, *(k for k in form.start if k not in ("fold", "reach")))))
+        if stiff > 1.05 and "a0" in free:
+            for k in ("a0", "a1", "a2"):
+                slots[INDEX[k]] /= stiff
+        return front.again(
+            names=(*front.names, form.name),
+            free=free,
+            slots=slots,
+            unit=np.zeros(0),
+            jacobian=None,
+            cost=np.inf,
+            residuals=[],
+        )
+
+    # -- the beam ------------------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Fill `every` level by level."""
+        fronts, levels = [self.base], [self.base]
+        for depth in range(1, DEPTH + 1):
+            self.progress(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
+            self.extend(fronts)
+            level = self.level(depth)
+            if not level:
+                break
+            if depth == 1 and not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
+                self.progress("no single effect helps")
+            levels.append(level[0])
+            least = min(levels[:-1], key=lambda h: h.rms)
+            settled = level[0].rms <= rules.OWN * self.own
+            helps = level[0].rms < rules.FIRST * least.rms
+            if settled or (not helps and depth > 1) or not self.budget.allows(f"sets of {depth + 1} effects"):
+                break
+            fronts = level[:BEAM]
+            if depth == 1 and not self.refit:
+                fronts += [h for h in level[BEAM:] if h.names == (PARAMETERS,)]
+        self._backward()
+
+    def level(self, depth: int, without: set | frozenset = frozenset()) -> list[Hypothesis]:
+        """Sets of so many names, best first."""
+        found = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
+        return sorted(found, key=lambda h: h.rms)
+
+    def _backward(self) -> None:
+        """Sets that lack one name of the best are tried too: the first name may have been taken for a later one."""
+        best = self.best()
+        if len(best.names) > 2:
+            for name in best.names:
+                key = frozenset(best.names) - {name}
+                if key not in self.every:
+                    self._again(best, key)
+
+    def _again(self, whole: Hypothesis, key: frozenset) -> None:
+        fit = whole.fit
+        keep = [f for f in self.library if f.name in key]
+        slots = self.base.fit.slots.copy()
+        free = list(self.base.fit.free)
+        for k in fit.free:
+            if k in self.core or any(k in f.start for f in keep):
+                slots[INDEX[k]] = fit.slots[INDEX[k]]
+                free.append(k)
+        for k in ("fold", "reach"):
+            slots[INDEX[k]] = fit.slots[INDEX[k]] if any(k in f.start for f in keep) else OFF[INDEX[k]]
+        one = fit.again(
+            names=tuple(n for n in fit.names if n in key),
+            free=tuple(dict.fromkeys(free)),
+            slots=slots,
+            unit=np.zeros(0),
+            jacobian=None,
+            cost=np.inf,
+        )
+        (done,) = self.fitter.fit([one], _STEPS)
+        if np.isfinite(done.cost):
+            self.every[key] = self._judged([done])[0]
+
+    def best(self) -> Hypothesis:
+        """The last set that pays."""
+        best, floor = self.base, self.own
+        deepest = max(len(h.names) for h in self.every.values())
+        for depth in range(1, deepest + 1):
+            level = self.level(depth)
+            if best.rms < rules.OWN * floor or not level:
+                break
+            h, more = self._fewest_numbers(level), depth - len(best.names)
+            ratio = rules.FURTHER**more if best.names else rules.FIRST * rules.FURTHER ** (depth - 1)
+            if probability(h.evidence, best.evidence, ratio) >= rules.SURE:
+                best = h
+        return best
+
+    def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
+        """The best of a level, or one as good that has moved coefficients for a name, or one number for all of them."""
+        best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
+        if best.names == (PARAMETERS,):
+            return self._plainer(level, best, lambda h: h.names[0] in LONE)
+        if PARAMETERS in best.names:
+            return best
+        few = [h for h in level if len(h.fit.free) < len(best.fit.free)]
+        as_good = [h for h in few if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
+        return min(as_good, key=lambda h: (len(h.fit.free), h.rms), default=best)
+
+    @staticmethod
+    def _plainer(level: list[Hypothesis], best: Hypothesis, plain: Callable[[Hypothesis], bool]) -> Hypothesis:
+        if plain(best):
+            return best
+        doubts = (h for h in level if plain(h))
+        return next((h for h in doubts if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE), best)
+
+    def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
+        """Sets from the base to the chosen one, the best step first."""
+        steps: list[Hypothesis] = [self.linear] if self.refit else []
+        have: frozenset = frozenset()
+        while have != frozenset(chosen.names):
+            nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
+            known = [h for h in nexts if h is not None]
+            step = min(known, key=lambda h: h.rms) if known else chosen
+            step = chosen if len(have) + 1 == len(chosen.names) else step
+            steps.append(step)
+            have = frozenset(step.names)
+        return steps
+
+    def without(self, name: str, depth: int) -> Hypothesis:
+        """The best set of at most so many names that lacks a name, searched anew: it finds the twins."""
+        lacking = {name}
+        for d in range(2, depth + 1):
+            fronts = self.level(d - 1, lacking)[:BEAM]
+            if fronts and self.budget.allows(f"rivals of {name}"):
+                self.extend(fronts, lacking)
+        return min(
+            (h for h in self.every.values() if name not in h.names and len(h.names) <= depth), key=lambda h: h.rms
+        )
+
+
+def _written(h: Hypothesis) -> str:
+    return "+".join(h.labels) or "the linear model"
+
+
+def _varied(fits: Sequence[Fit]) -> list[Fit]:
+    """Best first, one of every form before a second one: the first steps of a polynomial look like any curve's."""
+    seen: dict[frozenset, int] = {}
+    turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
+    return [
+        f for f, first, n in sorted(zip(fits, turns, range(len(fits)), strict=True), key=lambda t: (t[1] != t[2], t[2]))
+    ]
+
+
+def _distinct(fits: Sequence[Fit]) -> list[Fit]:
+    """Without those that have come to the same place."""
+    kept: list[Fit] = []
+    for f in fits:
+        if not any(set(f.free) == set(g.free) and abs(f.cost - g.cost) < 1e-4 * abs(g.cost) for g in kept):
+            kept.append(f)
+    return kept

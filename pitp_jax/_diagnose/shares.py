@@ -1,0 +1,85 @@
+"""The budget: which part of the gap's energy goes to what, out of fold, with intervals; all parts sum to 1.
+
+    E(h) = mean over records of MSE_r / range_r^2,   share of a part = (E before it - E after it) / E of the nominal
+
+nuisance | parameters | every name | unnamed but explainable | not explainable. Where two names stand together, each
+one's gain is averaged over both orders.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from . import rules
+from .evidence import Evidence
+from .search import PARAMETERS, Hypothesis, Search
+from .verdict import Decision
+
+_DRAWS = 1000
+
+
+def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
+    """E of every set, first as it is and then in draws of records and blocks, shape (sets, 1 + draws)."""
+    rng, first = np.random.default_rng(1), sets[0]
+    there = np.unique(first.records)
+    found = np.zeros((len(sets), 1 + _DRAWS))
+    picks = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS) / len(there)
+    for j, r in enumerate(there):
+        place = np.flatnonzero(first.records == r)
+        drawn = np.vstack([place, place[rng.integers(0, len(place), (_DRAWS, len(place)))]])
+        count = first.sizes[drawn].sum(1)
+        weight = np.concatenate([[1 / len(there)], picks[:, j]])
+        for k, s in enumerate(sets):
+            found[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
+    return found
+
+
+def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
+    """The `budget` of docs/contract.md; `raw`: the nominal with zeros and starts as their records' beginnings say."""
+    chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
+    steps = search.steps(chosen)
+    more = decision.above if decision.more >= rules.SURE else chosen.evidence
+    path = [raw, search.given.evidence, *[h.evidence for h in steps], more]
+    e = energies(path, spans)
+    whole = np.maximum(e[:2].max(0), 1e-300)
+    gains = (e[:-1] - e[1:]) / whole
+    gains[0] = (whole - e[1]) / whole
+    parts: dict[str, np.ndarray] = {"nuisance": gains[0], "parameters": np.zeros(e.shape[1])}
+    before: Hypothesis = search.given
+    named: dict[str, np.ndarray] = {}
+    for k, h in enumerate(steps):
+        new = [label for n, label in zip(h.names, h.labels, strict=True) if n not in before.names and n != PARAMETERS]
+        key = new[0] if new else "parameters"
+        if key == "parameters":
+            parts["parameters"] = parts["parameters"] + gains[1 + k]
+        else:
+            named[key] = named.get(key, np.zeros(e.shape[1])) + gains[1 + k]
+        before = h
+    if len(chosen.names) == 2 and set(named) == set(chosen.labels) <= set(decision.said):
+        named = _both_orders(search, chosen, named, spans, whole)
+    said = {n: v for n, v in named.items() if n in decision.said}
+    unnamed = gains[-1] + sum((v for n, v in named.items() if n not in said), np.zeros(e.shape[1]))
+    rest = 1 - parts["nuisance"] - parts["parameters"] - sum(said.values(), np.zeros(e.shape[1])) - unnamed
+    names = {
+        n: _share(v) | {"probability": decision.probabilities.get(n), "equivalent": list(decision.tied.get(n, ()))}
+        for n, v in said.items()
+    }
+    return {
+        "nuisance": _share(parts["nuisance"]), "parameters": _share(parts["parameters"]), "effects": names,
+        "unnamed": _share(unnamed), "unexplainable": _share(rest),
+    }  # fmt: skip
+
+
+def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
+    alone = [search.every.get(frozenset([n])) for n in chosen.names]
+    if any(h is None for h in alone):
+        return named
+    e = energies([search.base.evidence, *[h.evidence for h in alone if h is not None], chosen.evidence], spans) / whole
+    first = (e[0] - e[1] + e[2] - e[3]) / 2
+    return dict(zip(chosen.labels, (first, e[0] - e[3] - first), strict=True))
+
+
+def _share(draws: np.ndarray) -> dict:
+    low, high = np.quantile(draws[1:], (0.025, 0.975))
+    here = float(draws[0])
+    return {"share": here, "ci95": [float(np.clip(min(low, here), -1, 1)), float(np.clip(max(high, here), -1, 1))]}

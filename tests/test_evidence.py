@@ -1,0 +1,60 @@
+"""The evidence of out-of-fold residuals: one variance per record, paired draws of records and of blocks within them."""
+
+import numpy as np
+import pytest
+
+from pitp_jax._diagnose.evidence import evidence, probability
+
+FLOORS = np.full(3, 1e-6)
+
+
+def noise(sizes, scale, seed=0):
+    rng = np.random.default_rng(seed)
+    return [s * rng.standard_normal(n) for n, s in zip(sizes, scale, strict=True)]
+
+
+def test_the_score_is_the_geometric_mean_over_records():
+    rows = noise((4000, 4000, 4000), (1.0, 10.0, 100.0))
+    assert evidence(rows, FLOORS).rms == pytest.approx(10.0, rel=0.05)
+
+
+def test_a_large_record_does_not_decide_alone():
+    """Better by a half in two of three records, worse by a tenth in the one whose squares are most of all."""
+    sizes = (3000, 3000, 3000)
+    first = noise(sizes, (0.5, 0.5, 110.0))
+    second = noise(sizes, (1.0, 1.0, 100.0), 1)
+    assert sum(np.sum(r**2) for r in first) > sum(np.sum(r**2) for r in second)
+    assert evidence(first, FLOORS).score < evidence(second, FLOORS).score
+
+
+def test_what_one_record_knows_is_not_sure():
+    """A second effect that a single record shows: draws without that record do not see it."""
+    sizes = (2000, 2000, 2000)
+    base = noise(sizes, (1.0, 1.0, 1.0))
+    helped = [base[0] * 0.5, base[1], base[2]]
+    everywhere = [r * 0.5 for r in base]
+    assert probability(evidence(helped, FLOORS), evidence(base, FLOORS), 0.99) < 0.8
+    assert probability(evidence(everywhere, FLOORS), evidence(base, FLOORS), 0.9) == 1.0
+
+
+def test_records_of_unequal_length_are_compared():
+    """Numbers of blocks differ from record to record."""
+    sizes = (400, 5000, 90)
+    base = noise(sizes, (1.0, 2.0, 3.0))
+    assert probability(evidence([0.5 * r for r in base], FLOORS), evidence(base, FLOORS)) == 1.0
+    assert probability(evidence(base, FLOORS), evidence(base, FLOORS)) == 0.0
+
+
+def test_missing_samples_do_not_count():
+    rows = noise((1000, 1000, 1000), (1.0, 1.0, 1.0))
+    holes = [np.where(np.arange(1000) % 3 == 0, np.nan, r) for r in rows]
+    assert evidence(holes, FLOORS).rms == pytest.approx(1.0, rel=0.05)
+
+
+def test_equals_are_even():
+    """Noise of one size on either side, drawn apart: P is spread about a half."""
+    found = []
+    for seed in range(30):
+        a, b = (evidence(noise((500, 500, 500), (1.0, 1.0, 1.0), 2 * seed + k), FLOORS) for k in (0, 1))
+        found.append(probability(a, b))
+    assert 0.3 < np.mean(found) < 0.7 and np.std(found) > 0.15

@@ -1,0 +1,120 @@
+"""The fits of a diagnosis: they find what was planted, without a fold as well, and take zeros and starts out."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from played import nominal_of, play
+
+from pitp_jax._diagnose.data import build_case, excitations
+from pitp_jax._diagnose.fit import Fit, Fitter
+from pitp_jax._diagnose.library import sections
+from pitp_jax._diagnose.simulator import INDEX
+from pitp_jax._effects import lookup
+
+
+def effect(name, form, *values):
+    return lookup(name, form)(*values)
+
+
+@pytest.fixture(scope="module")
+def nominal(linear):
+    return nominal_of(linear)
+
+
+@pytest.fixture(scope="module")
+def stiff(nominal):
+    """A case with a Gent-like spring of 1 / L = 0.25."""
+    planted = replace(nominal, effects=(effect("stiffening", "limited chain", jnp.asarray(0.25)),))
+    return build_case(nominal, play(planted))
+
+
+def test_a_fit_finds_the_number_that_was_planted(stiff):
+    slots = stiff.nominal.copy()
+    slots[INDEX["gent"]] = 0.4
+    (found,) = Fitter(stiff).fit([Fit(("spring",), ("gent",), slots, stiff.starts.copy())], 15)
+    assert found.value("gent") == pytest.approx(0.25, rel=1e-2)  # another integrator at 50 steps a period
+    rms = [np.sqrt(np.nanmean(r**2)) for r in found.residuals]
+    assert max(rms) < 3 * max(s.noise for s in stiff.series) + 1e-3
+
+
+@pytest.mark.slow
+def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
+    """Residuals without a record are those of a fit to the others alone."""
+    fitter, slots = Fitter(stiff), stiff.nominal.copy()
+    slots[INDEX["gent"]] = 0.3
+    start = Fit(("spring",), ("gent", "a0"), slots, stiff.starts.copy())
+    (whole,) = fitter.fit([start.again()], 15)
+    (rows,) = fitter.left_out([whole], 6)
+    (alone,) = fitter.fit([start.again(fold=0)], 15)
+    ((_, residuals, _),) = fitter.evaluate([alone], [alone.slots], everything=True)
+    for k in stiff.folds[0]:
+        np.testing.assert_allclose(rows[k], residuals[k], atol=1e-3 * stiff.series[k].span)
+
+
+def test_a_moved_zero_is_no_part_of_a_residual(nominal):
+    """A sensor that was zeroed elsewhere in one record leaves the same residuals."""
+    records = play(nominal, noise=0.0)
+    moved = [replace(r, displacement=r.displacement + 3e-4 * (k == 2)) for k, r in enumerate(records)]
+    rms = []
+    for given in (records, moved):
+        case = build_case(nominal, given)
+        (plain,) = Fitter(case).fit([Fit((), (), case.nominal.copy(), case.starts.copy())], 0)
+        rms.append([np.sqrt(np.nanmean(r**2)) for r in plain.residuals])
+    np.testing.assert_allclose(rms[1], rms[0], atol=2e-4)
+
+
+def test_a_record_that_begins_in_motion_has_its_first_state_fitted(nominal):
+    records = [
+        replace(r, time=r.time[333:], voltage=r.voltage[333:], displacement=r.displacement[333:]) for r in play(nominal)
+    ]
+    case = build_case(nominal, records)
+    assert "moving" in {s.begins for s in case.series}
+    (plain,) = Fitter(case).fit([Fit((), (), case.nominal.copy(), case.starts.copy())], 0)
+    for s, r in zip(case.series, plain.residuals, strict=True):
+        assert np.sqrt(np.nanmean(r**2)) < 5e-3 * s.span
+
+
+@pytest.mark.parametrize(
+    ("roots", "core", "lag", "filtered"),
+    [
+        ([-1 + 9j, -1 - 9j, -50], [-1 + 9j, -1 - 9j], 1 / 50, None),
+        ([-2, -5, -80], [-2, -5], 1 / 80, None),
+        ([-1 + 9j, -1 - 9j, -4 + 60j, -4 - 60j], [-1 + 9j, -1 - 9j], 0.0, True),
+    ],
+)
+def test_a_nominal_of_high_order_is_its_dominant_pair_and_what_follows(roots, core, lag, filtered):
+    a = np.real(np.poly(roots))[::-1] * 3.0
+    found, tau, second = sections(a)
+    assert found[0] == pytest.approx(a[0]) and tau == pytest.approx(lag)
+    np.testing.assert_allclose(
+        sorted(np.roots(found[::-1]), key=lambda p: (p.real, p.imag)),
+        sorted(core, key=lambda p: (np.real(p), np.imag(p))),
+    )
+    assert (second is not None) == bool(filtered)
+    s = 7j
+    rest = (1 + tau * s) * ((second[0] * s) ** 2 + 2 * second[1] * second[0] * s + 1 if second else 1)
+    assert np.polyval(found[::-1], s) * rest == pytest.approx(np.polyval(a[::-1], s))
+
+
+def test_distinct_excitations_are_counted(nominal):
+    records = play(nominal, noise=0.0)
+    assert excitations(build_case(nominal, records)) >= 4
+    one = [replace(records[2], name=f"same{k}") for k in range(3)]
+    assert excitations(build_case(nominal, one)) <= 2
+
+
+def test_oversampled_records_are_thinned_and_the_mode_stays_resolved(nominal):
+    case = build_case(nominal, play(nominal, noise=0.0))
+    assert case.thinned >= 1 and case.dt * 5.0 < 1 / 16
+    fine = [
+        replace(
+            r,
+            time=np.arange(8 * len(r.time)) * 5e-4,
+            voltage=np.repeat(r.voltage, 8),
+            displacement=np.repeat(r.displacement, 8),
+        )
+        for r in play(nominal, noise=0.0)[:2]
+    ]
+    assert build_case(nominal, fine).thinned > case.thinned
