@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from effort import calls
-from scipy.signal import cont2discrete, lfilter, lsim
+from scipy.signal import chirp, cont2discrete, lfilter, lsim
 from typed import of_kind, some
 
-from pitp_jax import BadInput, ComputationFailed, Record
+from pitp_jax import BadInput, ComputationFailed, Record, predict
 from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.identification import identify
 from pitp_jax._identify.linear_ode import logs_from_roots
@@ -234,3 +234,45 @@ def test_a_wrong_start_from_the_response_does_not_decide_how_a_record_begins(coe
     again, found, _ = find_beginnings([record], "square")
     assert [b.begins for b in again] == [b.begins for b in told]
     np.testing.assert_allclose(some(found), some(poles), rtol=1e-2)
+
+
+def test_a_zero_that_the_first_samples_bend_is_fitted_where_the_model_leaves_only_noise():
+    """A slow drive moves the plant within the noise of the samples that a zero was read from: 7 standard errors off."""
+    time = np.arange(4000) * 5e-3
+    slow = chirp(time, 0.05, time[-1], 0.5, phi=-90)
+    x = of_kind(tuple, lsim(([350.0], [1.0, 5.6, 350.0]), slow, time))[1]
+    x = x + 0.02 * np.random.default_rng(1).standard_normal(len(time))
+    found = identify([Record("slow", time, slow, x)], order=2, input_map="linear", hold="foh", leave_out=("delay",))
+    assert found.chosen.rms == pytest.approx(0.02, rel=0.03)
+    assert abs(found.chosen.offset) < 4 * found.beginnings["slow"].stderr < 0.01
+
+
+def test_a_record_at_rest_is_at_rest_whatever_the_model_leaves(coefficients):
+    """A sensor that reads |x|: no linear model explains it, and a start in motion took up what it could."""
+    drive = np.sin(2 * np.pi * (0.2 * TIME + 11.8 * TIME**2 / TIME[-1] / 2))
+    x = simulate(coefficients(2, hz=2.0), drive, square=False) * coefficients(2, hz=2.0)[0]
+    y = np.abs(x + 0.3) - 0.3 + 5e-3 * np.random.default_rng(0).standard_normal(SAMPLES)
+    (begun,), _, _ = find_beginnings([Record("folded", TIME, drive, y)], "linear")
+    assert begun.begins == "rest" and abs(begun.zero) < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("order", "hz", "late"), [(1, 8.0, 11.3), (3, 5.0, 16.0), (4, 3.2, 8.2)])
+def test_a_record_cut_from_a_motion_behind_a_delay(coefficients, order, hz, late):
+    """Called held, at rest, or unexplained by orders 1 to 3: its free run elsewhere was off by up to 50 noises."""
+    a = coefficients(order, hz=hz, stiffness=1.0)
+    drive = 1.5 + np.sin(2 * np.pi * (0.3 * TIME + 14.9 * TIME**2 / 16))
+    drawn = np.random.default_rng(1).standard_normal(SAMPLES)
+    coloured = np.asarray(lfilter([np.sqrt(1 - 0.81)], [1.0, -0.9], drawn))
+
+    def moved(u):
+        behind = np.interp(np.arange(SAMPLES) - late, np.arange(SAMPLES), u)
+        return simulate(a, behind - behind[0], square=False) + behind[0]
+
+    x, size = moved(drive), 5e-4 * np.ptp(moved(drive))
+    found = identify([Record("cut", TIME[700:], drive[700:], (x + size * coloured)[700:])], input_map="linear")
+    assert found.chosen.order == order and found.beginnings["cut"].begins == "moving"
+    other = np.sin(2 * np.pi * 0.7 * TIME) * np.sin(2 * np.pi * 0.31 * TIME) + 0.5 * np.sin(2 * np.pi * 3.1 * TIME)
+    truth = moved(other)
+    (run,) = predict(found.model, [Record("other", TIME, other, truth)])
+    assert np.std((run.displacement - truth)[run.scored]) < 0.5 * size

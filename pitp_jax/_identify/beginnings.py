@@ -19,11 +19,13 @@ from .._numerics.coloured_noise import block_means, criterion, project, whitener
 from .._record.averaged import averaged
 from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import (
+    INITIAL_SAMPLES,
     Beginning,
     Begins,
     from_known,
     is_still,
     level_groups,
+    noise_std,
     rest_level,
     settled_samples,
     standing_drive,
@@ -41,6 +43,8 @@ _MOST = 100_000  # samples from which the poles are found
 _STARTS = 3  # of the guesses, each with the directions that it tells, that are followed
 _STRUCTURE, _ROUNDS = Structure(2), 4
 _DIFFER = 0.1  # of the largest force: between first drives whose settled levels differ
+_JUMP = 0.05  # of the drive's range, between two samples
+_CLEAN = 1.2  # times the noise that a model without an error leaves at most
 _FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
 
 
@@ -56,13 +60,14 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     if first is None:
         return [_at_rest(r) for r in begun], None, 1.0
     cost, poles = first
+    clean = _only_noise(cost, small)
     found: list[Beginning] = []
     for _ in range(_ROUNDS):
         rows = [_columns(r, input_map, *poles) for r in begun]
         known = [r is b for r, b in zip(records, begun, strict=True)]
         kinds = [_kind(row, r, whole, poles[0]) for row, r, whole in zip(rows, begun, known, strict=True)]
         kinds = _settled_together(begun, rows, kinds, known, poles[0])
-        before, found = found, _with_zeros(begun, rows, kinds)
+        before, found = found, _with_zeros(begun, rows, kinds, clean)
         if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in found]:
             break
         some = build_problem([begun[k] for k in chosen], input_map, [found[k] for k in chosen])
@@ -71,6 +76,12 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
             break
         cost, poles = better
     return found, np.roots(polynomial(poles[0])[::-1]), float(np.sqrt(cost))
+
+
+def _only_noise(cost: float, records: Sequence[Record]) -> bool:
+    """Whether a model of order 2 leaves no more than the sensor's noise: then it has no error that bends a zero."""
+    size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
+    return bool(np.sqrt(cost * size) < _CLEAN * np.median([noise_std(r.displacement) for r in records]))
 
 
 def _at_rest(record: Record) -> Beginning:
@@ -155,7 +166,9 @@ def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarra
 
 def _directed(logs: np.ndarray, problem: Problem) -> Problem:
     """The problem in directions from each record's own gain, relative to most."""
-    gains = []
+    gains: list[float] = []
+    if len(problem.drive) == 1:
+        return problem
     for k, (output, weight) in enumerate(zip(problem.output, problem.weight, strict=True)):
         unit = driven(logs, _STRUCTURE, problem, k)
         free, _ = own_columns(logs, _STRUCTURE, problem, k)
@@ -196,12 +209,22 @@ def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple
     A flat reading under a flat drive is rest or held by the data, whatever the model leaves of the motion after it.
     """
     kinds: tuple[Begins, ...] = ("rest", "held", "moving") if whole else ("moving",)
-    driven = standing_drive(record)[1] != 0
-    if whole and settled_samples(record, _omega(logs)):
-        kinds = ("held",) if driven else ("rest",)
-    elif not driven:
+    (standing, level), omega = standing_drive(record), _omega(logs)
+    passing = whole and standing * record.dt * omega < np.pi / 2  # the drive does not stand where the record begins
+    if whole and settled_samples(record, omega):
+        kinds = ("held",) if level else ("rest",)
+    elif passing and level and _smooth(record.voltage) and not is_still(record, omega):
+        kinds = ("moving",)  # at rest under a drive or settled at it, only a jump gives a speed at once
+    elif passing and not level and is_still(record, omega):
+        kinds = ("rest",)  # of motions cut anywhere hardly one has no speed just where its drive passes 0 V
+    elif not level:
         kinds = tuple(k for k in kinds if k != "held")  # held at 0 V is rest
     return min(((b, d) for d in (1.0, -1.0) for b in kinds), key=lambda k: row.score(*k))
+
+
+def _smooth(drive: np.ndarray) -> bool:
+    """Whether the drive does not jump in the first samples, from which a first velocity is known."""
+    return bool(np.abs(np.diff(drive[:INITIAL_SAMPLES])).max() < _JUMP * np.ptp(drive))
 
 
 def _settled_together(
@@ -238,7 +261,7 @@ def _omega(logs: np.ndarray) -> float:
 
 
 def _with_zeros(
-    records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]]
+    records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]], clean: bool
 ) -> list[Beginning]:
     """Zeros at rest from the first samples, pooled where they agree; of the others that one, one for all, or own."""
     found: dict[int, Beginning] = {}
@@ -246,7 +269,7 @@ def _with_zeros(
     groups = level_groups([records[k] for k in resting])
     fitted = {k: rows[k].zero(*kinds[k]) for k in range(len(records))}
     for group, (members, zero, stderr) in enumerate(groups):
-        free = _sharper([fitted[resting[m]] for m in members], zero, stderr)
+        free = clean or _sharper([fitted[resting[m]] for m in members], zero, stderr)
         found |= {resting[m]: Beginning("rest", kinds[resting[m]][1], zero, stderr, group, free) for m in members}
     own = {k: zero for k, zero in fitted.items() if k not in found}
     if groups:

@@ -26,6 +26,7 @@ from .starts import best_starts, guesses, one_more
 NEAR, TIE = 1.03, 1.01
 _ALWAYS = 3  # orders that are tried in any case; one more since a mode is two; then while the last wins
 _NO_WORSE = 1.001  # an order holds every lower one: a higher cost means that the search stopped short
+_HALF = 0.5  # of the output's deviation; of a cost, the mean square that is left
 _ALIKE = 1e-4  # of a cost: two fits that end so near ended in one place
 _STEPS, _LEAST_STEP = 40, 1e-5  # of a fit that is only to be compared; the chosen one goes on
 _DELAY = 0.05  # samples: a shorter delay is none; to start from, since none has no slope
@@ -91,9 +92,18 @@ def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
 
 
 def _worth_trying(order: int, found: Sequence[Candidate]) -> bool:
-    """Whether the best order that is known is the last one; or the last but one, for one mode adds two."""
+    """Whether the best order that is known is the last one; or the last but one, for one mode adds two.
+
+    Or no order explains half of the output yet, or the last one halved what was left in sample: of two modes, three
+    poles explain no block left out.
+    """
     known = [c for c in found if c.known]
-    return bool(known) and choose(known).structure.order >= order - (2 if order == _ALWAYS + 1 else 1)
+    costs = [min((c.cost for c in known if c.structure.order < n), default=np.inf) for n in (order - 1, order)]
+    if not known:
+        return False
+    first, best = order == _ALWAYS + 1, choose(known)
+    unexplained = first and best.score > _HALF
+    return unexplained or best.structure.order >= order - 1 - first or costs[1] < _HALF * costs[0]
 
 
 def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.ndarray:

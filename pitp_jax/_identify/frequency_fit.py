@@ -36,7 +36,7 @@ def fit_response(
     s, value, weight, held, unit = _Lines.of(response, dt)
     lanes = [(order, delayed) for order in orders for delayed in delays]
     rows = [(_start(*lane, s, value / held, weight * held, unit * dt), _mask(*lane)) for lane in lanes]
-    pad = _LINES - len(s)
+    pad = _LINES - len(s)  # to one shape, with weight 0: one program for every record
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
     with jax.enable_x64(True):
         fixed = [jnp.asarray(a) for a in data]
@@ -106,6 +106,7 @@ def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.nda
             rows = np.column_stack([powers, target]) * (weight * np.abs(value) * size)[:, None]
             stacked = np.vstack([np.real(rows), np.imag(rows)])
             a = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=1e-10)[0]
+            # the weight 1 / |a| of the last round makes an equation error an output error (Sanathanan & Koerner)
             size = 1 / np.maximum(np.abs(powers @ a), 1e-3 * np.abs(target))
         roots = np.roots(a[::-1])
         if len(roots) != order or not np.isfinite(roots).all():
@@ -136,6 +137,7 @@ def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
     corner = jnp.exp(p[2 * _PAIRS])
     single = jnp.where(mask[2 * _PAIRS] > 0, corner / (s + corner), 1.0)
     own = weight * held * jnp.exp(-s * jnp.exp(p[-1]) * mask[-1]) * jnp.prod(pairs, 0) * single
+    # g is linear and real: projected out, so that a start needs none
     gain = jnp.sum((own.conj() * weight * value).real) / jnp.maximum(jnp.sum(jnp.abs(own) ** 2), 1e-300)
     left = gain * own - weight * value
     return jnp.concatenate([left.real, left.imag, _RIDGE * (p - start)])

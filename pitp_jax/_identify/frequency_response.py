@@ -80,7 +80,7 @@ def _local(force: np.ndarray, output: np.ndarray, dt: float, most: int) -> Seque
     powers = (r / _HALF)[:, None] ** np.arange(_DEGREE + 1)
     at = middle[:, None] + r
     design = np.concatenate([powers * u[at][..., None], np.broadcast_to(powers, (*at.shape, _DEGREE + 1))], -1)
-    inverse = np.linalg.pinv(design, rcond=1e-8)
+    inverse = np.linalg.pinv(design, rcond=1e-8)  # of all lines at once: (lines, 6, 13)
     found = (inverse @ y[at][..., None])[..., 0]
     left = y[at] - (design @ found[..., None])[..., 0]
     variance = (np.abs(left) ** 2).sum(-1) / (len(r) - design.shape[-1])

@@ -5,7 +5,8 @@
 
 x runs through the whole record from rest, or from the equilibrium of u(0): an oscillation that no drive excites is not
 in it, so a mode that rings on through a record to meet a harmonic has no credit (a piezo: 2.6 % in sample, 58 % on
-other records). A start in motion is not scored for three decay times of the oscillation, half its block at most.
+other records). A start in motion is not scored for half its block: what rings dies away there, and what the drive did
+before the record passes a delay.
 """
 
 from dataclasses import dataclass
@@ -13,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._model.origin import OutOfFold
-from .output_error import Problem, Structure, driven, least_squares, masked, own_columns, poles_of, solve
+from .output_error import Problem, Structure, driven, least_squares, masked, own_columns, solve
 
 _FOLDS, _STEPS, _LEAST_STEP = 3, 4, 1e-3
-_DECAYS = 3.0
 _LEAST = 1e-3  # of the output: no record resolves less
 
 
@@ -83,27 +83,23 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
             for block in some:
                 mask[block] = 0.0
         rest = masked(problem, keep)
+        # from the fit of all samples: a few steps, since only what the left-out third adds is taken back
         refitted = least_squares(params, structure, rest, _STEPS, _LEAST_STEP)[0]
         solved = solve(refitted, structure, rest)
-        for k, block in ((k, b) for k, some in enumerate(parts) for b in some):
+        for k, some in enumerate(parts):
             run = solved.gains[0] * driven(refitted, structure, problem, k)
             own, rings = own_columns(refitted, structure, problem, k)
+            # a real mode's free response is drift or creep, which goes on; one that rings has no credit
             run = run + own[:, ~rings] @ solved.own[k][~rings]
-            weight = problem.weight[k][block].copy()
-            if block.start == 0 and rings.any():
-                slowest = float(np.abs(np.real(_ringing(refitted, structure))).min())
-                weight[: min(int(_DECAYS / slowest / problem.dt), len(weight) // 2)] = 0.0
-            if not weight.sum():
-                continue
-            e, y = problem.output[k][block] - run[block], problem.output[k][block]
-            e, y = ((v - weight @ v / weight.sum()) * weight for v in (e, y))
-            error[k][block], scored[k][block] = e, weight
-            left, whole = left + float(e @ e), whole + float(y @ y)
+            for block in some:
+                weight = problem.weight[k][block].copy()
+                if block.start == 0 and len(rings):  # the same for every candidate, whatever rings in it
+                    weight[: len(weight) // 2] = 0.0
+                if not weight.sum():
+                    continue
+                e, y = problem.output[k][block] - run[block], problem.output[k][block]
+                e, y = ((v - weight @ v / weight.sum()) * weight for v in (e, y))
+                error[k][block], scored[k][block] = e, weight
+                left, whole = left + float(e @ e), whole + float(y @ y)
     score = float(np.sqrt(left / max(whole, 1e-300)))
     return HeldOut(score if np.isfinite(score) else np.inf, tuple(error), tuple(scored))
-
-
-def _ringing(params: np.ndarray, structure: Structure) -> np.ndarray:
-    """The poles that oscillate."""
-    known = poles_of(params, structure)
-    return known[np.imag(known) != 0]

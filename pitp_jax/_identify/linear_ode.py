@@ -78,7 +78,7 @@ def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
         if len(factor) == 2:
             found.append(complex(-factor[0]))
             continue
-        half = np.sqrt(complex(factor[1] ** 2 / 4 - factor[0]))
+        half = np.sqrt(complex(factor[1] ** 2 / 4 - factor[0]))  # p = -b/2 +- sqrt(b^2 / 4 - c)
         half = half if abs(half) > _APART * factor[1] else complex(_APART * factor[1])
         far = -factor[1] / 2 - half  # the larger one, which does not cancel
         found += [far, factor[0] / far if half.imag == 0 else far.conjugate()]
@@ -103,7 +103,7 @@ def _phi(z: complex, k: int) -> complex:
             term *= z / (j + k)
             total += term
         return total
-    closed = np.exp(z)
+    closed = np.exp(z)  # phi_0; phi_{k+1} = (phi_k - 1 / k!) / z
     for j in range(k):
         closed = (closed - 1 / factorial(j)) / z
     return closed
@@ -177,10 +177,10 @@ def respond_with_slopes(
         pole, others = z[i], np.delete(z, i)
         weights = _weights(pole)[:, : len(rows)]
         mode = _filtered(weights[0] @ rows, pole)
-        slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)
+        slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)  # m'(t+1) at the head of the file
         slope = _later(slope + part * mode, pole, part, rows, whole, 1)
         mode = _later(mode, pole, part, rows, whole)
-        relative = 1 / z  # d log(residue) / dz
+        relative = 1 / z  # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  of z_i itself less the sum of these
         relative[np.arange(len(z)) != i] += 1 / (pole - others)
         relative[i] -= (1 / (pole - others)).sum()
         residue = _residue(pole, z)
@@ -227,6 +227,7 @@ def _finer(drive: np.ndarray) -> np.ndarray:
 
 def _split(late: float, samples: int) -> tuple[int, float]:
     """A delay as whole samples, less a part of one."""
+    # u(t - late): whole samples later than that, then a part of a sample on, which the exact step allows
     whole = min(int(np.ceil(late)), samples - 1)
     return whole, max(whole - late, 0.0)
 
@@ -244,6 +245,7 @@ def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[
     if hold != "zoh":
         rows.append(np.diff(force))
     if hold == "cubic":
+        # half of F'' within the sample, h = 1: of the second differences at its two ends the mean
         bend = np.pad(np.diff(force, 2), 1, mode="edge")
         rows.append((bend[:-1] + bend[1:]) / 4)
     elif hold == "foh" and square:

@@ -134,6 +134,7 @@ def _physical(params, gain: float, structure: Structure, problem: Problem) -> tu
     logs = params[: structure.order]
     poly, slopes = polynomial(logs), polynomial_slopes(logs)
     a = poly / poly[0] / (abs(gain) * problem.scale)
+    # d log a_i = d log c_i - d log c_0 - d log |g|
     relative = np.concatenate([slopes / poly[:, None] - slopes[0] / poly[0], np.full((len(poly), 1), -1 / gain)], 1)
     return a, a[:, None] * relative
 
@@ -167,15 +168,16 @@ def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Fl
         if own.shape[1]:
             one = one - own @ np.linalg.lstsq(own, one, rcond=1e-10)[0]
         hessian += jacobian.T @ jacobian
+        # dp = H^-1 J'w dz: what an error of the zero read at rest moves
         by_zero[b.group] += jacobian.T @ one * (0.0 if b.free else b.stderr / problem.scale)
         cost += float(left @ left)
         block = np.minimum((seen + np.cumsum(weight) - 1) * _BLOCKS / problem.samples, _BLOCKS - 1).astype(int)
         seen += weight.sum()
-        edges = np.flatnonzero(np.diff(block, prepend=-1))
+        edges = np.flatnonzero(np.diff(block, prepend=-1))  # a block may span two records: sums are added up
         np.add.at(scores, block[edges], np.add.reduceat(jacobian * left[:, None], edges))
     inverted = inverse(hessian)
     moves = scores @ inverted
-    sandwich = moves.T @ moves * (_BLOCKS / max(_BLOCKS - size, 1))
+    sandwich = moves.T @ moves * (_BLOCKS / max(_BLOCKS - size, 1))  # H^-1 (sum g g') H^-1 B / (B - P)
     textbook = cost / max(problem.samples - size, 1) * inverted
     wider = np.sqrt(np.maximum(np.diag(textbook) / (np.diag(sandwich) + 1e-300), 1.0))
     moved = [inverted @ v for v in by_zero.values()]

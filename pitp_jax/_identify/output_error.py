@@ -181,6 +181,7 @@ def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: i
     for pole, move in zip(poles_of(params, structure), moves, strict=True):
         if pole.imag < 0:
             continue
+        # a Re e^pt + b Im e^pt = Re((a - jb) e^pt), and d/dp of that is t times as large
         size = own[at] - 1j * own[at + 1] if pole.imag else own[at]
         at += 2 if pole.imag else 1
         found[: structure.order] += np.real(move[:, None] * (size * time * powers(pole * problem.dt, len(time))))
@@ -196,11 +197,12 @@ def solve(
         run = driven(params, structure, problem, k) if runs is None else runs[k]
         rows, n, ridge = _linear(params, structure, problem, k, run, output)
         gram = rows @ rows.T
+        # of the record's own c: c = (N'N + R)^-1 N'(y - G g), so that only g is common (Schur complement)
         own = inverse(gram[:n, :n] + np.diag(ridge)) @ gram[:n, n:]
         whole = whole + gram[n:, n:] - gram[n:, :n] @ own
         parts.append((rows, own, np.sqrt(ridge)))
     whole = np.asarray(whole)
-    gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]
+    gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]  # the last row and column are y's
     sizes = [own[:, -1] - own[:, :-1] @ gains for _, own, _ in parts]
     left = [rows[-1] - np.concatenate([c, gains]) @ rows[:-1] for (rows, _, _), c in zip(parts, sizes, strict=True)]
     penalty = [-ridge * c for (_, _, ridge), c in zip(parts, sizes, strict=True)]
@@ -229,11 +231,12 @@ def jacobians(
     runs = [driven_slopes(params, structure, problem, k) for k in range(len(problem.drive))]
     solved, found = solve(params, structure, problem, [run for run, _ in runs]), []
     for k, (run, slopes) in enumerate(runs):
-        slopes = solved.gains[0] * slopes
+        slopes = solved.gains[0] * slopes  # d(g x) / dp at constant g: g's own slope is x itself
         if len(solved.own[k]):
             slopes = slopes + _own_slopes(params, structure, problem, k, solved.own[k])
         rows, n, ridge = _linear(params, structure, problem, k, run, slopes)
         own, rest = rows[:n], rows[n:]
+        # P = I - N (N'N + R)^-1 N', applied to the rows and to the ridge's, which stand below them
         factors = (rest @ own.T) @ inverse(own @ own.T + np.diag(ridge))
         found.append(np.hstack([rest - factors @ own, -np.sqrt(ridge) * factors]) if n else rest)
     return solved, found
@@ -244,6 +247,7 @@ def inverse(gram: np.ndarray) -> np.ndarray:
     if not len(gram) or not np.isfinite(gram).all():
         return np.full_like(gram, np.nan)
     diagonal = np.diag(gram)
+    # scaled to a unit diagonal first: units of the parameters are no reason to drop a direction
     root = np.sqrt(np.maximum(diagonal, 1e-30 * max(diagonal.max(), 1e-300)))
     values, vectors = np.linalg.eigh(gram / np.outer(root, root))
     return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(root, root)
@@ -258,6 +262,7 @@ def normal_equations(params: np.ndarray, structure: Structure, problem: Problem)
             return Normal.of(np.inf, np.zeros(n), np.zeros((n, n)))
         whole = np.hstack(slopes)
         linear, moved = whole[:-n], whole[-n:]
+        # Kaufman: of the projector's derivative only the part that stays when the residual is small
         moved = moved - (moved @ linear.T) @ inverse(linear @ linear.T) @ linear
         return Normal.of(here @ here, -moved @ here, moved @ moved.T)
 

@@ -68,7 +68,7 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
     sums /= np.array([[energy], [np.sqrt(energy * moved)], [moved]]) + 1e-300
     some = np.arange(-_LAGS, _LAGS + 1) * spacing
     z = float(norm.ppf(1 - 0.025 / len(some)))
-    common = max(float(sums[0] @ sums[2]), 0.0)
+    common = max(float(sums[0] @ sums[2]), 0.0)  # Bartlett: sum_j r_e(j) r_u(j), over all lags of memory
     return ResidualTest(
         some * problem.dt,
         sums[0][long + some],
@@ -80,6 +80,6 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
 
 def _correlated(a: np.ndarray, b: np.ndarray, far: int) -> Float[np.ndarray, " lags"]:
     """sum_t a_t b_{t+k} for k = -far ... far."""
-    size = next_fast_len(len(a) + far, real=True)
+    size = next_fast_len(len(a) + far, real=True)  # padded: no lag wraps around
     whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
     return np.concatenate([whole[-far:], whole[: far + 1]])

@@ -101,6 +101,7 @@ def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndar
             told, target = _regressors(force, output, order), output[order:]
             instruments = told
             if theta is not None:
+                # the model's own run is as correlated with the regressors, and with no noise of the output
                 run = np.asarray(lfilter(theta[: order + 1], np.append(1.0, theta[order + 1 :]), force - force[0]))
                 instruments = _regressors(force, run, order)
             normal += (instruments - instruments.mean(0)).T @ (told - told.mean(0))
@@ -111,6 +112,7 @@ def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndar
         roots = np.roots(np.append(1.0, theta[order + 1 :]))
         if not np.isfinite(roots).all() or (np.abs(roots) < 1e-9).any() or len(roots) != order:
             return found
+        # reflected at the unit circle: the same size at every frequency, and stable
         roots = np.where(np.abs(roots) >= 1, 0.999 * roots / np.abs(roots) ** 2, roots)
         theta = np.append(theta[: order + 1], np.real(np.poly(roots))[1:])
         slow = np.log(roots.astype(complex)) / (size * problem.dt)
