@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import scipy
 
 import pitp_jax as pitp
 
@@ -20,13 +21,19 @@ from ..sizes import size
 _ROWS, _FILES, _EACH = size((10**6, 100, 20_000), (2000, 3, 2000))
 
 
+_OMEGA = 2 * np.pi * 12.0  # rad/s, of an actuator with damping 0.1
+
+
 def written(path: Path, rows: int, seed: int) -> Path:
-    """A sine at 1 kHz as a laboratory writes it, with noise of the laser; in blocks, which take no memory."""
+    """An actuator driven by a sine at 1 kHz, with noise of the laser; in blocks, which take no memory."""
     rng = np.random.default_rng(seed)
+    b, a = scipy.signal.bilinear([2e-7 * _OMEGA**2], [1.0, 0.2 * _OMEGA, _OMEGA**2], 1000.0)
+    state = np.zeros(2)
     for first in range(0, rows, _EACH):
         t = np.arange(first, min(first + _EACH, rows)) / 1000
-        u = 1500 * (1 - np.cos(2 * np.pi * (1 + 0.05 * (seed % 20)) * t))
-        y = 2e-7 * u**2 + 1e-3 * rng.standard_normal(len(t))
+        u = 1500 * (1 - np.cos(2 * np.pi * (1 + 0.5 * (seed % 20)) * t))
+        y, state = scipy.signal.lfilter(b, a, u**2, zi=state)
+        y = y + 1e-3 * rng.standard_normal(len(t))
         block = pd.DataFrame({"Time (s)": t, "Voltage (V)": u, "Laser (mm)": y})
         block.to_csv(path, mode="a", header=first == 0, index=False, float_format="%.7g")
     return path
