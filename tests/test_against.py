@@ -14,6 +14,9 @@ from pitp_jax._against.correction import corrections
 from pitp_jax._against.parameters import parameters
 from pitp_jax._demo import joint
 from pitp_jax._effects import CATALOGUE
+from pitp_jax._effects.physical import physical
+from pitp_jax._model.fitted import Fitted
+from pitp_jax._model.origin import Origin
 
 A = np.array([1.0, 0.045, 0.0025])  # the demo's ideal joint over its position gain
 TIME = np.arange(1600) / 200
@@ -109,3 +112,11 @@ def test_the_joints_friction_and_delay_are_recovered(tmp_path):
 def _record(path, factor):
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     return pitp.Record(path.stem, table[:, 0], factor * table[:, 1], factor * table[:, 2], displacement_unit="V")
+
+
+def test_numbers_behind_a_command_are_in_its_unit(linear):
+    """A dead zone of a joint that is told angles is an angle; a film's is a voltage."""
+    joint = Fitted(linear(), Origin(voltage_unit="deg"))
+    row = next(c for c in CATALOGUE if c.name == "dead_zone")
+    assert physical(joint, row.parameters[0], 0.1) == (0.1, "rad")
+    assert physical(linear(), row.parameters[0], 45.0) == (45.0, "V")

@@ -31,4 +31,6 @@ def physical(model: "Model | Fitted", p: Parameter, value: float) -> tuple[float
     unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))  # m where there is no origin
     if p.force:  # behind a linear input map the force is a voltage
         unit = unit.replace("V^2", model.input_map.unit)
+    drive = base_unit(model.provenance.voltage_unit)  # a robot's command is no voltage
+    unit = unit.replace("V", drive) if drive != "V" else unit
     return value * physical_factor(p, model.scales.state, model.scales.force), unit

@@ -122,7 +122,7 @@ def _where(d: Diagnosis) -> str:
     unit = d.model.provenance.displacement_unit
     loud = max(d.where["frequency"], key=lambda row: row["share"])
     big = f"{figure(loud['band_hz'][0])} to {figure(loud['band_hz'][1])} Hz"
-    facts = gathers(d.where, time_spent(d), unit)[:2]
+    facts = gathers(d.where, time_spent(d), unit, d.model.provenance.voltage_unit)[:2]
     side = "held-out recording" if d.heldout else "recording"
     worst_line = f"Worst {side}: {worst(d).name}, {percent(share)} of the gap."
     return html.card("Where", big, tag("p", d.where["summary"]), html.bullets([*facts, worst_line]))

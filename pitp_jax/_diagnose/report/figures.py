@@ -16,6 +16,7 @@ from matplotlib.patches import Rectangle
 from ..._report.lines import DRIVE, ERROR, MEASURED, PREDICTED, finish, line, own_axes, volts
 from ..._report.numbers import figure as digits
 from ..._report.numbers import percent
+from ..._table.units import base_unit
 from ..diagnosis import Diagnosis
 from .gap_figure import gap, output_unit
 
@@ -29,7 +30,7 @@ _AXES = {
     "time": "part of a record (%)",
     "displacement": "displacement ({unit})",
     "velocity": "velocity ({unit}/s)",
-    "voltage": "voltage (V)",
+    "voltage": "{drive}",
 }
 
 
@@ -137,6 +138,8 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         )
     axes = own_axes(axes, len(names), (5.0, 4.0))
     scale, unit = output_unit(diagnosis)
+    command = base_unit(diagnosis.model.provenance.voltage_unit)
+    drive = "voltage (V)" if command == "V" else f"command ({command})"
     held = set(diagnosis.heldout)
     for ax, name in zip(axes, names, strict=True):
         table = diagnosis.where[name]
@@ -144,27 +147,29 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
             labels, values = list(table), list(table.values())
             colors = [ERROR if label in held else TIED for label in labels]
         else:
-            labels, colors = (
-                _labels(name, table, scale),
-                DRIVE if name in ("displacement", "velocity", "voltage") else ERROR,
-            )
-            values = [row["share"] for row in table]
+            labels, values = _bin_edges(name, table, scale), [row["share"] for row in table]
+            colors = DRIVE if name in ("displacement", "velocity", "voltage") else ERROR
         ax.bar(range(len(values)), [100 * v for v in values], color=colors, width=0.75)
-        finish(np.array([ax]), _AXES[name].format(unit=unit), ["share (%)"])
+        finish(np.array([ax]), _AXES[name].format(unit=unit, drive=drive), ["share (%)"])
         crowded = sum(map(len, labels)) > 60
-        tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if crowded and name == "records" else {}
+        tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
         short = [label if len(label) <= _LABEL else f"{label[: _LABEL - 1]}…" for label in labels]
         size = 6.5 if crowded else 7.5
-        ax.set_xticks(range(len(labels)), short, fontsize=size, parse_math=False, **tilted)  # a name may hold a $
+        between = 0.0 if name == "records" else 0.5  # a bin has its edges written, a record its name
+        ax.set_xticks(
+            np.arange(len(labels)) - between, short, fontsize=size, parse_math=False, **tilted
+        )  # a name may hold a $
         ax.grid(visible=False, axis="x")
     return axes
 
 
-def _labels(name: str, table: list[dict], scale: float) -> list[str]:
+def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
+    """Of every bin, one more than these: neighbours share theirs."""
     key, factor = {
         "frequency": ("band_hz", 1.0), "time": ("part", 100.0), "voltage": ("range", 1.0)
     }.get(name, ("range", scale))  # fmt: skip
-    return [f"{digits(factor * row[key][0], 2)}–\n{digits(factor * row[key][1], 2)}" for row in table]
+    edges = [*(row[key][0] for row in table), table[-1][key][1]] if table else []
+    return [digits(factor * edge, 2) for edge in edges]
 
 
 def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:

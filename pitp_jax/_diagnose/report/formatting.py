@@ -68,19 +68,19 @@ def coefficient_name(i: int, order: int) -> str:
     return f"a{i} ({_COEFFICIENTS[i]})" if order == 2 else f"a{i}"
 
 
-def gathers(where: dict, spent: dict[str, np.ndarray], unit: str) -> list[str]:
+def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) -> list[str]:
     """Where most of the gap lies within a part of an axis that the recordings visit little, the clearest first.
 
     Args:
         where: as `Diagnosis.where`.
         spent: share of time in every bin of an axis.
-        unit: the displacement's, of the user's files.
+        unit, drive: the displacement's and the drive's, of the user's files.
     """
     scale, shown = 1 / OUTPUT_UNITS[unit], shown_unit(unit)
     found = []
     for axis, text, factor, key in (
         ("displacement", f"of the missing force acts at displacements of {{}} to {{}} {shown}", scale, "range"),
-        ("voltage", "of the missing force acts at {} to {} V", 1.0, "range"),
+        ("voltage", f"of the missing force acts at {{}} to {{}} {base_unit(drive)}", 1.0, "range"),
         ("time", "of the error comes between {} and {} % of a recording's length", 100.0, "part"),
     ):
         shares = [row["share"] for row in where[axis]]
