@@ -106,7 +106,7 @@ def test_operations_are_those_of_the_arithmetic():
     assert found["floor_ms"] == pytest.approx(1e3 / found["rates"]["gflops"])
 
 
-@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("preset", ["default", pytest.param("paper", marks=pytest.mark.slow)])
 def test_torch_copies_are_the_same_model(preset):
     torch = pytest.importorskip("torch")
     from benchmarks import subjects

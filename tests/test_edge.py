@@ -183,7 +183,9 @@ def test_the_check_of_an_export_fails_with_a_wrong_inverse_of_a_reversed_sensor(
 # ------------------------------------------------------------------------------------------------ proposals
 
 
-@pytest.mark.parametrize("hz", [1.4, 3.1, 8.3])
+@pytest.mark.parametrize(
+    "hz", [1.4, pytest.param(3.1, marks=pytest.mark.slow), pytest.param(8.3, marks=pytest.mark.slow)]
+)
 def test_what_a_plan_lets_follow_keeps_the_stroke_at_a_damping_of_a_hundredth(hz):
     """Strokes so far just below what a recording asks for: it goes no farther than the limit."""
     plan = pitp.plan(max_voltage=3000.0, max_slew=1e5, band=(0.5, 10.0), duration=60.0, max_displacement=1e-3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from played import nominal_of, play
 
+import pitp_jax as pitp
 from pitp_jax._diagnose.data import build_case, excitations
 from pitp_jax._diagnose.fit import Fit, Fitter
 from pitp_jax._diagnose.library import sections
@@ -118,3 +119,13 @@ def test_oversampled_records_are_thinned_and_the_mode_stays_resolved(nominal):
         for r in play(nominal, noise=0.0)[:2]
     ]
     assert build_case(nominal, fine).thinned > case.thinned
+
+
+@pytest.mark.parametrize("samples", range(3000, 3009))
+def test_drive_and_motion_have_as_many_thinned_samples(nominal, samples):
+    """Whatever is left over at the end, and whether the mean is over an even or an odd number."""
+    time = np.arange(samples) * 1e-3
+    for factor in (1.0, 1.3):
+        u = 300 + 200 * np.sin(2 * np.pi * factor * 2.0 * time)
+        case = build_case(nominal, [pitp.Record("fine", time, u, 1e-3 * np.sin(time))])
+        assert len(case.simulator.drives[0].voltage) == len(case.series[0].output)

@@ -23,6 +23,7 @@ ROWS = {
     "diagnose": "diagnose",
     "diagnose_unknown": "diagnose_unknown",
     "import": "import_time",
+    "reading": "reading",
 }
 
 

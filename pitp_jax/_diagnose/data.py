@@ -140,10 +140,10 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         first_node = r.dt * (k // 2 - _before(k, rest))  # s after the first sample
         film = _film(r.voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
         force = ramped(r.voltage, held) if square else r.voltage
-        if film is not None:
-            force = film.force(np.arange((r.samples + _before(k, rest) - k // 2 * 2 - k % 2) // k + 1) * r.dt * k)
-        volts = root(force) if square else force
         x = averaged(model.output.to_model(r.displacement) / scale, k, rest)
+        if film is not None:
+            force = film.force(np.arange(len(x)) * r.dt * k)
+        volts = root(force) if square else force
         seen = np.asarray(np.isfinite(x))
         age = model.provenance.age(r.time[0]) if known else 0.0
         age = max(age + first_node, 0.0)
