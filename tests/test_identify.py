@@ -276,3 +276,10 @@ def test_a_record_cut_from_a_motion_behind_a_delay(coefficients, order, hz, late
     truth = moved(other)
     (run,) = predict(found.model, [Record("other", TIME, other, truth)])
     assert np.std((run.displacement - truth)[run.scored]) < 0.5 * size
+
+
+def test_a_delay_that_is_asked_for_and_vanishes_is_none(coefficients):
+    """As one more number, 1e-11 s long, it cost the held-out scores of the order that it stood beside."""
+    found = identify([sweep(coefficients(2), 32)], order=2, hold="foh", learn=("delay",))
+    assert found.chosen.delay == 0.0 and not found.model.effects
+    assert errors(found.chosen, coefficients(2)).max() < 5

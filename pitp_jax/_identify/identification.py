@@ -142,6 +142,7 @@ def identify(
         hold: "foh", "zoh", "bandlimited", or None for the one that leaves least error: foh or zoh, or bandlimited where
             it wins by 0.3 %.
         learn: ("delay",) to keep a pure delay between drive and motion in any case; the model carries it as an effect.
+            One shorter than a twentieth of a sample is none.
         leave_out: ("delay",) to do without; else a delay stays where it pays on blocks left out.
         progress: called with one line per finished order.
 
@@ -177,7 +178,7 @@ def identify(
     asked = {
         "orders": ORDERS if order == "auto" else (int(order),),
         "holds": _HOLDS if hold is None else (hold,),
-        "delays": [True] if "delay" in learn else [False] if "delay" in leave_out else [False, True],
+        "delays": [False] if "delay" in leave_out else [False, True],
     }
     candidates = search(small, response, roots, **asked, progress=progress)
     if not candidates:
@@ -185,6 +186,9 @@ def identify(
     if order != "auto" and response.rich and not any(c.known for c in candidates):
         # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
+    if "delay" in learn:  # in any case, but where it vanishes: as one more number it would only cost held-out scores
+        late = {c.structure.order for c in candidates if c.structure.delayed}
+        candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
     if not fit.identifiable:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)

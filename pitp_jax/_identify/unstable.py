@@ -24,8 +24,7 @@ _FRACTION = 0.5  # of what the stable model leaves: free ends alone buy less
 def unstable_pole(left: float, problem: Problem) -> tuple[complex, float] | None:
     """The pole on the right (rad/s) of a model that leaves at most half of `left`, and what it leaves; else None.
 
-    `left`: rms that the stable model leaves, of the output's. A pole above the drive's band counts for none: it would
-    be an output that runs ahead of the drive.
+    `left`: rms that the stable model leaves, of the output's.
     """
     best = None
     for order in _ORDERS:
@@ -33,13 +32,9 @@ def unstable_pole(left: float, problem: Problem) -> tuple[complex, float] | None
             scored = sorted((_cost(p, pair, problem), tuple(p)) for p in _starts(order, pair, problem))
             fit = least_squares(_residual, scored[0][1], args=(pair, problem), x_scale=0.5, max_nfev=20)
             pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
-            grows = pole.real * problem.seconds > _GROWS
-            if (
-                grows
-                and abs(pole) < problem.omega
-                and rms <= _FRACTION * left
-                and (best is None or rms < _FRACTION * best[1])
-            ):
+            # a pole beyond the drive's band is an output ahead of its drive, one that hardly grows a drift
+            seen = pole.real * problem.seconds > _GROWS and abs(pole) < problem.omega
+            if seen and rms <= _FRACTION * (left if best is None else best[1]):  # a higher order has to pay as well
                 best = complex(pole), rms
     return best
 
