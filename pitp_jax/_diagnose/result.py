@@ -105,15 +105,21 @@ def _spans(search: Search) -> np.ndarray:
 
 
 def interval(search: Search, before: Hypothesis, after: Hypothesis, low: float) -> tuple[float, float] | None:
-    """Records and blocks drawn anew for both errors; within [-1, 1]. None where there is nothing to close."""
+    """Records and blocks drawn anew for both errors; within [-1, 1]. None where there is nothing to close.
+
+    The nominal's own error is an estimate, too, and at most what it is told as: the lower end is that without it.
+    """
     e = 100**2 * energies([before.evidence, after.evidence], _spans(search))
     if np.sqrt(e[0, 0]) <= GAP * low:
         return None
-    room = e[0] - low**2
-    drawn = 1 - np.sqrt(np.maximum(e[1] - low**2, 0) / np.where(room > 0, room, np.nan))
-    drawn = np.clip(np.where(room > 0, drawn, 0.0), -1, 1)  # a draw without a gap: nothing is closed
-    here = drawn[0]
-    return float(min(np.quantile(drawn[1:], 0.025), here)), float(max(np.quantile(drawn[1:], 0.975), here))
+
+    def drawn(least: float) -> np.ndarray:
+        room = e[0] - least**2
+        share = 1 - np.sqrt(np.maximum(e[1] - least**2, 0) / np.where(room > 0, room, np.nan))
+        return np.clip(np.where(room > 0, share, 0.0), -1, 1)  # a draw without a gap: nothing is closed
+
+    bare, here = drawn(0.0), drawn(low)
+    return float(min(np.quantile(bare[1:], 0.025), bare[0])), float(max(np.quantile(here[1:], 0.975), here[0]))
 
 
 def errors_of(search: Search, fit: Fit) -> dict[str, float]:
