@@ -24,7 +24,6 @@ TWINS = (
     {"sensor_gain", "parameter_change"},
     {"delay", "sensor_lag"},
 )
-SPRING = ("k2", "k3", "k5", "gent", "tanh", "expo", "sine", "root", "power")
 
 
 @dataclass(frozen=True)
@@ -73,6 +72,7 @@ def forms(s: Scale) -> list[Form]:
         {"k2": 0.05 / x, "k3": 0.1 / x**2},
         {"k3": 0.1 / x**2, "k5": 0.1 / x**4},
         {"gent": 0.3 / x},
+        {"gent": 0.6 / x},
         {"gent": 0.85 / x},
     )
     add(

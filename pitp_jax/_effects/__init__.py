@@ -24,12 +24,6 @@ _BY_KEY = {spec.key: spec for spec in CATALOGUE}
 # All that a model may carry, in the order its forces act in; a found term is no name, so no diagnosis ranks it.
 EFFECTS: tuple[EffectSpec, ...] = (*CATALOGUE, FOUND_TERM)
 
-# A form whose first number may be out of reach, and what it is then, with the numbers that stay: fitted beside it, so
-# that a name is not won by a limit that nothing touches.
-REMAINDERS: dict[EffectSpec, tuple[EffectSpec, tuple[int, ...]]] = {
-    _BY_KEY["slew_limit: rate limit and lag"]: (_BY_KEY["electrode_rc: one lag"], (1,)),
-}
-
 
 def lookup(name: str, form: str | None = None) -> EffectSpec:
     """Look up the row of that name and form (the name's first form without one).

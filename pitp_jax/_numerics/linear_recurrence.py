@@ -1,56 +1,11 @@
-"""Evaluate linear recurrences over time in two short passes instead of one long one.
+"""Lags and oscillators over time, exact for an input that runs linearly between samples.
 
-    s_{t+1} = A s_t + b_t
-
-The T steps are cut into about sqrt(T) blocks that run side by side from zero; the block ends are then chained with
-A^L, which gives every block its start: its free response is added, or the block runs again. Same result as the plain
-loop to rounding, ~sqrt(T) sequential steps.
+s_{t+1} = q s_t + b_t           as an associative scan: |q| <= 1, about log2(T) steps one after the other
 """
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
-
-
-def pieces(rows: Float[np.ndarray, "time n"]) -> list[np.ndarray]:
-    """Cut the rows into views (many, 512, n) and (1, fewer, n): products stay in the cache and on one thread.
-
-    A tall product is otherwise spread over threads, which wait for each other where cores are shared.
-    """
-    full = len(rows) // 512 * 512
-    return [rows[:full].reshape(-1, 512, rows.shape[1]), rows[None, full:]]
-
-
-def times(rows: Float[np.ndarray, "time n"], matrix: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "time m"]:
-    """Multiply piece by piece."""
-    return np.concatenate([(p @ matrix).reshape(-1, matrix.shape[1]) for p in pieces(rows)])
-
-
-def linear_recurrence(
-    matrix: Float[np.ndarray, "n n"], drive: Float[np.ndarray, "time n"], start: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "time n"]:
-    """Compute all s_t with s_{t+1} = A s_t + b_t; row 0 is `start` and the last row of `drive` is not used.
-
-    On the host: every order of an identification is another n, and compiling one costs more than running it.
-    """
-    steps, n = drive.shape
-    length = max(int(steps**0.5), 1)
-    blocks = -(-(steps - 1) // length)
-    states = np.empty((1 + blocks * length, n))
-    states[0] = start
-    states[1:steps], states[steps:] = drive[:-1], 0.0
-    inside = states[1:].reshape(blocks, length, n)  # a view: the drive of each block, then its states
-    once, across = np.ascontiguousarray(matrix.T), np.linalg.matrix_power(matrix, length)  # A', A^L
-    ends, starts = np.zeros((blocks, n)), np.empty((blocks, n))
-    for k in range(length):  # first pass: every block from zero, its end alone is kept
-        ends = ends @ once + inside[:, k]
-    for k in range(blocks):  # linear: a block's true end is its end from zero and A^L of its true start
-        starts[k] = start
-        start = across @ start + ends[k]
-    for k in range(length):  # second pass from the true starts, which needs no other power of A
-        starts = inside[:, k] = starts @ once + inside[:, k]
-    return states[:steps]
 
 
 def scalar_recurrence(keep: Float[Array, ""], drive: Float[Array, " steps"], start: Float[Array, ""]) -> Array:

@@ -55,14 +55,6 @@ def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
     return lambda hz: np.exp(np.interp(np.log(hz), at, levels))
 
 
-def rise_at_the_low_end(powers) -> float:
-    """Compare bins 2 to 5 of the shortest record with bins 6 to 14: ratio of lower quartiles, all records together."""
-    f, p = (np.concatenate(v) for v in zip(*powers, strict=True))
-    step = max(hz[0] for hz, _ in powers) / 2  # a periodogram starts at bin 2; the shortest record has the widest bins
-    low, up = (np.quantile(p[(f >= a * step) & (f < b * step)], 0.25) for a, b in ((1.9, 5.5), (5.5, 14.5)))
-    return float(low / max(up, 1e-300))
-
-
 def levels_of(frequency: np.ndarray, power: np.ndarray, edges: np.ndarray, colour) -> np.ndarray:
     """Estimate the density of every band from its bins and the colour."""
     shape, levels = colour(frequency), []

@@ -18,7 +18,6 @@ _COUNTED = {  # kind: what is counted, what became of it
     "dropped": ("sample", "of stretches too short, or without output, left out"),
 }
 _MEASURED = {"jitter": "time jitters by up to {:.2g} of a sample, put on a uniform grid"}
-REPAIRED = ("outliers", "lost", "doubled", "jitter")  # of these kinds nothing is left to do for the user
 
 
 @dataclass(frozen=True)
