@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from pitp_jax._effects import effect
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
 from pitp_jax._record.record import Record
+from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import frozen_increment, rest_state, rollout
 from pitp_jax._simulate.prediction import initial_samples, outside_fraction, outside_words, predict
 
@@ -249,3 +251,21 @@ def test_predictions_carry_the_share(linear, coefficients):
     (found,) = predict(replace(model, domain=replace(model.domain, region=box)), [record])
     truth = (np.abs(record.displacement / 1e-3 - top / 4) > top / 4 * 1.1).mean()
     assert found.outside_training_share == pytest.approx(truth, abs=0.01)
+
+
+@pytest.mark.parametrize("first", ["sensor_gain", "backlash"])
+def test_sensors_are_a_chain(linear, first):
+    """A lag behind a gain is the lag of the gain, behind a play that of the play."""
+    dt, tau = 1e-3, 0.02
+    size = {"sensor_gain": {"d": 0.2}, "backlash": {"width": 0.3}}[first]
+    model = replace(linear(2, dt=dt), effects=(effect(first, **size), effect("sensor_lag", tau=tau)))
+    time = np.arange(2000) * dt
+    states = rollout(model, jnp.asarray(800 * np.sin(2 * np.pi * time) ** 2, jnp.float32), dt, rest_state(model))
+    x = np.asarray(states[:, 0], float)
+    seen = 1.2 * x
+    if first == "backlash":
+        seen = np.zeros_like(x)
+        for k in range(1, len(x)):
+            seen[k] = np.clip(seen[k - 1], x[k] - 0.15, x[k] + 0.15)
+    truth = lsim(([1.0], [tau, 1.0]), seen, time)[1]
+    np.testing.assert_allclose(ports.readings(model, states), truth, rtol=0, atol=2e-5 * np.ptp(truth))

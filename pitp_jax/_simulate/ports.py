@@ -42,9 +42,12 @@ def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, 
 def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " states"]:
     """Set all effects' states of an actuator held at X under `voltage` (0 at rest); age and reach of the session."""
     parts = [jnp.zeros((0,), jnp.result_type(x))]  # gives the precision, and an array where no effect has states
+    y = x  # what a sensor's effect receives: the reading of the one before it
     for effect in model.effects:
-        held = effect.start(voltage if effect.port == "IN" else x, age)
+        sensor = effect.port == "OUT"
+        held = effect.start(voltage if effect.port == "IN" else y if sensor else x, age)
         parts.append(effect.resumed(held, reached))
+        y = effect.apply(y, parts[-1]) if sensor else y
     return jnp.concatenate([p.astype(parts[0].dtype) for p in parts])
 
 
@@ -95,11 +98,19 @@ def acted(model: "Model", parts: list, now: Instant) -> Instant:
 
 
 def moved(model: "Model", parts: list, x, after, h) -> list:
-    """Advance the states of force and sensor effects after X ran from `x` to `after`."""
-    return [
-        e.advance(p, x, after, h) if e.port not in ("IN", "SQ") else p
-        for e, p in zip(model.effects, parts, strict=True)
-    ]
+    """Advance the states of force and sensor effects after X ran from `x` to `after`.
+
+    Sensors are a chain: each effect follows the reading of the one before it (a gain, then a lag: the lag of the gain).
+    """
+    found, y = [], (x, after)
+    for effect, states in zip(model.effects, parts, strict=True):
+        if effect.port in ("IN", "SQ"):
+            found.append(states)
+            continue
+        found.append(effect.advance(states, *(y if effect.port == "OUT" else (x, after)), h))
+        if effect.port == "OUT":
+            y = effect.apply(y[0], states), effect.apply(y[1], found[-1])
+    return found
 
 
 def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
