@@ -129,3 +129,14 @@ def test_drive_and_motion_have_as_many_thinned_samples(nominal, samples):
         u = 300 + 200 * np.sin(2 * np.pi * factor * 2.0 * time)
         case = build_case(nominal, [pitp.Record("fine", time, u, 1e-3 * np.sin(time))])
         assert len(case.simulator.drives[0].voltage) == len(case.series[0].output)
+
+
+def test_a_long_record_is_seen_to_its_end(nominal):
+    """300,000 samples: the first 240,000 were once diagnosed as if they were all."""
+    time = np.arange(300_000) * 1e-4
+    record = pitp.Record("long", time, 300 + 200 * np.sin(2 * np.pi * 2.0 * time), 1e-3 * np.sin(time))
+    case = build_case(nominal, [record])
+    assert len(case.series[0].output) * case.dt == pytest.approx(30.0, abs=2 * case.dt)
+    seen = case.series[0].output
+    there = np.sin(np.linspace(0.0, 30.0, len(seen)))
+    assert np.corrcoef(seen[5:-5], there[5:-5])[0, 1] > 0.99  # cut at 24 s: near nothing
