@@ -140,3 +140,16 @@ def test_a_long_record_is_seen_to_its_end(nominal):
     seen = case.series[0].output
     there = np.sin(np.linspace(0.0, 30.0, len(seen)))
     assert np.corrcoef(seen[5:-5], there[5:-5])[0, 1] > 0.99  # cut at 24 s: near nothing
+
+
+def test_what_a_session_has_stretched_stays_stretched(nominal):
+    """Mullins: the second record begins where the first one went; the model carries it, and so does what judges it."""
+    softened = replace(nominal, effects=(lookup("mullins", "exponential")(0.3, 0.5),))
+    records = play(nominal, noise=0.0)[:2]
+    case = build_case(nominal, records)
+    slots = case.nominal.copy()
+    slots[INDEX["mullins"]], slots[INDEX["mullins_length"]] = 0.3, 0.5
+    mine = case.simulator.run(np.tile(slots, (2, 1)), [0, 1], case.starts)[1]
+    truth = pitp.predict(softened, records)[1].displacement / nominal.scales.state[0]
+    fresh = pitp.predict(softened, records[1:])[0].displacement / nominal.scales.state[0]
+    assert case.thinned == 1 and np.std(mine - truth) < 0.4 * np.std(fresh - truth)

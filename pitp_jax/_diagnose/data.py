@@ -19,7 +19,7 @@ from .._record.initial_state import aligned, noise_std
 from .._record.preprocess import force_band
 from .._record.record import Record
 from .._record.sets import session_clock
-from .._simulate.prediction import at_rate, begin, predict
+from .._simulate.prediction import at_rate, begin, predict, reaches
 from .library import slots_of
 from .simulator import INDEX, Drive, Film, Simulator, root
 
@@ -135,7 +135,8 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     k = _thinning(model, nominal, turned)
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
-    for r, b in zip(turned, begun, strict=True):
+    far = reaches(model, turned) if known else [0.0] * len(turned)  # what was stretched before stays stretched
+    for r, b, reached in zip(turned, begun, far, strict=True):
         rest, held = b.begins == "rest", model.hold == "zoh"
         first_node = r.dt * (k // 2 - _before(k, rest))  # s after the first sample
         film = _film(r.voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
@@ -150,7 +151,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         starts.append((0.0, 0.0) if rest else (first, 0.0))
         jump = -r.dt / 2 if held else 0.0
-        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film))
+        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film, float(reached)))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     dt = records[0].dt * k

@@ -60,7 +60,7 @@ HIGHEST = {"mode_zeta": 0.5}  # an overdamped second mode is a relaxation or a d
 _CONSTANTS = (
     "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp "
     "saturation play1 play2 play3 play4 play_range force stretch stretch_exp bias k2 k3 k5 power exponent reach "
-    "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age "
+    "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age reached "
     "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry "
     "dry_speed drive_bouc drive_yield rise rise_speed dry_load place_damping place_damping2 field_damping slack "
     "mode_gain mode_force mode_w mode_zeta m11 m12 m21 m22 mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 "
@@ -112,6 +112,7 @@ class Drive:
         before: V, what was played before the first sample; None: the same as there.
         jump: s, when the drive goes from there to its first sample: 0, or half a sample earlier where it holds.
         film: the drive before it was thinned; None: these samples are all there is.
+        reached: largest scaled |x| of the session before this record.
     """
 
     voltage: np.ndarray
@@ -121,6 +122,7 @@ class Drive:
     before: float | None = None
     jump: float = 0.0
     film: Film | None = None
+    reached: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,7 @@ class Simulator:
         c |= {"e11": e[:, 0, 0], "e12": e[:, 0, 1], "e21": e[:, 1, 0], "e22": e[:, 1, 1]}
         c |= {"bx": b[:, 0], "bv": b[:, 1], "dx": d[:, 0], "dv": d[:, 1], "second": second, "h": h}
         c["force"] = np.full(len(h), 1 / self.force_scale)
-        c["age"] = np.array([self.drives[r].age for r in records])
+        c["age"], c["reached"] = (np.array([getattr(self.drives[r], k) for r in records]) for k in ("age", "reached"))
         for name, tau in (
             ("rc", s["rc"]),
             ("q", s["charge_tau"]),
@@ -333,7 +335,7 @@ def _begin(square, constants, volts, first, start):
         "mv": zero,
         "fv": zero,
     }
-    settled |= {f"p{k}": volts for k in (1, 2, 3, 4)} | {"most": jnp.abs(x)}
+    settled |= {f"p{k}": volts for k in (1, 2, 3, 4)} | {"most": jnp.maximum(jnp.abs(x), c["reached"])}
     return tuple(settled.get(k, x) for k in _STATES)
 
 
