@@ -79,7 +79,7 @@ def explained(actuator):
             candidate("drag", "quadratic", {"c": (4.2e7, "V^2 s^2/m^2", None)}, -0.4),
         ),
         where=where(), next_experiment=None, fitted=NAMES, heldout=NAMES, shift=np.ones(3), traces=traces(),
-        model=Fitted(model, Origin(displacement_unit="mm")),
+        model=Fitted(model_of(model), Origin(displacement_unit="mm")),
     )  # fmt: skip
 
 

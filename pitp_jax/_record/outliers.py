@@ -165,7 +165,7 @@ def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
 
 def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:
     """Whether a sensor has no noise beside its steps (those that are not zero), or none that changes its last digit."""
-    noise = noise_std(y)
+    noise = float(noise_std(y))
     return noise <= _NOISE_OF_STEP * float(np.median(steps)) or noise < _NOISE_OF_QUANTUM * float(steps.min())
 
 
