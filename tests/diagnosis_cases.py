@@ -9,6 +9,7 @@ from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._diagnose.result import Added, Gap, Ranked, Trace
 from pitp_jax._effects import effect
 from pitp_jax._model import Fitted, Origin
+from pitp_jax._model.fitted import model_of
 
 T = np.arange(2000) / 500.0
 NAMES = ("sweep<1>", "sine2", "sine&4")

@@ -1,6 +1,7 @@
 """The decoder against closed forms, scipy and adaptive solvers; what predictions say about themselves."""
 
 from dataclasses import replace
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -257,7 +258,7 @@ def test_predictions_carry_the_share(linear, coefficients):
 def test_sensors_are_a_chain(linear, first):
     """A lag behind a gain is the lag of the gain, behind a play that of the play."""
     dt, tau = 1e-3, 0.02
-    size = {"sensor_gain": {"d": 0.2}, "backlash": {"width": 0.3}}[first]
+    size: dict[str, Any] = {"sensor_gain": {"d": 0.2}, "backlash": {"width": 0.3}}[first]
     model = replace(linear(2, dt=dt), effects=(effect(first, **size), effect("sensor_lag", tau=tau)))
     time = np.arange(2000) * dt
     states = rollout(model, jnp.asarray(800 * np.sin(2 * np.pi * time) ** 2, jnp.float32), dt, rest_state(model))
