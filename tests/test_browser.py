@@ -58,7 +58,8 @@ def against(explained):
         )
         for k in range(3)
     ]
-    budget = {"nuisance": {"share": 0.1}, "effects": {"delay": {"share": 0.6}}, "unnamed": {"share": 0.3}}
+    rest = {k: {"share": 0.1} for k in ("nuisance", "parameters", "unnamed", "unexplainable")}
+    budget = rest | {"effects": {"delay": {"share": 0.6}}}
     linear = pitp.identify(simulated, order=2, input_map="linear")
     found: Any = SimToReal(
         explained, None, linear, explained.model, pair_records(robot, simulated), tuple(rows), (0.1, 0.0, 0.2),
