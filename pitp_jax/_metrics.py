@@ -147,22 +147,3 @@ def rmhe_percent(
 
 def _percent(error: float, normaliser: float) -> float:
     return 100.0 * error / normaliser if normaliser > 0 else float("nan")
-
-
-def steady(time: np.ndarray, fraction: float = 0.5, start: float | None = None) -> np.ndarray:
-    """Mask the steady part of a record: the end of it, or all from a given time after its start.
-
-    Args:
-        time: sample times in s, shape (T,).
-        fraction: of the duration to keep, at the end, in (0, 1].
-        start: seconds after the first sample from which to keep; replaces `fraction`.
-
-    Returns:
-        True where a sample belongs to the steady part, shape (T,).
-    """
-    time = np.asarray(time, dtype=np.float64)
-    if start is None:
-        if not 0 < fraction <= 1:
-            raise ValueError(f"fraction {fraction} is not in (0, 1]")
-        start = (1.0 - fraction) * (time[-1] - time[0])
-    return time - time[0] >= start

@@ -146,7 +146,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
             force = film.force(np.arange(len(x)) * r.dt * k)
         volts = root(force) if square else force
         seen = np.asarray(np.isfinite(x))
-        age = model.provenance.age(r.time[0]) if known else 0.0
+        age = model.domain.age(r.time[0]) if known else 0.0
         age = max(age + first_node, 0.0)
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         starts.append((0.0, 0.0) if rest else (first, 0.0))

@@ -4,7 +4,6 @@ records -> thinned case -> sets of effects searched out of fold -> verdict, budg
 nominal
 """
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
@@ -81,7 +80,7 @@ class Diagnosis:
     heldout: tuple[str, ...]
     shift: np.ndarray
     traces: tuple[Trace, ...]
-    model: Model | Fitted
+    model: Fitted
     notes: tuple[str, ...] = ()
     term: Term | None = None
     budget: dict = field(default_factory=dict)
@@ -159,11 +158,11 @@ def diagnose(
         >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
         no gap ...
     """
-    model = cast(Model, fitted_of(model))  # reads as one, with the origin that `model.provenance` looks into
+    model = cast(Model, fitted_of(model))  # reads as one
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)
-    model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
+    model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     case = build_case(model, records, tuple(mesh.devices.flat) if mesh is not None else ())
     limit = Budget(seconds)
     misfit, source = own_misfit(case) if not refit_nominal else (0.0, "unknown in a refit")
@@ -201,7 +200,7 @@ def diagnose(
         heldout=tuple(s.record.name for s in case.series) if not case.blocks else (),
         shift=shift,
         traces=traces_of(model, made[0], records),
-        model=made[0],
+        model=fitted_of(made[0]),
         notes=notes,
         term=term,
         budget=budget_of(search, decision, raw),
@@ -219,12 +218,11 @@ def own_misfit(case: Case) -> tuple[float, str]:
     It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
     robot's noise times that hid any gap.
     """
-    source, scale = case.model.provenance, float(case.model.scales.state[0])
-    if not np.isfinite(source.misfit):
+    origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
+    if not np.isfinite(origin.misfit):
         return 0.0, "the sensor's noise: the nominal carries no error of its own"
-    first = json.loads(source.notes).get("identification", {}).get("noise_std")
-    noise = float(first) / scale if first else _noise(case)
-    return float(noise * np.sqrt(max(source.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
+    noise = origin.noise / scale if origin.noise > 0 else _noise(case)
+    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
 
 
 def _noise(case: Case) -> float:
@@ -294,7 +292,7 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         made, added, missing = model_of(search.case.nominal, h.fit.slots, model, omega)
         if missing:
             continue
-        made = replace(made, provenance=made.provenance.driven_by(records))
+        made = replace(made, domain=made.domain.driven_by(records))
         after = _package_error(made, records)
         if np.isfinite(after) and after < before:
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]

@@ -98,8 +98,3 @@ def probability(a: Evidence, b: Evidence, ratio: float = 1.0) -> float:
     """P that the rms error of `a` is below `ratio` times that of `b`."""
     first, second = draws([a, b])
     return float(np.mean(first < second + 2 * np.log(ratio)))
-
-
-def energy(s: Evidence) -> float:
-    """Mean square error, its geometric mean over records."""
-    return s.rms**2

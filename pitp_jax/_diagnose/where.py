@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._model.fitted import fitted_of
 from .._record.excitation_kind import kind, spectrum
 from .._record.preprocess import preprocess
 from .._record.record import Record
@@ -80,7 +81,7 @@ def motions(case: Case, scale: Scale) -> Seen:
         states = preprocess(record, 2, cut, force, displacement=filled).states
         weight = 1e4 * s.counts / (s.counts.sum() * s.span**2)
         found.append(Motion(record, weight, states, force - states @ a, s.noise, s.span))
-    scale_, unit = float(case.model.scales.state[0]), case.model.provenance.displacement_unit
+    scale_, unit = float(case.model.scales.state[0]), fitted_of(case.model).origin.displacement_unit
     reach = max(float(np.abs(m.states[:, 0]).max()) for m in found)
     return Seen(tuple(found), omega, reach, scale_, unit)
 

@@ -119,10 +119,10 @@ def _where(d: Diagnosis) -> str:
     if d.verdict == "no_gap":
         return html.card("Where", "Nowhere", tag("p", "What the model leaves over is noise in every recording."))
     share = d.where["records"].get(worst(d).name, 0.0)
-    unit = d.model.provenance.displacement_unit
+    unit = d.model.origin.displacement_unit
     loud = max(d.where["frequency"], key=lambda row: row["share"])
     big = f"{figure(loud['band_hz'][0])} to {figure(loud['band_hz'][1])} Hz"
-    facts = gathers(d.where, time_spent(d), unit, d.model.provenance.voltage_unit)[:2]
+    facts = gathers(d.where, time_spent(d), unit, d.model.origin.voltage_unit)[:2]
     side = "held-out recording" if d.heldout else "recording"
     worst_line = f"Worst {side}: {worst(d).name}, {percent(share)} of the gap."
     return html.card("Where", big, tag("p", d.where["summary"]), html.bullets([*facts, worst_line]))

@@ -138,7 +138,7 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         )
     axes = own_axes(axes, len(names), (5.0, 4.0))
     scale, unit = output_unit(diagnosis)
-    command = base_unit(diagnosis.model.provenance.voltage_unit)
+    command = base_unit(diagnosis.model.origin.voltage_unit)
     drive = "voltage (V)" if command == "V" else f"command ({command})"
     held = set(diagnosis.heldout)
     for ax, name in zip(axes, names, strict=True):

@@ -14,7 +14,7 @@ _CYCLES = 6  # oscillations in the zoom
 
 def output_unit(diagnosis: Diagnosis) -> tuple[float, str]:
     """Factor from m or V to the unit of the user's files, and that unit as printed."""
-    unit = diagnosis.model.provenance.displacement_unit
+    unit = diagnosis.model.origin.displacement_unit
     return 1 / OUTPUT_UNITS[unit], shown_unit(unit)
 
 
@@ -80,7 +80,7 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
     for k, (label, run, color) in enumerate(runs):
         line(axes[0], time, scale * run[part], color=color, lw=1.1, ls="-" if k else "--", label=label)
         line(axes[1], time, scale * run[part] - measured, color=color, lw=0.9)
-    kind = "displacement" if base_unit(diagnosis.model.provenance.displacement_unit) == "m" else "output"
+    kind = "displacement" if base_unit(diagnosis.model.origin.displacement_unit) == "m" else "output"
     finish(axes, "time (s)", [f"{kind} ({unit})", f"error ({unit})"], legend_columns=len(runs) + 1)
     return axes
 

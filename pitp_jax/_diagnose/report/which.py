@@ -75,7 +75,7 @@ def _effect(d: Diagnosis, name: str) -> str:
 
 
 def _line(d: Diagnosis, name: str, told: dict) -> str:
-    label, text = parameter(name, told, d.model.provenance.displacement_unit)
+    label, text = parameter(name, told, d.model.origin.displacement_unit)
     return f"{label} = {text}"
 
 

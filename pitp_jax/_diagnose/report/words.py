@@ -40,6 +40,6 @@ def _numbers(d, name: str) -> str:
     mine = next((a for a in d.added if a.effect == name), None)
     if mine is None:
         return ""
-    unit = d.model.provenance.displacement_unit
+    unit = d.model.origin.displacement_unit
     texts = [f"{label} {text}" for label, text in (parameter(k, v, unit) for k, v in mine.parameters.items())]
     return f", {', '.join(texts)}"
