@@ -18,7 +18,7 @@ from jaxtyping import Complex, Float
 
 from .._errors import BadInput
 from .._model.model import Hold
-from .._numerics.levenberg_marquardt import Normal, minimise
+from .._numerics.minimise import Normal, minimise
 from .._record.initial_state import Beginning, from_known
 from .._record.preprocess import force_band
 from .._record.record import Record
