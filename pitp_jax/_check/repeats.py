@@ -58,7 +58,7 @@ def cycles(records: Sequence[Record]) -> dict[str, float]:
     scatter = {}
     for r in records:
         y = np.where(r.observed, r.displacement, 0.0)
-        square, span = repeat_scatter(r, y, r.observed), float(np.ptp(r.displacement[r.observed]))
+        square, span = repeat_scatter(r, y, r.observed), r.span
         if square is not None and span > 0:
             scatter[r.name] = 100 * float(np.sqrt(square)) / span
     return scatter

@@ -120,7 +120,7 @@ class _Columns:
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
     """Some records in means over blocks of a tenth of the band's period, and which they are."""
-    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     size = int(1 / (_PER_PERIOD * force_band(forces, records[0].dt) * records[0].dt))
     size = max(1, min(size, min(r.samples for r in records) // 64))
     chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))

@@ -213,7 +213,7 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
     )
     if size < 2:
         return whole
-    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
     return replace(build_problem(small, "linear", begun), fine=whole.dt)
 
@@ -275,7 +275,7 @@ def _to_model(
     relative = chosen.stderr / a
     output = Output(chosen.offset, chosen.polarity)
     moved = [output.to_model(aligned(r, b, output).displacement) for r, b in zip(records, begun, strict=True)]
-    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage)) for r in records]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     force_scale = max(float(np.abs(f).max()) for f in forces)
     longest = int(np.argmax([r.samples for r in records]))
     x_rms = float(np.sqrt(np.nanmean(np.concatenate(moved) ** 2)))

@@ -57,7 +57,7 @@ def build_dataset(
         if asked not in known:
             raise BadInput(f"unknown {name} {asked!r}: use one of {', '.join(known)}")
     dt = records[0].dt
-    forces = [np.asarray(nominal.input_map.force(r.voltage), np.float64) for r in records]
+    forces = [nominal.input_map.force(r.voltage) for r in records]
     # one cutoff for all records: filtered apart, one equation would be fitted to differently smoothed motions
     f_max = force_band(forces, dt)
     cut = cutoff(f_max, dt)

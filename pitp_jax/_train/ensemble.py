@@ -141,7 +141,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         # a mean over fewer members from there on would jump: where one is lost, the band ends
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
         x = np.where(lost, np.nan, x) * model.scales.state[0]
-        base = ensemble.error * np.ptp(r.displacement[r.observed])
+        base = ensemble.error * r.span
         spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)  # 1 / K: the mean itself is uncertain
         scored = np.arange(r.samples) >= spent[0][0]
         bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, bool(lost.any()), scored))
@@ -192,4 +192,4 @@ def _run(stack: Model, voltage, dt: float, start):
 def _relative(band: Band, record: Record) -> float:
     keep = band.scored & record.observed
     error = (band.displacement - record.displacement)[keep]
-    return float(np.sqrt(np.mean(error**2)) / np.ptp(record.displacement[record.observed]))
+    return float(np.sqrt(np.mean(error**2)) / record.span)
