@@ -63,6 +63,10 @@ class Fit:
         fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "done": False}
         return replace(self, **(fresh | changes))
 
+    def anew(self, **changes) -> "Fit":
+        """A copy with other numbers free, which has not been run yet."""
+        return self.again(**({"unit": np.zeros(0), "jacobian": None, "cost": np.inf} | changes))
+
     def value(self, name: str) -> float:
         """Of one slot."""
         return float(self.slots[INDEX[name]])
@@ -232,7 +236,7 @@ class Fitter:
             if not active:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
-            trials = [self._trial(f) for f in active]
+            trials = [at(f, coordinates(f) + self._move(f)) for f in active]
             for f, p, (cost, residuals, starts) in zip(active, trials, self.evaluate(active, trials), strict=True):
                 self._judge(f, p, cost, residuals, starts)
         return list(fits)
@@ -246,8 +250,7 @@ class Fitter:
         probes = []
         for fit, front in zip(fits, fronts, strict=True):
             free = tuple(k for k in fit.free if k not in front.free)
-            probes.append(fit.again(free=free, unit=np.zeros(0), fold=SCREEN, residuals=[], jacobian=None, cost=np.inf))
-            probes[-1].__post_init__()
+            probes.append(fit.anew(free=free, fold=SCREEN, residuals=[]))
         self.fit(probes, 0)
         there = [p for p in probes if np.isfinite(p.cost)]
         self.differentiate(there)
@@ -260,25 +263,20 @@ class Fitter:
             for k in seen:
                 both[k] = np.concatenate([front.jacobian[k], both[k]], 1)
         whole = replace(probe, free=(*front.free, *probe.free), unit=np.zeros(0), jacobian=both)
-        h, g = self.normal(whole)
-        d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
-        move = -np.linalg.lstsq(h / np.outer(d, d) + whole.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
-        log, z = LOGARITHM[[INDEX[k] for k in whole.free]], coordinates(whole)
-        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(z), whole.unit))
-        move = np.clip(move, -most, most)
+        move = self._move(whole)
         after = list(whole.residuals)
         for k in seen:
             after[k] = np.where(np.isfinite(after[k]), after[k] + both[k] @ move, np.nan)
         return min(probe.cost, self._cost(after, SCREEN))
 
-    def _trial(self, fit: Fit) -> np.ndarray:
+    def _move(self, fit: Fit) -> np.ndarray:
+        """The damped step of the free coordinates, none of them too far."""
         h, g = self.normal(fit)
         d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
         move = -np.linalg.lstsq(h / np.outer(d, d) + fit.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
-        z = coordinates(fit)
         log = LOGARITHM[[INDEX[k] for k in fit.free]]
-        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(z), fit.unit))
-        return at(fit, z + np.clip(move, -most, most))
+        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(coordinates(fit)), fit.unit))
+        return np.clip(move, -most, most)
 
     def _judge(self, fit: Fit, slots, cost, residuals, starts):
         total = sum((self._masks[fit.fold][k] > 0).sum() for k in self._seen(fit.fold))

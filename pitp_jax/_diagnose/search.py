@@ -252,7 +252,7 @@ class Search:
                 slots[INDEX["branch2"]] = 0.3 * f.value("branch")
                 slots[INDEX["branch2_tau"]] = ratio * f.value("branch_tau")
                 free = (*f.free, "branch2", "branch2_tau")
-                more.append((n, f.again(free=free, slots=slots, unit=np.zeros(0), jacobian=None, cost=np.inf)))
+                more.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
         for n, f in more:
@@ -275,14 +275,8 @@ class Search:
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
         if form.name == PARAMETERS:
-            return front.again(
-                names=(*front.names, PARAMETERS),
-                free=tuple(dict.fromkeys((*self.core, *front.free))),
-                slots=slots,
-                unit=np.zeros(0),
-                jacobian=None,
-                cost=np.inf,
-            )
+            free = tuple(dict.fromkeys((*self.core, *front.free)))
+            return front.anew(names=(*front.names, PARAMETERS), free=free, slots=slots)
         for k, v in form.start.items():
             slots[INDEX[k]] = v
         stiff = 1 + slots[INDEX["bouc"]] * (
@@ -292,15 +286,7 @@ class Search:
         if stiff > 1.05 and "a0" in free:
             for k in ("a0", "a1", "a2"):
                 slots[INDEX[k]] /= stiff
-        return front.again(
-            names=(*front.names, form.name),
-            free=free,
-            slots=slots,
-            unit=np.zeros(0),
-            jacobian=None,
-            cost=np.inf,
-            residuals=[],
-        )
+        return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     # -- the beam ------------------------------------------------------------------------------------------------------
 
@@ -351,14 +337,8 @@ class Search:
                 free.append(k)
         for k in ("fold", "reach"):
             slots[INDEX[k]] = fit.slots[INDEX[k]] if any(k in f.start for f in keep) else OFF[INDEX[k]]
-        one = fit.again(
-            names=tuple(n for n in fit.names if n in key),
-            free=tuple(dict.fromkeys(free)),
-            slots=slots,
-            unit=np.zeros(0),
-            jacobian=None,
-            cost=np.inf,
-        )
+        names = tuple(n for n in fit.names if n in key)
+        one = fit.anew(names=names, free=tuple(dict.fromkeys(free)), slots=slots)
         (done,) = self.fitter.fit([one], _STEPS)
         if np.isfinite(done.cost):
             self.every[key] = self._judged([done])[0]

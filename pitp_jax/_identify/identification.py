@@ -257,13 +257,13 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
     if problem.free_zeros:
         variance = np.diag(covariance(chosen.params, chosen.structure, problem))
         errors = problem.scale * np.sqrt(np.clip(variance[first : first + problem.free_zeros], 0, None))
-    found = []
+    fitted = []
     for k, b in enumerate(begun):
         stderr = float(errors[problem.zeros[k]]) if b.free else b.stderr
-        found.append(
+        fitted.append(
             replace(b, direction=polarity * b.direction, zero=zero_of(k, gains, problem), stderr=stderr, free=False)
         )
-    return found
+    return fitted
 
 
 def _to_model(
