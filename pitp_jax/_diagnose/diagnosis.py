@@ -264,9 +264,9 @@ def _raw(search: Search):
     case = search.case
     runs = case.simulator.run(np.tile(case.nominal, (len(case.series), 1)), range(len(case.series)), case.starts)
     rows = []
-    for run, s, left in zip(runs, case.series, search.given.residuals, strict=True):
+    for run, s, residual in zip(runs, case.series, search.given.residuals, strict=True):
         e = np.where(s.counts & np.isfinite(run), run - s.output, np.nan)
-        rows.append(np.where(np.isfinite(left), np.where(np.isfinite(e), e, left), np.nan))
+        rows.append(np.where(np.isfinite(residual), np.where(np.isfinite(e), e, residual), np.nan))
     return search.weigh(rows)
 
 

@@ -84,14 +84,14 @@ def draws(sets: Sequence[Evidence]) -> np.ndarray:
     size = np.array([first.sizes[first.records == r].sum() for r in there])
     weight = picks * size
     weight = weight / weight.sum(1, keepdims=True)
-    found = np.zeros((len(sets), _DRAWS))
+    scores = np.zeros((len(sets), _DRAWS))
     for j, r in enumerate(there):
         place = np.flatnonzero(first.records == r)
         pick = place[rng.integers(0, len(place), (_DRAWS, len(place)))]
         count = first.sizes[pick].sum(1)
         for k, s in enumerate(sets):
-            found[k] += weight[:, j] * np.log(np.maximum(s.squares[pick].sum(1) / count + s.floor[r], s.least))
-    return found
+            scores[k] += weight[:, j] * np.log(np.maximum(s.squares[pick].sum(1) / count + s.floor[r], s.least))
+    return scores
 
 
 def probability(a: Evidence, b: Evidence, ratio: float = 1.0) -> float:

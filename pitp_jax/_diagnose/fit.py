@@ -155,9 +155,9 @@ class Fitter:
         if not seen.any():
             seen = s.counts.astype(float)
         columns, begins = basis(self.case, slots, record)
-        left, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, seen)
+        residual, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, seen)
         moved = starts[record] - begins.T @ c[:, 0]
-        return np.where(s.counts, left[:, 0], np.nan), moved
+        return np.where(s.counts, residual[:, 0], np.nan), moved
 
     def evaluate(self, fits: Sequence[Fit], slots: Sequence[np.ndarray], everything: bool = False):
         """(cost, residuals, starts) of every fit at other slots; `everything`: on records left out, too."""
@@ -166,7 +166,7 @@ class Fitter:
             for k in range(len(self.case.series)) if everything else self._seen(fit.fold):
                 jobs.append((p, k, fit.starts[k]))
                 owners.append((fit, k))
-        runs, found, place = self._simulate(jobs), [], 0
+        runs, results, place = self._simulate(jobs), [], 0
         for fit, p in zip(fits, slots, strict=True):
             count = len(self.case.series) if everything else len(self._seen(fit.fold))
             residuals: list = [None] * len(self.case.series)
@@ -174,8 +174,8 @@ class Fitter:
             for (_, k), run in zip(owners[place : place + count], runs[place : place + count], strict=True):
                 residuals[k], starts[k] = self._residual(p, fit.starts, k, run, fit.fold)
             place += count
-            found.append((self._cost(residuals, fit.fold), residuals, starts))
-        return found
+            results.append((self._cost(residuals, fit.fold), residuals, starts))
+        return results
 
     def _cost(self, residuals, fold) -> float:
         total = 0.0
@@ -290,7 +290,7 @@ class Fitter:
             fit.damping *= 8
             fit.done = fit.damping > 1e4
 
-    def left_out(self, fits: Sequence[Fit], iterations: int) -> list[list[np.ndarray]]:
+    def refitted_without(self, fits: Sequence[Fit], iterations: int) -> list[list[np.ndarray]]:
         """Out-of-fold residuals of every fit, record by record: refitted without each fold from the fit to all."""
         self.differentiate([f for f in fits if f.jacobian is None and f.free])
         tasks = []
@@ -303,7 +303,7 @@ class Fitter:
                 tasks.append(one)
         self.fit(tasks, iterations)
         done = self.evaluate(tasks, [t.slots for t in tasks], everything=True)
-        found, place = [], 0
+        per_fit, place = [], 0
         for _ in fits:
             rows = [np.full(len(s.output), np.nan) for s in self.case.series]
             for fold in range(len(self.case.folds)):
@@ -313,5 +313,5 @@ class Fitter:
                     if tested.any():
                         far = 10 * self.case.series[k].span  # what diverges there is no model
                         rows[k][tested] = far if residuals[k] is None else np.clip(residuals[k][tested], -far, far)
-            found.append(rows)
-        return found
+            per_fit.append(rows)
+        return per_fit

@@ -61,10 +61,10 @@ def forms(s: Scale) -> list[Form]:
     """Every form with its starts."""
     x, pull = s.reach, s.force
     damping = max(s.a1, 0.1 * s.tau * max(s.a0, s.force / x))
-    found = []
+    all_forms = []
 
     def add(name: str, *starts: dict[str, float], second: bool = False):
-        found.extend(Form(name, start, second) for start in starts)
+        all_forms.extend(Form(name, start, second) for start in starts)
 
     add("spring", *({"k3": c / x**2} for c in (0.1, 0.5, -0.1)), *({"k2": c / x} for c in (-0.2, 0.2)))
     add(
@@ -156,7 +156,7 @@ def forms(s: Scale) -> list[Form]:
         *({"place_damping2": f * damping / x**2} for f in (0.3, 2.0)),
     )
     add(FREE, *({"field_damping": f * damping / pull} for f in (-0.3, 0.5)))
-    return found
+    return all_forms
 
 
 def named(name: str, slots: np.ndarray, scale: Scale) -> str:
@@ -275,13 +275,13 @@ def _number(slots: np.ndarray, code: str) -> float:
 def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tuple], list[str]]:
     """The catalogue's effects that these slots are, each with its numbers' slots, and slots that no row has."""
     on = {k for k in NAMES if slots[INDEX[k]] != OFF[INDEX[k]]} - {"a0", "a1", "a2", "bias"}
-    rates, found, used = np.asarray(model.scales.rates, float), [], set()
+    rates, effects, used = np.asarray(model.scales.rates, float), [], set()
 
     def add(name: str, form: str, codes: tuple[str, ...]) -> None:
         spec, keys = row(name, form), {_slot(c) for c in codes}
         if spec is not None and not keys & used:
             values = zip(spec.parameters, codes, strict=True)
-            found.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
+            effects.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
             used.update(keys)
 
     if slots[INDEX["bouc"]] > 0 and "bouc" in on:
@@ -293,7 +293,7 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
         else:
             loop = lookup("hysteresis", "Dahl")(kappa, give)
         codes = ("bouc", "yield", "gamma")[: 3 if gamma else 2]
-        found.append((loop, codes))
+        effects.append((loop, codes))
         used.update(codes)
     for (name, form), codes in sorted(ROWS.items(), key=lambda item: -len(item[1])):  # the fullest form that fits
         signed = name != "charge_leak" or slots[INDEX["charge"]] < 0
@@ -304,11 +304,11 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
             add("creep" if slots[INDEX[tau]] * omega > BORDER else "relaxation", "one branch", (strength, tau))
     terms = {text: slot for text, slot in _TERMS.items() if slot in on - used}
     if terms:
-        found.append((_term(slots, terms, rates), tuple(terms.values())))
+        effects.append((_term(slots, terms, rates), tuple(terms.values())))
         used.update(terms.values())
     place = {(c.name, c.form): k for k, c in enumerate(CATALOGUE)}
-    found.sort(key=lambda pair: place.get((pair[0].name, pair[0].form), len(place)))
-    return found, sorted(on - used - _SHAPES)
+    effects.sort(key=lambda pair: place.get((pair[0].name, pair[0].form), len(place)))
+    return effects, sorted(on - used - _SHAPES)
 
 
 def _term(slots: np.ndarray, chosen: dict[str, str], rates: np.ndarray):

@@ -75,21 +75,21 @@ class _Features:
         mean, sd = whole.mean(0), whole.std(0) + 1e-3
         axes = np.linalg.svd(((whole - mean) / sd)[:: max(1, len(whole) // 3000)], full_matrices=False)[2].T[:, :8]
         spread = (((whole - mean) / sd) @ axes).std(0) + 1e-2
-        found = []
+        products = []
         for row, bank in zip(rows, banks, strict=True):
             z = np.clip(((bank - mean) / sd) @ axes / spread, -4, 4)
             two = [z[:, i] * z[:, j] for i in range(8) for j in range(i, 8)]
             three = [z[:, i] * z[:, j] * z[:, k] for i in range(4) for j in range(i, 4) for k in range(j, 4)]
-            found.append(np.concatenate([row, np.stack([*two, *three], 1)], 1))
-        return found
+            products.append(np.concatenate([row, np.stack([*two, *three], 1)], 1))
+        return products
 
 
 def reference(case: Case, h: Hypothesis, floors: np.ndarray) -> Evidence:
     """What the best family leaves of a hypothesis, out of fold."""
-    features, found = _Features(case, h), []
+    features, tried = _Features(case, h), []
     for family in _FAMILIES:
-        found += _ridge(case, h, features.columns(family), floors)
-    return min(found, key=lambda e: e.score)
+        tried += _ridge(case, h, features.columns(family), floors)
+    return min(tried, key=lambda e: e.score)
 
 
 def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndarray) -> list[Evidence]:

@@ -147,7 +147,7 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
     return dict(zip(fit.free, np.sqrt(np.maximum(variance, 0)).tolist(), strict=True))
 
 
-def told(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
+def in_units(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
     """Parameters of one effect in physical units; `codes`: the slots they are."""
     numbers, rows = effect.numbers(), {}
     for k, (p, value) in enumerate(numbers):
@@ -164,7 +164,7 @@ def told(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str,
 
 def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
     """The effects beyond the nominal, with their numbers."""
-    return tuple(Added(e.name, e.form, told(model, e, codes, fit, errors)) for e, codes in added)
+    return tuple(Added(e.name, e.form, in_units(model, e, codes, fit, errors)) for e, codes in added)
 
 
 def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
@@ -188,10 +188,10 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
         same[[INDEX[k] for k in ("delay", "lag", "filter")]] |= label not in ("delay", "sensor_lag")
         slots = np.where(same, OFF, h.fit.slots)
         slots[INDEX["a0"]] = h.fit.value("a0")
-        found, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
-        mine = next(((e, c) for e, c in found if e.name in (label, "found_term")), None)
+        effects, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
+        mine = next(((e, c) for e, c in effects if e.name in (label, "found_term")), None)
         errors = errors_of(search, h.fit) if len(rows) < 3 else {}
-        numbers = told(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
+        numbers = in_units(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
         after, moved = percent(search, h), label == "parameter_change"
         rows.append(Ranked(
             label, family(label), mine[0].form if mine else "refitted coefficients" if moved else "of the library",

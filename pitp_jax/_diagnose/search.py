@@ -100,7 +100,7 @@ class Search:
         self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
-        self.given = self._judged([given])[0]
+        self.given = self._scored([given])[0]
         self.linear = self._linear()
         base = self.linear if refit else self.given
         self.base = base
@@ -131,14 +131,14 @@ class Search:
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
-    def _judged(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
-        found = []
-        for fit, rows in zip(fits, self.fitter.left_out(fits, steps), strict=True):
+    def _scored(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
+        hypotheses = []
+        for fit, rows in zip(fits, self.fitter.refitted_without(fits, steps), strict=True):
             labels = tuple(
                 "parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names
             )
-            found.append(Hypothesis(fit, labels, rows, self.weigh(rows)))
-        return found
+            hypotheses.append(Hypothesis(fit, labels, rows, self.weigh(rows)))
+        return hypotheses
 
     def _linear(self) -> Hypothesis:
         """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
@@ -153,7 +153,7 @@ class Search:
         best: dict[tuple[str, ...], Fit] = {}
         for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
             best.setdefault(f.free, f)
-        tried = self._judged([*best.values()] or fits[:1], 4)
+        tried = self._scored([*best.values()] or fits[:1], 4)
         self.linears = sorted(tried, key=lambda h: len(h.fit.free))
         least = min(tried, key=lambda h: h.rms)
         return next(h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
@@ -173,22 +173,22 @@ class Search:
         own, core = self.core, tuple(k for k in self.core if k not in ("lag", "filter"))
         # the nominal's whole lateness at slow drives as one time constant, of a plant with a spring
         tau = max(v["a1"] / v["a0"] + v["lag"] + 2 * v["filter_zeta"] * v["filter"], dt) if v["a0"] > 0 else 0.0
-        found = []
+        fits = []
         for faster in (0.5, 2.0):
-            found.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
+            fits.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
         if not late:
-            found.append(self._structure((*own, "delay"), {"delay": dt}))
+            fits.append(self._structure((*own, "delay"), {"delay": dt}))
         if tau and ("a2" not in core or core != own):
             for share in (0.03, 0.3):
                 numbers = {"a1": v["a0"] * tau, "a2": share * v["a0"] * tau**2}
-                found.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
+                fits.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
         if tau and own != ("a0", "a1"):
-            found.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
-            found.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
+            fits.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
+            fits.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
         if "lag" not in own and "filter" not in own:
             numbers = {"lag": 0.3 * max(tau, dt)}, {"filter": 0.2 * max(tau, dt), "filter_zeta": 0.3}
-            found += [self._structure((*own, *extra), extra) for extra in numbers]
-        return found
+            fits += [self._structure((*own, *extra), extra) for extra in numbers]
+        return fits
 
     def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> list[Hypothesis]:
         """Names beside every front, each by its best form."""
@@ -204,14 +204,14 @@ class Search:
         groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
         keys = list(groups)
         # what promises most first; without a limit of time all of them side by side
-        size, found = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, []
+        size, tried = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, []
         for first in range(0, len(keys), max(size, 1)):
             some = {key: groups[key] for key in keys[first : first + size]}
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            found += self._climbed(some)
-        return found
+            tried += self._climbed(some)
+        return tried
 
     def _climbed(self, groups: dict[frozenset, list[Fit]]) -> list[Hypothesis]:
         """The optimum of every set that helps, judged out of fold."""
@@ -231,10 +231,10 @@ class Search:
             groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
         chosen = self._richer([self._plainest(g) for g in groups.values() if g])
-        found = [h for h in self._judged(chosen) if not self.exclude & set(h.labels)]
-        for h in found:
+        scored = [h for h in self._scored(chosen) if not self.exclude & set(h.labels)]
+        for h in scored:
             self.every[frozenset(h.names)] = h
-        return found
+        return scored
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
         """The form with the fewest numbers of those that leave at most GAIN more than the best."""
@@ -314,8 +314,8 @@ class Search:
 
     def level(self, depth: int, without: set | frozenset = frozenset()) -> list[Hypothesis]:
         """Sets of so many names, best first."""
-        found = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
-        return sorted(found, key=lambda h: h.rms)
+        sets = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
+        return sorted(sets, key=lambda h: h.rms)
 
     def _backward(self) -> None:
         """Sets that lack one name of the best are tried too: the first name may have been taken for a later one."""
@@ -341,7 +341,7 @@ class Search:
         one = fit.anew(names=names, free=tuple(dict.fromkeys(free)), slots=slots)
         (done,) = self.fitter.fit([one], _STEPS)
         if np.isfinite(done.cost):
-            self.every[key] = self._judged([done])[0]
+            self.every[key] = self._scored([done])[0]
 
     def best(self) -> Hypothesis:
         """The last set that pays."""

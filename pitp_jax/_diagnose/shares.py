@@ -22,7 +22,7 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
     """E of every set, first as it is and then in draws of records and blocks, shape (sets, 1 + draws)."""
     rng, first = np.random.default_rng(1), sets[0]
     there = np.unique(first.records)
-    found = np.zeros((len(sets), 1 + _DRAWS))
+    per_set = np.zeros((len(sets), 1 + _DRAWS))
     picks = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS) / len(there)
     for j, r in enumerate(there):
         place = np.flatnonzero(first.records == r)
@@ -30,8 +30,8 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
         count = first.sizes[drawn].sum(1)
         weight = np.concatenate([[1 / len(there)], picks[:, j]])
         for k, s in enumerate(sets):
-            found[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
-    return found
+            per_set[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
+    return per_set
 
 
 def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
@@ -61,12 +61,12 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     unnamed = gains[-1] + sum((v for n, v in named.items() if n not in said), np.zeros(e.shape[1]))
     rest = 1 - parts["nuisance"] - parts["parameters"] - sum(said.values(), np.zeros(e.shape[1])) - unnamed
     names = {
-        n: _share(v) | {"probability": decision.probabilities.get(n), "equivalent": list(decision.tied.get(n, ()))}
+        n: _fraction(v) | {"probability": decision.probabilities.get(n), "equivalent": list(decision.tied.get(n, ()))}
         for n, v in said.items()
     }
     return {
-        "nuisance": _share(parts["nuisance"]), "parameters": _share(parts["parameters"]), "effects": names,
-        "unnamed": _share(unnamed), "unexplainable": _share(rest),
+        "nuisance": _fraction(parts["nuisance"]), "parameters": _fraction(parts["parameters"]), "effects": names,
+        "unnamed": _fraction(unnamed), "unexplainable": _fraction(rest),
     }  # fmt: skip
 
 
@@ -79,7 +79,7 @@ def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
     return dict(zip(chosen.labels, (first, e[0] - e[3] - first), strict=True))
 
 
-def _share(draws: np.ndarray) -> dict:
+def _fraction(draws: np.ndarray) -> dict:
     low, high = np.quantile(draws[1:], (0.025, 0.975))
     here = float(draws[0])
     return {"share": here, "ci95": [float(np.clip(min(low, here), -1, 1)), float(np.clip(max(high, here), -1, 1))]}

@@ -156,7 +156,7 @@ class Simulator:
             width = WIDTHS[0] if count <= 2 * WIDTHS[0] else WIDTHS[1]
             blocks.append((order[place : place + min(count, width)], width, bool(mixed)))
             place += min(count, width)
-        found: list = [None] * len(records)
+        outputs: list = [None] * len(records)
 
         def run(numbered):
             k, (block, width, mixed) = numbered
@@ -167,8 +167,8 @@ class Simulator:
             runs = pool.map(run, enumerate(blocks))
             for (block, _, _), rows in zip(blocks, runs, strict=True):
                 for k, row in zip(block, rows, strict=True):
-                    found[k] = row
-        return found
+                    outputs[k] = row
+        return outputs
 
     def _block(self, slots, records, starts, width: int, costly: bool) -> list[np.ndarray]:
         lanes = len(records)

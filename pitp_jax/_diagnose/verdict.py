@@ -82,16 +82,16 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         p[label] = _needed(chosen, rivals[name])
     if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
         p["parameter_change"] = probability(chosen.evidence, search.given.evidence)
-    told: dict[str, Any] = {"p": p, "fractions": fractions}
+    seen: dict[str, Any] = {"p": p, "fractions": fractions}
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
-        return answer("unknown", reason="a flexible model without names explains as much", **told)
+        return answer("unknown", reason="a flexible model without names explains as much", **seen)
     if FREE in chosen.names:
-        return answer("unknown", reason="a force that has no name is part of it", **told)
+        return answer("unknown", reason="a force that has no name is part of it", **seen)
     deeper = [h for h in search.every.values() if len(h.names) > len(chosen.names) and h.rms < rules.HALF * chosen.rms]
     deepest = min(deeper, key=lambda h: h.rms, default=None)
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
-        return answer("unknown", reason="a larger set leaves less than half of it, and does without", **told)
+        return answer("unknown", reason="a larger set leaves less than half of it, and does without", **seen)
     said, tied = [], {}
     order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
     for name, label in order:
@@ -102,16 +102,16 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         if equal is None or few:
             rival = "+".join(rivals[name].labels)
             why = "too few kinds of excitation to tell" if few else "these records cannot tell"
-            return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **told)
+            return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **seen)
         twins = {n for group in TWINS if label in group for n in group} - {label}
         twins = set() if label == "parameter_change" or search.refit and label != "delay" else twins
         said.append(label)
         tied[label] = tuple(dict.fromkeys((*equal, *sorted(twins))))
     if not said:
-        return answer("unknown", reason="no single effect of the set closes much", **told)
+        return answer("unknown", reason="no single effect of the set closes much", **seen)
     open_ = more >= rules.SURE or deepest is not None
     verdict = "partly" if open_ and not settled else "explained"
-    return answer(verdict, said, tied, **told)
+    return answer(verdict, said, tied, **seen)
 
 
 def _needed(chosen: Hypothesis, rival: Hypothesis) -> float:
@@ -140,12 +140,12 @@ def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     for name in without:
         search.without(name, len(chosen.names))
     labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
-    found = [
+    lacking = [
         h
         for h in search.every.values()
         if not without & set(h.names) and not labels & set(h.labels) and len(h.names) <= len(chosen.names)
     ]
-    fair = [h for h in found if not _nested(h, chosen) and not _nested(chosen, h)] or found
+    fair = [h for h in lacking if not _nested(h, chosen) and not _nested(chosen, h)] or lacking
     return min(fair, key=lambda h: h.rms)
 
 

@@ -69,7 +69,7 @@ class Seen(NamedTuple):
 
 def motions(case: Case, scale: Scale) -> Seen:
     """Derivatives and missing forces along the measured motion; `scale`: of the search."""
-    found, dt = [], case.dt
+    along, dt = [], case.dt
     a = [case.nominal[INDEX[k]] for k in ("a0", "a1", "a2")]
     omega = 1 / scale.tau
     for s, d in zip(case.series, case.simulator.drives, strict=True):
@@ -80,10 +80,10 @@ def motions(case: Case, scale: Scale) -> Seen:
         cut = min(max(6 * omega / (2 * np.pi), 3 / (len(place) * dt)), 0.3 / dt)
         states = preprocess(record, 2, cut, force, displacement=filled).states
         weight = 1e4 * s.counts / (s.counts.sum() * s.span**2)
-        found.append(Motion(record, weight, states, force - states @ a, s.noise, s.span))
+        along.append(Motion(record, weight, states, force - states @ a, s.noise, s.span))
     scale_, unit = float(case.model.scales.state[0]), fitted_of(case.model).origin.displacement_unit
-    reach = max(float(np.abs(m.states[:, 0]).max()) for m in found)
-    return Seen(tuple(found), omega, reach, scale_, unit)
+    reach = max(float(np.abs(m.states[:, 0]).max()) for m in along)
+    return Seen(tuple(along), omega, reach, scale_, unit)
 
 
 def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
@@ -159,12 +159,12 @@ def _harmonics(seen: Seen, errors) -> dict:
 
 def _tone(seen: Seen, errors) -> dict | None:
     """`steady_tone` of the residuals: its frequency, in how many records, and its least share of one's gap."""
-    found = steady_tone(
+    tone = steady_tone(
         [e * (s.weight > 0) for s, e in zip(seen.motions, errors, strict=True)],
         [s.record.voltage for s in seen.motions],
         [seen.dt] * len(errors),
     )
-    return None if found is None else {"hz": found[0], "records": len(errors), "share": found[1]}
+    return None if tone is None else {"hz": tone[0], "records": len(errors), "share": tone[1]}
 
 
 def _time(seen: Seen, errors) -> list[dict]:

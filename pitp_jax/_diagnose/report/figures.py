@@ -212,8 +212,8 @@ def _drawn(draw: Callable[[], Axes]) -> Figure:
         return figure
     except Exception as error:
         figure, reason = Figure(figsize=(5.0, 1.0)), " ".join(str(error).split())[:80]
-        told = f"not drawn: {type(error).__name__}: {reason}".encode("ascii", "replace").decode()
-        figure.text(0.02, 0.5, told, fontsize=_SMALL, parse_math=False)
+        message = f"not drawn: {type(error).__name__}: {reason}".encode("ascii", "replace").decode()
+        figure.text(0.02, 0.5, message, fontsize=_SMALL, parse_math=False)
         return figure
 
 

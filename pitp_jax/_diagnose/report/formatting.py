@@ -35,15 +35,15 @@ def named(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def parameter(name: str, told: dict, length_unit: str) -> tuple[str, str]:
+def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
     """Label and text of one parameter, in units people measure with; a limit as itself.
 
     Args:
         name: of the parameter.
-        told: its value, unit and stderr.
+        number: its value, unit and stderr.
         length_unit: the displacement's unit, of the user's files.
     """
-    value, unit, error = told["value"], told["unit"], told["stderr"]
+    value, unit, error = number["value"], number["unit"], number["stderr"]
     if name in _LIMITS and value and "/" in unit:
         top, bottom = unit.split("/")
         unit = bottom if top == "1" else f"{bottom}/{top}"
@@ -77,7 +77,7 @@ def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) ->
         unit, drive: the displacement's and the drive's, of the user's files.
     """
     scale, shown = 1 / OUTPUT_UNITS[unit], shown_unit(unit)
-    found = []
+    facts = []
     for axis, text, factor, key in (
         ("displacement", f"of the missing force acts at displacements of {{}} to {{}} {shown}", scale, "range"),
         ("voltage", f"of the missing force acts at {{}} to {{}} {base_unit(drive)}", 1.0, "range"),
@@ -91,8 +91,8 @@ def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) ->
             words = text.format(figure(factor * low, 2), figure(factor * high, 2))
             rest = "" if axis == "time" else f", where {percent(there)} of the time is spent"
             if share >= _OVER * there:
-                found.append((there / share, f"{percent(share)} {words}{rest}."))
-    return [text for _, text in sorted(found)]
+                facts.append((there / share, f"{percent(share)} {words}{rest}."))
+    return [text for _, text in sorted(facts)]
 
 
 def _narrowest(shares: Sequence[float]) -> tuple[int, int] | None:
