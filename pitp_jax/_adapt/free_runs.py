@@ -24,7 +24,7 @@ from .._record.record import Record
 from .._simulate import ports
 from .._simulate.batched_rollout import in_rows, rows_rollout
 from .._simulate.beginnings import held_states
-from .._simulate.decoder import rollout
+from .._simulate.decoder import at_rest, rollout
 from .._simulate.prediction import FAR
 from .factors import Factors, moved
 
@@ -107,8 +107,9 @@ def runs(
             return ports.readings(here, rollout(here, u, dt, s))
 
         return jax.vmap(one)(z, start, voltage)
-    rest = ~jnp.any(start[:, : model.order], axis=1)
-    film = jax.vmap(lambda z, u, r: moved(model, factors, z, dt).drive.film(u, dt, r))(z, voltage, rest)
+    film = jax.vmap(lambda z, u, r: moved(model, factors, z, dt).drive.film(u, dt, r))(
+        z, voltage, at_rest(model, start)
+    )
     return rows_rollout(moved(model, factors, z.T, dt), film, dt, start)[..., 0]
 
 

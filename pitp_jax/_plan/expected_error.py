@@ -75,8 +75,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
     information = []
     for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
-        rest = np.asarray(~np.asarray(at)[:, : model.order].any(1), np.float32)
-        runs = Runs(at, jnp.asarray(rest), jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
+        runs = Runs(at, jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
         rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
         information += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
     return Motions(tuple(information[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)

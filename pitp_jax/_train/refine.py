@@ -178,7 +178,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
     weight = [w * s for w, s in zip(each, seen, strict=True)]
     start = jnp.stack([_begun(model, data.features[k][first], records[k].voltage[first]) for k, first in places])
     target = cut([np.where(s, v, 0.0) for v, s in zip(x, seen, strict=True)])
-    return Runs(start, jnp.zeros(len(places), jnp.float32), cut([r.voltage for r in records]), target, cut(weight))
+    return Runs(start, cut([r.voltage for r in records]), target, cut(weight))
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
@@ -258,9 +258,8 @@ def _from_the_start(
         target[k, :n] = np.where(seen, x[:n], 0.0)
         weight[k, :n] = each[k] * seen / max(seen.sum(), 1)
     start = jnp.stack(starts)
-    rest = np.asarray(~start[:, : model.order].any(1), np.float32)
     own = np.array([b.free for _, _, b in begins], np.float32)
-    return Runs(start, *(jnp.asarray(v) for v in (rest, voltage, target, weight, own)))
+    return Runs(start, *(jnp.asarray(v) for v in (voltage, target, weight, own)))
 
 
 def _settled(model: Model, record: Record):
