@@ -160,10 +160,12 @@ def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Ma
     resonance = model.natural_frequency / (2 * np.pi) if model is not None else fitted.natural_hz if fitted else None
     input_map = model.input_map.name if model is not None else fitted.input_map if fitted else "square"
     rows = {r.name: _row(r, own[r.name], fitted, beside.get(r.name)) for r in records}
-    rows = {name: _with(row, [apart[name]] if name in apart else []) for name, row in _reversed(rows).items()}
+    turned = _turned(rows)
+    more = dict.fromkeys(turned, "its sensor reads against the direction of most others") | apart
+    rows = {n: replace(row, problems=(*row.problems, more[n])) if n in more else row for n, row in rows.items()}
     cover = coverage(used, input_map, resonance) if used and resonance else None
     repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
-    advice = set_advice(rows, used, cover, repeats, cycles(used), model is not None, fitted)
+    advice = set_advice(rows, used, cover, repeats, cycles(used), beside, fitted, turned)
     monitor = monitor_warning(used) if used and input_map == "square" else None
     lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
     lines = ([monitor] if monitor else []) + advice
@@ -227,18 +229,8 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
     )  # fmt: skip
 
 
-def _reversed(rows: dict[str, CheckedRecord]) -> dict[str, CheckedRecord]:
-    """The same, those read against the direction of most told."""
-    known = Counter(row.direction for row in rows.values() if row.direction is not None)
-    if len(known) < 2:
-        return rows
-    most = known.most_common(1)[0][0]
-    line = "its sensor reads against the direction of most others"
-    return {
-        name: _with(row, [line] if row.direction is not None and row.direction != most else [])
-        for name, row in rows.items()
-    }
-
-
-def _with(row: CheckedRecord, problems: Sequence[str]) -> CheckedRecord:
-    return replace(row, problems=(*row.problems, *problems)) if problems else row
+def _turned(rows: Mapping[str, CheckedRecord]) -> list[str]:
+    """Names of those read against the direction of most."""
+    known = {name: row.direction for name, row in rows.items() if row.direction is not None}
+    most = Counter(known.values()).most_common(1)
+    return [name for name, direction in known.items() if direction != most[0][0]]
