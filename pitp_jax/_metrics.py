@@ -132,6 +132,7 @@ def rmhe_percent(
     up = np.asarray(reference, dtype=np.float64)[cycle][counted]
     if len(up) < 3 or np.ptp(up) == 0 or np.ptp(across) == 0:
         return float("nan")
+    # edges of the polygon; the last one closes it
     left, right = across, np.roll(across, -1)
     bottom, top = up, np.roll(up, -1)
     low, high = np.minimum(left, right), np.maximum(left, right)
@@ -139,6 +140,7 @@ def rmhe_percent(
     widest = 0.0
     # between the extremes: at these the loop turns, and has no width
     for level in np.linspace(across.min(), across.max(), levels + 2)[1:-1]:
+        # edges that cross this level; a vertical one has no single place on it
         crossed = (low <= level) & (level <= high) & (left != right)
         at = bottom[crossed] + slope[crossed] * (level - left[crossed])
         widest = max(widest, float(np.ptp(at)) if at.size else 0.0)

@@ -48,6 +48,7 @@ def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repea
     if seen.sum() < 2:
         return Repeat(tuple(r.name for r in records), float("nan"), float("nan"))
     y = y[:, seen] - y[:, seen].mean(1, keepdims=True)
+    # sample by sample over the repeats: what they share, the model's part, drops out
     sigma = float(np.sqrt(np.mean(y.var(0, ddof=1))))
     span = float(np.median(np.ptp(y, axis=1)))
     return Repeat(tuple(r.name for r in records), sigma, 100 * sigma / span if span > 0 else float("nan"))

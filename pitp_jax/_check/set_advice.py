@@ -58,6 +58,7 @@ def set_advice(
                 f"{per:.1f} samples a period of the resonance at {cover.resonance:.3g} Hz are few: sample at "
                 f"{_PER_PERIOD * cover.resonance:.3g} Hz or more"
             )
+    # None: nothing is known of how it begins
     begins = {rows[r.name].begins for r in used} - {None}
     if begins and "rest" not in begins:
         none, what = (
@@ -79,6 +80,7 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
         np.array([to_base(getattr(rows[r.name], field), r.displacement_unit) for r in known])
         for field in ("zero", "zero_stderr")
     )
+    # of records at rest the zero was read, of all others it was fitted
     resting = [zero for r, zero in zip(known, zeros, strict=True) if rows[r.name].begins == "rest"]
     middle, far = float(np.median(resting or zeros)), False
     for r, zero, error in zip(known, zeros, errors, strict=True):

@@ -167,6 +167,7 @@ def diagnose(
     limit = Budget(seconds)
     misfit, source = own_misfit(case) if not refit_nominal else (0.0, "unknown in a refit")
     noise = _thinned(case, 0.0)
+    # in a refit the nominal was made from these records: what it left of others is not known
     own = _thinned(case, misfit) if not refit_nominal else 0.0
     search = Search(case, refit_nominal, exclude, limit, progress, max(own, noise), misfit)
     if not search.given.rms <= rules.OWN * own:
@@ -175,6 +176,7 @@ def diagnose(
     progress("which of them is sure")
     decision = decide(search, own, noise, distinct)
     handed, made, parts = hand_back(search, decision, model, records)
+    # told in % of range, as the gap is
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)
     errors = errors_of(search, handed.fit)
@@ -250,6 +252,7 @@ def _floor(search: Search, own: float) -> float:
 
 def _gap(search: Search, decision: Decision, handed: Hypothesis, low: float, source: str) -> Gap:
     before, after = percent(search, search.base), percent(search, handed)
+    # of all that was tried, names or none: how far down any explanation came
     best = min(search.every.values(), key=lambda h: h.rms)
     room = min(percent(search, best), before * float(np.exp((decision.bar.score - search.base.evidence.score) / 2)))
     known = low > 0
@@ -262,6 +265,7 @@ def _gap(search: Search, decision: Decision, handed: Hypothesis, low: float, sou
 def _raw(search: Search):
     """The nominal's residuals with zeros and starts as the records' beginnings say."""
     case = search.case
+    # as the records begin, before any zero or start was fitted
     runs = case.simulator.run(np.tile(case.nominal, (len(case.series), 1)), range(len(case.series)), case.starts)
     rows = []
     for run, s, residual in zip(runs, case.series, search.given.residuals, strict=True):
@@ -277,6 +281,7 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
     given, error = search.given.evidence.bare, _error
+    # sets with no name said may still predict better than the one that was judged
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
     if not decision.said:
@@ -289,6 +294,7 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
     for h in tried:
         if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
             continue
+        # in the package's own parts; what none of them can carry is not handed back
         made, added, missing = model_of(search.case.nominal, h.fit.slots, model, omega)
         if missing:
             continue
@@ -338,6 +344,7 @@ def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment
     if not names or not best.names or not limit.allows("an experiment that separates the tied names"):
         return None
     lacking = dict(zip(best.labels, best.names, strict=True)).get(names[0])
+    # as large at most: a larger set fits anything, and separates nothing
     rivals = [
         h for h in search.every.values() if h.names and lacking not in h.names and len(h.names) <= len(best.names)
     ]

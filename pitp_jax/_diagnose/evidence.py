@@ -36,6 +36,7 @@ class Evidence:
     def mse(self) -> np.ndarray:
         """Mean square of every record."""
         count = self.floor.size
+        # bincount sums blocks by the record they are of
         total = np.bincount(self.records, self.squares, count)
         mean = total / np.maximum(np.bincount(self.records, self.sizes, count), 1) + self.floor
         return np.maximum(mean, self.least)
@@ -65,6 +66,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
         seen = r[np.isfinite(r)]
         if not len(seen):
             continue
+        # blocks, not samples: neighbours on one smooth run are no independent witnesses
         for block in np.array_split(seen, max(_FEWEST, round(_BLOCKS * len(seen) / total))):
             squares.append(float(np.sum(block**2)))
             sizes.append(len(block))
@@ -76,17 +78,20 @@ def draws(sets: Sequence[Evidence]) -> np.ndarray:
     """S of every set in every draw, shape (sets, draws); all sets are drawn alike."""
     rng, first = np.random.default_rng(0), sets[0]
     there = np.unique(first.records)
+    # how often each record is drawn; with one record only its blocks can vary
     picks = (
         rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS)
         if len(there) > 1
         else np.ones((_DRAWS, 1))
     )
     size = np.array([first.sizes[first.records == r].sum() for r in there])
+    # a record counts by its samples, as in the score itself
     weight = picks * size
     weight = weight / weight.sum(1, keepdims=True)
     scores = np.zeros((len(sets), _DRAWS))
     for j, r in enumerate(there):
         place = np.flatnonzero(first.records == r)
+        # the same blocks for all sets: what they share cancels in the comparison
         pick = place[rng.integers(0, len(place), (_DRAWS, len(place)))]
         count = first.sizes[pick].sum(1)
         for k, s in enumerate(sets):

@@ -97,7 +97,9 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
         return np.ones((size, 1)), np.zeros((1, 2))
     a0, a1, a2 = (float(slots[INDEX[k]]) for k in ("a0", "a1", "a2"))
     time = np.arange(size) * case.dt
+    # the sensor's zero, then what the plant does by itself
     columns, begins = [np.ones(size)], [(0.0, 0.0)]
+    # order one: a single real pole
     poles: list[complex] = [complex(-a0 / a1)]
     if a2 > 0:
         root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
@@ -120,7 +122,9 @@ def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple
     if columns.shape[1] == 1:
         mean = rows[seen > 0].mean(0, keepdims=True)
         return rows - mean, mean
+    # QR, not normal equations: free responses of two close poles are nearly one column
     q, r = np.linalg.qr(inside)
+    # a column that the others have already is left out
     keep = np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-300)
     q = q * keep
     r = r + np.diag(np.where(keep, 0.0, 1.0)) * max(np.abs(r).max(), 1e-300)
@@ -183,6 +187,7 @@ class Fitter:
             if residuals[k] is None:
                 return np.inf
             seen = self._masks[fold][k] > 0
+            # a record's own variance: one of a large motion does not decide alone
             total += seen.sum() * np.log(np.mean(residuals[k][seen] ** 2) + self.floors[k])
         return float(total)
 
@@ -192,6 +197,7 @@ class Fitter:
         for fit in fits:
             z = coordinates(fit)
             log = LOGARITHM[[INDEX[k] for k in fit.free]]
+            # relative to a number and its start: one that is near zero still gets a step that shows
             step = np.where(log, _STEP, _STEP * np.maximum(np.abs(z), 0.1 * fit.unit))
             steps.append(step)
             for k in self._seen(fit.fold):
@@ -199,6 +205,7 @@ class Fitter:
                     moved = z.copy()
                     moved[i] += step[i]
                     jobs.append((at(fit, moved), k, fit.starts[k]))
+                # the unmoved run beside them, in the same block: rounding of another program would not cancel
                 jobs.append((fit.slots, k, fit.starts[k]))
         runs, place = self._simulate(jobs), 0
         for fit, step in zip(fits, steps, strict=True):
@@ -217,6 +224,7 @@ class Fitter:
         for k in self._seen(fit.fold):
             seen = self._masks[fit.fold][k] > 0
             j, r = fit.jacobian[k][seen], fit.residuals[k][seen]
+            # the derivative of n log MSE by MSE
             weight = 1 / (np.mean(r**2) + self.floors[k])
             h, g = h + weight * j.T @ j, g + weight * j.T @ r
         return h, g
@@ -284,6 +292,7 @@ class Fitter:
         if gain > 0:
             fit.slow = fit.slow + 1 if gain < _SLOW else 0
             fit.slots, fit.cost, fit.residuals, fit.starts = slots, cost, residuals, starts
+            # trusted more: the quadratic held
             fit.damping, fit.jacobian = max(fit.damping / 6, 1e-7), None
             fit.done = fit.slow >= 2
         else:
@@ -297,6 +306,7 @@ class Fitter:
         for f in fits:
             for fold in range(len(self.case.folds)):
                 one = f.again(fold=fold, damping=1e-3)
+                # as good on the other folds as the fit to all: from there a few steps are enough
                 one.cost = self._cost(one.residuals, fold)
                 if self.case.blocks and f.free:  # the zero is fitted without the block
                     one.jacobian = None

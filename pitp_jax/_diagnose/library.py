@@ -60,6 +60,7 @@ class Scale:
 def forms(s: Scale) -> list[Form]:
     """Every form with its starts."""
     x, pull = s.reach, s.force
+    # a plant without damping of its own still gets one to measure others by
     damping = max(s.a1, 0.1 * s.tau * max(s.a0, s.force / x))
     all_forms = []
 

@@ -109,6 +109,7 @@ def interval(search: Search, before: Hypothesis, after: Hypothesis, low: float) 
 
     The nominal's own error is an estimate, too, and at most what it is told as: the lower end is that without it.
     """
+    # the same draws for both: what they share cancels in their ratio
     e = 100**2 * energies([before.evidence, after.evidence], _spans(search))
     if np.sqrt(e[0, 0]) <= GAP * low:
         return None
@@ -136,6 +137,7 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
         r = np.nan_to_num(fit.residuals[k])
         weight = 1 / (np.mean(r[s.counts] ** 2) + search.floors[k])
         blocks = max(3, round(_BLOCKS * s.counts.sum() / total))
+        # scores of whole blocks: residuals within one are correlated
         for j, e in zip(np.array_split(fit.jacobian[k], blocks), np.array_split(r, blocks), strict=True):
             score = weight * j.T @ e
             meat += np.outer(score, score)
@@ -184,12 +186,14 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     before = percent(search, search.base)
     for h in search.level(1):
         label = h.labels[0]
+        # what the form moved alone: the base's own delay and lags are none of it
         same = h.fit.slots == search.base.fit.slots
         same[[INDEX[k] for k in ("delay", "lag", "filter")]] |= label not in ("delay", "sensor_lag")
         slots = np.where(same, OFF, h.fit.slots)
         slots[INDEX["a0"]] = h.fit.value("a0")
         effects, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
         mine = next(((e, c) for e, c in effects if e.name in (label, "found_term")), None)
+        # each takes slopes of its own: of the first three, which a reader compares
         errors = errors_of(search, h.fit) if len(rows) < 3 else {}
         numbers = in_units(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
         after, moved = percent(search, h), label == "parameter_change"

@@ -61,11 +61,13 @@ def scale_of(case: Case, base: Fit) -> Scale:
         [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
     )
     a0, a1, a2 = (base.value(k) for k in ("a0", "a1", "a2"))
+    # the natural period's, else the slowest pole's, of whatever the base has
     tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
     tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
     drives = case.simulator.drives
     volts = np.concatenate([d.voltage for d in drives])
     force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
+    # of the integral of the drive, the unit of a loop of a speed command
     area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
@@ -81,6 +83,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
 
 def _smooth(x: np.ndarray) -> np.ndarray:
     filled = np.interp(np.arange(len(x)), np.flatnonzero(np.isfinite(x)), x[np.isfinite(x)])
+    # five samples: enough that a difference of a thinned record is no noise
     return np.convolve(np.pad(filled, 2, mode="edge"), np.ones(5) / 5, "valid")
 
 
@@ -97,6 +100,7 @@ class Search:
         self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
+        # of the nominal's linear part what is there at all
         self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
@@ -118,6 +122,7 @@ class Search:
             ]
         else:
             if self.scale.a2 > 0:
+                # a mass that moved: two starts, heavier and lighter
                 heavier = [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
                 self.library += heavier if "added_mass" not in self.exclude else []
             moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",))
@@ -150,6 +155,7 @@ class Search:
         if self.refit:
             fits += self._structures()
         self.fitter.fit(fits, 25)
+        # of fits of one structure the best, whatever it started from
         best: dict[tuple[str, ...], Fit] = {}
         for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
             best.setdefault(f.free, f)
@@ -201,6 +207,7 @@ class Search:
                     continue
                 groups.setdefault(key, []).append(start := self._started(front.fit, form))
                 below[id(start)] = front.fit
+        # at the first level every name is fitted: nothing is known yet of what it may hide
         groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
         keys = list(groups)
         # what promises most first; without a limit of time all of them side by side
@@ -227,6 +234,7 @@ class Search:
         }
         self.fitter.fit([f for g in groups.values() for f in g], 0)
         for key, group in groups.items():
+            # only what lowers the error of the set below it goes on
             least = [self.every[key - {f.names[-1]}].fit.cost - 2 * rules.GAIN * self.samples for f in group]
             groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
@@ -247,6 +255,7 @@ class Search:
         for n, f in enumerate(fits):
             if f.names[-1] != "viscoelastic" or "branch2" in f.free:
                 continue
+            # a decade apart: nearer, two branches are one of a time constant between them
             for ratio in (0.1, 10.0):
                 slots = f.slots.copy()
                 slots[INDEX["branch2"]] = 0.3 * f.value("branch")
@@ -279,6 +288,7 @@ class Search:
             return front.anew(names=(*front.names, PARAMETERS), free=free, slots=slots)
         for k, v in form.start.items():
             slots[INDEX[k]] = v
+        # so that the start is as stiff as the base, and no detour of the core's numbers
         stiff = 1 + slots[INDEX["bouc"]] * (
             "bouc" in form.start
         )  # what adds stiffness begins with as much less of the core
@@ -303,6 +313,7 @@ class Search:
                 self.progress("no single effect helps")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
+            # down to the nominal's own error there is nothing more to explain
             settled = level[0].rms <= rules.OWN * self.own
             helps = level[0].rms < rules.FIRST * least.rms
             if settled or (not helps and depth > 1) or not self.budget.allows(f"sets of {depth + 1} effects"):
@@ -346,6 +357,7 @@ class Search:
     def best(self) -> Hypothesis:
         """The last set that pays."""
         best, floor = self.base, self.own
+        # over all that was tried, also sets that the backward step added
         deepest = max(len(h.names) for h in self.every.values())
         for depth in range(1, deepest + 1):
             level = self.level(depth)
@@ -364,6 +376,7 @@ class Search:
             return self._plainer(level, best, lambda h: h.names[0] in LONE)
         if PARAMETERS in best.names:
             return best
+        # fewer numbers win a tie: they had less room to fit by chance
         few = [h for h in level if len(h.fit.free) < len(best.fit.free)]
         as_good = [h for h in few if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
         return min(as_good, key=lambda h: (len(h.fit.free), h.rms), default=best)
@@ -383,6 +396,7 @@ class Search:
             nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
             known = [h for h in nexts if h is not None]
             step = min(known, key=lambda h: h.rms) if known else chosen
+            # the last step ends at the set chosen, not at a like one with other starts
             step = chosen if len(have) + 1 == len(chosen.names) else step
             steps.append(step)
             have = frozenset(step.names)

@@ -23,6 +23,7 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
     rng, first = np.random.default_rng(1), sets[0]
     there = np.unique(first.records)
     per_set = np.zeros((len(sets), 1 + _DRAWS))
+    # records first, then blocks within: a budget hangs on which records there are
     picks = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS) / len(there)
     for j, r in enumerate(there):
         place = np.flatnonzero(first.records == r)
@@ -39,9 +40,11 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
     steps = search.steps(chosen)
     more = decision.above if decision.more >= rules.SURE else chosen.evidence
+    # from the nominal as it stands to the best that anything reaches, a step each
     path = [raw, search.given.evidence, *[h.evidence for h in steps], more]
     e = energies(path, spans)
     whole = np.maximum(e[:2].max(0), 1e-300)
+    # steps telescope: all shares add up to one in every draw
     gains = (e[:-1] - e[1:]) / whole
     gains[0] = (whole - e[1]) / whole
     parts: dict[str, np.ndarray] = {"nuisance": gains[0], "parameters": np.zeros(e.shape[1])}
@@ -75,6 +78,7 @@ def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
     if any(h is None for h in alone):
         return named
     e = energies([search.base.evidence, *[h.evidence for h in alone if h is not None], chosen.evidence], spans) / whole
+    # the mean of what a name gains alone and of what it gains as the second
     first = (e[0] - e[1] + e[2] - e[3]) / 2
     return dict(zip(chosen.labels, (first, e[0] - e[3] - first), strict=True))
 

@@ -26,8 +26,10 @@ def steady_tone(
     for e, u, dt in zip(errors, voltages, intervals, strict=True):
         window = np.hanning(len(e))
         power = np.abs(np.fft.rfft((e - e.mean()) * window)) ** 2
+        # not line 0, the mean
         k = int(np.argmax(power[1:])) + 1
         near = slice(max(k - 3, 0), k + 4)
+        # of the force: a squared drive has lines that its voltage has not
         squared = np.abs(np.fft.rfft((u**2 - np.mean(u**2)) * window)) ** 2
         driven = squared[near].sum() / max(squared.sum(), 1e-30)
         lines.append((k / (len(e) * dt), power[near].sum() / max(power.sum(), 1e-30), driven, 1 / (len(e) * dt)))

@@ -55,6 +55,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     """Judge a search; `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: excitations."""
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
+    # beside a refit also every linear structure: a reference on a poor one would be a low bar
     bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
     bar = min(bars, key=lambda e: e.score)
     above = reference(case, chosen, floors) if chosen.names else bar
@@ -71,6 +72,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="the nominal leaves no more than on its own records")
     if not chosen.names:
+        # nothing at all helps, the reference included
         gains = [h.rms for h in search.every.values()] + [bar.rms]
         if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
             return answer("no_gap", reason="what is left is the sensor's noise")
@@ -78,6 +80,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     p, rivals, taken = {}, {}, _fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     for name, label in zip(chosen.names, chosen.labels, strict=True):
+        # searched anew without the name: what stands in its place need not have been tried yet
         rivals[name] = _rival(search, chosen, {name})
         p[label] = _needed(chosen, rivals[name])
     if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
@@ -93,6 +96,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
         return answer("unknown", reason="a larger set leaves less than half of it, and does without", **seen)
     said, tied = [], {}
+    # what closes most is said first
     order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
     for name, label in order:
         if fractions[label] < rules.LISTED or label in said:
@@ -103,6 +107,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
             rival = "+".join(rivals[name].labels)
             why = "too few kinds of excitation to tell" if few else "these records cannot tell"
             return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **seen)
+        # no record can tell these apart, so they are told however sure the set is
         twins = {n for group in TWINS if label in group for n in group} - {label}
         twins = set() if label == "parameter_change" or search.refit and label != "delay" else twins
         said.append(label)
@@ -170,6 +175,7 @@ def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str
         rival = _rival(search, chosen, group)
         if _needed(chosen, rival) >= rules.SURE:
             return tuple(labels)
+        # a tie is one name in the place of one; two would be another explanation
         new = set(rival.names) - set(chosen.names)
         if len(new) != 1 or len(group) == rules.TIED:
             return None

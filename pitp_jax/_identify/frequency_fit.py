@@ -71,6 +71,7 @@ class _Lines(NamedTuple):
         known = np.flatnonzero(response.coherent)
         hz, value = response.hz[known], response.value[known]
         weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
+        # powers of s up to six stay of order one
         unit = 2 * np.pi * float(np.exp(np.log(hz).mean()))
         return cls(2j * np.pi * hz / unit, value, weight, np.sinc(hz * dt) ** 2, unit)
 

@@ -187,12 +187,14 @@ def identify(
         # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
     if "delay" in learn:  # in any case, but where it vanishes: as one more number it would only cost held-out scores
+        # orders whose delay did not vanish
         late = {c.structure.order for c in candidates if c.structure.delayed}
         candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
     if not fit.identifiable:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
         raise ComputationFailed(why)
+    # of each order what the records determine, then what predicts best
     best = [min((c for c in candidates if c.structure.order == n), key=lambda c: (not c.known, c.score))
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)

@@ -97,6 +97,7 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
     _enough(members)
     check_set(records)
     records, _ = in_motion(records)
+    # every process splits alike, and takes its own
     keys, processes = jax.random.split(key, members), jax.process_count()
     mine = range(jax.process_index(), members, processes)
     # the same records for all: what differs is the start of the nets and the order of minibatches
@@ -131,6 +132,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     models = [at_rate(model_of(m), records[0].dt) for m in ensemble.models]
     finest = max(m.substeps for m in models)  # one program runs all members: at the steps of the one that needs most
     stack = _stacked([replace(m, substeps=finest) for m in models])
+    # K members know their spread with K - 1 degrees of freedom
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
