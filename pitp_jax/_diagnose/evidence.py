@@ -43,7 +43,7 @@ class Evidence:
 
     @property
     def score(self) -> float:
-        """S."""
+        """The score S, the log of the error squared."""
         weight = np.bincount(self.records, self.sizes, self.floor.size)
         return float(np.sum(weight * np.log(self.mse)) / weight.sum())
 

@@ -113,7 +113,7 @@ class _Columns:
         return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
     def score(self, begins: Begins, direction: float) -> float:
-        """BIC."""
+        """How badly this explains the record, with its numbers paid for (BIC)."""
         extra = self.free.shape[1] if begins == "moving" else 0
         return criterion(self.residual(begins, direction)[0], extra, floor=_FINEST * self.size)
 
