@@ -89,6 +89,8 @@ def test_numbers_have_sensible_digits():
         == "0.4781 ± 0.0002 ms"
     )
     assert formatting.parameter("place", {"value": 0.0022, "unit": "m", "stderr": None}, "um")[1] == "2200 µm"
+    level = {"value": 0.02, "unit": "rad/s", "stderr": None}  # a joint's, in files of degrees
+    assert formatting.parameter("speed", level, "deg")[1] == "1.15 deg/s"
     assert formatting.parameter("inverse", {"value": 2e-5, "unit": "s/V", "stderr": 1.2e-6}, "m") == (
         "limit", "50000 ± 3000 V/s",
     )  # fmt: skip

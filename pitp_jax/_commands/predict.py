@@ -14,7 +14,7 @@ from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
 from .._simulate.prediction import Prediction
 from .._simulate.prediction import predict as run_predict
-from .._table.units import from_base
+from .._table.units import column_name, from_base
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
 from .recordings import open_both
@@ -107,8 +107,8 @@ def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
     volts, unit = record.voltage_unit, record.displacement_unit
     columns = {
         "time_s": record.time,
-        f"voltage_{volts}": from_base(record.voltage, volts),
-        f"displacement_{unit}": from_base(record.displacement, unit),
+        column_name("voltage", volts): from_base(record.voltage, volts),
+        column_name("displacement", unit): from_base(record.displacement, unit),
         f"predicted_{unit}": from_base(prediction.displacement, unit),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
