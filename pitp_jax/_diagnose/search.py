@@ -14,7 +14,7 @@ from . import rules
 from .budget import Budget
 from .data import Case
 from .evidence import Evidence, evidence, probability
-from .fit import SCREEN, Fit, Fitter
+from .fit import PREVIEW, Fit, Fitter
 from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
@@ -216,7 +216,7 @@ class Search:
     def _climbed(self, groups: dict[frozenset, list[Fit]]) -> list[Hypothesis]:
         """The optimum of every set that helps, judged out of fold."""
         for f in (starts := [f for g in groups.values() for f in g]):
-            f.fold = SCREEN
+            f.fold = PREVIEW
         self.fitter.fit(starts, _FIRST_STEPS)
         groups = {
             key: [
