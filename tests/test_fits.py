@@ -57,7 +57,7 @@ def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
 
 @pytest.mark.slow
 def test_names_are_measured_against_the_nominal_where_a_refit_is_worse(nominal):
-    """A spring a fifth stiffer in one record and a fifth softer in the other: fitted to one it is 40 % off on the other.
+    """A spring a fifth stiffer in one record, a fifth softer in the other: fitted to one, 40 % off on the other.
 
     With names measured against such a refit, one that only mended it was said while nothing could be handed back.
     """
