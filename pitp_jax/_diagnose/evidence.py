@@ -36,13 +36,14 @@ class Evidence:
     def mse(self) -> np.ndarray:
         """Mean square of every record."""
         count = self.floor.size
+        # bincount sums blocks by the record they are of
         total = np.bincount(self.records, self.squares, count)
         mean = total / np.maximum(np.bincount(self.records, self.sizes, count), 1) + self.floor
         return np.maximum(mean, self.least)
 
     @property
     def score(self) -> float:
-        """S."""
+        """The score S, the log of the error squared."""
         weight = np.bincount(self.records, self.sizes, self.floor.size)
         return float(np.sum(weight * np.log(self.mse)) / weight.sum())
 
@@ -65,6 +66,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
         seen = r[np.isfinite(r)]
         if not len(seen):
             continue
+        # blocks, not samples: neighbours on one smooth run are no independent witnesses
         for block in np.array_split(seen, max(_FEWEST, round(_BLOCKS * len(seen) / total))):
             squares.append(float(np.sum(block**2)))
             sizes.append(len(block))
@@ -75,6 +77,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
 def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Draw records, then blocks within each: (record, times drawn (count,), its blocks (count, blocks)) in turn."""
     rng, there = np.random.default_rng(seed), np.unique(first.records)
+    # how often each record is drawn; with one record only its blocks can vary
     times = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), count)
     for j, r in enumerate(there):
         place = np.flatnonzero(first.records == r)
@@ -86,6 +89,7 @@ def draws(sets: Sequence[Evidence]) -> np.ndarray:
     first = sets[0]
     scores, weight = np.zeros((len(sets), _DRAWS)), np.zeros(_DRAWS)
     for r, times, pick in resampled(first, _DRAWS, seed=0):
+        # a record counts by its samples, as in the score itself; the same blocks for all sets: what they share cancels
         size = times * first.sizes[first.records == r].sum()
         weight += size
         count = first.sizes[pick].sum(1)

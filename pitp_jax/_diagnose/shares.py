@@ -37,9 +37,11 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
     steps = search.steps(chosen)
     more = decision.above if decision.more >= rules.SURE else chosen.evidence
+    # from the nominal as it stands to the best that anything reaches, a step each
     path = [raw, search.given.evidence, *[h.evidence for h in steps], more]
     e = energies(path, spans)
     whole = np.maximum(e[:2].max(0), 1e-300)
+    # steps telescope: all shares add up to one in every draw
     gains = (e[:-1] - e[1:]) / whole
     gains[0] = (whole - e[1]) / whole
     parts: dict[str, np.ndarray] = {"nuisance": gains[0], "parameters": np.zeros(e.shape[1])}
@@ -59,12 +61,12 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     unnamed = gains[-1] + sum((v for n, v in named.items() if n not in said), np.zeros(e.shape[1]))
     rest = 1 - parts["nuisance"] - parts["parameters"] - sum(said.values(), np.zeros(e.shape[1])) - unnamed
     names = {
-        n: _share(v) | {"probability": decision.probabilities.get(n), "equivalent": list(decision.tied.get(n, ()))}
+        n: _fraction(v) | {"probability": decision.probabilities.get(n), "equivalent": list(decision.tied.get(n, ()))}
         for n, v in said.items()
     }
     return {
-        "nuisance": _share(parts["nuisance"]), "parameters": _share(parts["parameters"]), "effects": names,
-        "unnamed": _share(unnamed), "unexplainable": _share(rest),
+        "nuisance": _fraction(parts["nuisance"]), "parameters": _fraction(parts["parameters"]), "effects": names,
+        "unnamed": _fraction(unnamed), "unexplainable": _fraction(rest),
     }  # fmt: skip
 
 
@@ -73,11 +75,12 @@ def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
     if any(h is None for h in alone):
         return named
     e = energies([search.base.evidence, *[h.evidence for h in alone if h is not None], chosen.evidence], spans) / whole
+    # the mean of what a name gains alone and of what it gains as the second
     first = (e[0] - e[1] + e[2] - e[3]) / 2
     return dict(zip(chosen.labels, (first, e[0] - e[3] - first), strict=True))
 
 
-def _share(draws: np.ndarray) -> dict:
+def _fraction(draws: np.ndarray) -> dict:
     low, high = np.quantile(draws[1:], (0.025, 0.975))
     here = float(draws[0])
     return {"share": here, "ci95": [float(np.clip(min(low, here), -1, 1)), float(np.clip(max(high, here), -1, 1))]}
