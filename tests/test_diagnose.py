@@ -156,6 +156,7 @@ def test_excluded_names_are_not_said(nominal, hardened):
     assert found.gap.after > hardened.gap.after
 
 
+@pytest.mark.slow
 def test_out_of_time_the_best_so_far_is_told(nominal):
     planted = replace(nominal, effects=(effect("electrode_rc", "one lag", 0.02),))
     others = sorted({c.name for c in CATALOGUE} - {"electrode_rc", "delay"})

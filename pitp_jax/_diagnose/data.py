@@ -24,7 +24,7 @@ from .library import slots_of
 from .simulator import INDEX, Drive, Film, Simulator, root
 
 PERIOD, COARSEST, BUDGET = 40.0, 16.0, 12_000  # samples a period of the fastest mode or drive; fewer where all exceed
-SCREEN = 5_000  # samples from which no further record is needed to tell a promising start
+_ENOUGH = 5_000  # samples from which no further record is needed to tell a promising start
 STEPS = 24  # steps a period of the nominal's own mode, at least
 _FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
 _BLOCKS = 4  # folds of a single record
@@ -100,11 +100,11 @@ class Case:
         return [seen]
 
     def screened(self) -> list[np.ndarray]:
-        """Samples that the first steps of a fit may see: of the records with the widest motion, `SCREEN` in all."""
+        """Samples that the first steps of a fit may see: of the records with the widest motion, `_ENOUGH` in all."""
         rows = [s.counts.astype(float) for s in self.series]
         kept = 0
         for k in np.argsort([-s.span for s in self.series], kind="stable"):
-            if kept >= SCREEN:
+            if kept >= _ENOUGH:
                 rows[k] = np.zeros_like(rows[k])
             kept += int(rows[k].sum())
         return rows

@@ -22,7 +22,7 @@ _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
 _LONGEST = 1.5  # largest change of a logarithm in one step, or of a number in units of itself and its start
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
-SCREEN = -1  # the fold of first steps: some records only
+PREVIEW = -1  # the fold of first steps: some records only
 
 
 @dataclass
@@ -138,7 +138,7 @@ class Fitter:
     def __init__(self, case: Case):
         self.case = case
         self.runs = 0
-        self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {SCREEN: case.screened()}
+        self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {PREVIEW: case.screened()}
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
     def _simulate(self, jobs: Sequence[tuple[np.ndarray, int, np.ndarray]]) -> list[np.ndarray]:
@@ -258,7 +258,7 @@ class Fitter:
         probes = []
         for fit, front in zip(fits, fronts, strict=True):
             free = tuple(k for k in fit.free if k not in front.free)
-            probes.append(fit.anew(free=free, fold=SCREEN, residuals=[]))
+            probes.append(fit.anew(free=free, fold=PREVIEW, residuals=[]))
         self.fit(probes, 0)
         there = [p for p in probes if np.isfinite(p.cost)]
         self.differentiate(there)
@@ -266,7 +266,7 @@ class Fitter:
 
     def _stepped(self, probe: Fit, front: Fit) -> float:
         assert probe.jacobian is not None
-        seen, both = self._seen(SCREEN), list(probe.jacobian)
+        seen, both = self._seen(PREVIEW), list(probe.jacobian)
         if front.free and front.jacobian is not None:
             for k in seen:
                 both[k] = np.concatenate([front.jacobian[k], both[k]], 1)
@@ -275,7 +275,7 @@ class Fitter:
         after = list(whole.residuals)
         for k in seen:
             after[k] = np.where(np.isfinite(after[k]), after[k] + both[k] @ move, np.nan)
-        return min(probe.cost, self._cost(after, SCREEN))
+        return min(probe.cost, self._cost(after, PREVIEW))
 
     def _move(self, fit: Fit) -> np.ndarray:
         """The damped step of the free coordinates, none of them too far."""

@@ -245,7 +245,7 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
 }
 # numbers that do nothing where the strength beside them is off
 _SHAPES = set(
-    "charge_tau play_range exponent reach stop_at low_stop_at mullins_length drift_time branch_tau branch2_tau yield "
+    "charge_tau play_range reach stop_at low_stop_at mullins_length drift_time branch_tau branch2_tau yield "
     "plays_width rise_speed mode_w mode_zeta filter_zeta drive_yield".split()
 )
 _BRANCHES = (("branch", "branch_tau"), ("branch2", "branch2_tau"))
@@ -275,7 +275,7 @@ def _number(slots: np.ndarray, code: str) -> float:
 
 def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tuple], list[str]]:
     """The catalogue's effects that these slots are, each with its numbers' slots, and slots that no row has."""
-    on = {k for k in NAMES if slots[INDEX[k]] != OFF[INDEX[k]]} - {"a0", "a1", "a2", "bias"}
+    on = {k for k in NAMES if slots[INDEX[k]] != OFF[INDEX[k]]} - {"a0", "a1", "a2"}
     rates, effects, used = np.asarray(model.scales.rates, float), [], set()
 
     def add(name: str, form: str, codes: tuple[str, ...]) -> None:

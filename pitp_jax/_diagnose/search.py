@@ -14,7 +14,7 @@ from . import rules
 from .budget import Budget
 from .data import Case
 from .evidence import Evidence, evidence, probability
-from .fit import SCREEN, Fit, Fitter
+from .fit import PREVIEW, Fit, Fitter
 from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
@@ -149,7 +149,9 @@ class Search:
         """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
 
         Of several structures that with the fewest numbers counts which no other surely beats by a twentieth: effects
-        act on a core of order two at most, and a lag behind it that need not be there hides them.
+        act on a core of order two at most, and a lag behind it that need not be there hides them. Where few records
+        make a refit worse out of fold than the nominal as it was given, effects start from its own structure and
+        are measured against it: a name that only mends the refit is none.
         """
         fits = [self._structure(self.core, {})]
         if self.refit:
@@ -162,7 +164,11 @@ class Search:
         tried = self._scored([*best.values()] or fits[:1], 4)
         self.linears = sorted(tried, key=lambda h: len(h.fit.free))
         least = min(tried, key=lambda h: h.rms)
-        return next(h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
+        best = next(h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
+        if self.refit and self.given.rms < best.rms:
+            own = next((h for h in tried if h.fit.free == self.core), best)
+            return replace(own, residuals=self.given.residuals, evidence=self.given.evidence)
+        return best
 
     def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
         slots = self.case.nominal.copy()
@@ -223,7 +229,7 @@ class Search:
     def _climbed(self, groups: dict[frozenset, list[Fit]]) -> list[Hypothesis]:
         """The optimum of every set that helps, judged out of fold."""
         for f in (starts := [f for g in groups.values() for f in g]):
-            f.fold = SCREEN
+            f.fold = PREVIEW
         self.fitter.fit(starts, _FIRST_STEPS)
         groups = {
             key: [

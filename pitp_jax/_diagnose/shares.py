@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from . import rules
-from .evidence import Evidence
+from .evidence import Evidence, resampled
 from .search import PARAMETERS, Hypothesis, Search
 from .verdict import Decision
 
@@ -19,20 +19,17 @@ _DRAWS = 1000
 
 
 def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
-    """E of every set, first as it is and then in draws of records and blocks, shape (sets, 1 + draws)."""
-    rng, first = np.random.default_rng(1), sets[0]
-    there = np.unique(first.records)
-    per_set = np.zeros((len(sets), 1 + _DRAWS))
-    # records first, then blocks within: a budget hangs on which records there are
-    picks = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS) / len(there)
-    for j, r in enumerate(there):
-        place = np.flatnonzero(first.records == r)
-        drawn = np.vstack([place, place[rng.integers(0, len(place), (_DRAWS, len(place)))]])
+    """Energy E of every set, first as it is and then in draws of records and blocks, shape (sets, 1 + draws)."""
+    first = sets[0]
+    number = len(np.unique(first.records))
+    energy = np.zeros((len(sets), 1 + _DRAWS))
+    for r, times, pick in resampled(first, _DRAWS, seed=1):
+        drawn = np.vstack([np.flatnonzero(first.records == r), pick])
+        weight = np.concatenate([[1], times]) / number
         count = first.sizes[drawn].sum(1)
-        weight = np.concatenate([[1 / len(there)], picks[:, j]])
         for k, s in enumerate(sets):
-            per_set[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
-    return per_set
+            energy[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
+    return energy
 
 
 def budget(search: Search, decision: Decision, raw: Evidence) -> dict:

@@ -26,18 +26,17 @@ FAR = 1e4  # scaled displacement from which a run has diverged
 _NEVER = 1e30
 # slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
 _COSTLY = (
-    "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc "
-    "bend"
+    "play1 play2 play3 play4 stretch_exp tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc bend"
 ).split()
 
 # name: (value that switches it off, whether it is fitted by its logarithm)
 SLOTS: dict[str, tuple[float, bool]] = {
-    "a0": (0.0, True), "a1": (0.0, True), "a2": (0.0, True), "bias": (0.0, False), "delay": (0.0, True),
+    "a0": (0.0, True), "a1": (0.0, True), "a2": (0.0, True), "delay": (0.0, True),
     "rc": (0.0, True), "slew": (_NEVER, True), "clip": (_NEVER, True), "offset": (0.0, False), "dead": (0.0, True),
     "charge": (0.0, False), "charge_tau": (1.0, True), "saturation": (0.0, True), "play1": (0.0, False),
     "play2": (0.0, False), "play3": (0.0, False), "play4": (0.0, False), "play_range": (1.0, True),
     "stretch": (0.0, False), "stretch_exp": (0.0, False), "k2": (0.0, False), "k3": (0.0, False), "k5": (0.0, False),
-    "power": (0.0, True), "exponent": (2.0, True), "reach": (1.0, True), "gent": (0.0, True), "tanh": (0.0, True),
+    "reach": (1.0, True), "gent": (0.0, True), "tanh": (0.0, True),
     "expo": (0.0, False), "sine": (0.0, True), "root": (0.0, False), "stop": (0.0, True), "stop_at": (1.0, False),
     "low_stop": (0.0, True), "low_stop_at": (-1.0, False), "mullins": (0.0, False), "mullins_length": (1.0, True),
     "drift": (0.0, False), "drift_time": (1.0, True), "branch": (0.0, False), "branch_tau": (1.0, True),
@@ -59,7 +58,7 @@ HIGHEST = {"mode_zeta": 0.5}  # an overdamped second mode is a relaxation or a d
 
 _CONSTANTS = (
     "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp "
-    "saturation play1 play2 play3 play4 play_range force stretch stretch_exp bias k2 k3 k5 power exponent reach "
+    "saturation play1 play2 play3 play4 play_range force stretch stretch_exp k2 k3 k5 reach "
     "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age reached "
     "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry "
     "dry_speed drive_bouc drive_yield rise rise_speed dry_load place_damping place_damping2 field_damping slack "
@@ -360,8 +359,7 @@ def _advance(square, costly, constants, state, volts, clock):
         sine = jnp.where(near[1], -p * p / 6, jnp.sin(p) / p1 - 1)
         expo = jnp.where(near[2], -g / 2 + g * g / 6, -jnp.expm1(-g) / g1 - 1)
         size = jnp.abs(x)
-        power = c["power"] * jnp.minimum(jnp.exp(c["exponent"] * jnp.log(size / c["reach"] + 1e-9)), 1e3)
-        shape = x * (power + 0.97 * tanh + expo + sine)
+        shape = x * (0.97 * tanh + expo + sine)
         shape = shape + c["root"] * (jnp.sign(x) * jnp.sqrt(size * c["reach"] + 1e-12) - x)
         shape = shape + c["mullins"] * jnp.expm1(-jnp.maximum(s["most"], size) / c["mullins_length"]) * x
         shape = shape + c["drift"] * jnp.expm1(-(c["age"] + time) / c["drift_time"]) * x
@@ -431,7 +429,7 @@ def _advance(square, costly, constants, state, volts, clock):
         ahead = s["x"] + h / 2 * s["vm"]
         couple = jnp.maximum(1 + c["stretch"] * ahead, 0.05)
         couple = couple * jnp.exp(jnp.clip(c["stretch_exp"] * ahead, -8.0, 8.0)) if costly else couple
-        p0, p1 = p0 * couple + c["bias"], p1 * couple + c["bias"]
+        p0, p1 = p0 * couple, p1 * couple
         # the linear plant's own step, exact for a force that runs straight
         x = c["e11"] * s["x"] + c["e12"] * s["v"] + c["bx"] * p0 + c["dx"] * (p1 - p0)
         v = c["e21"] * s["x"] + c["e22"] * s["v"] + c["bv"] * p0 + c["dv"] * (p1 - p0)
