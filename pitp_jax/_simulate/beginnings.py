@@ -169,12 +169,12 @@ def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> 
     if not known:
         return [replace(b, free=True) for b in begun]
     zero, stderr = known[len(known) // 2]
-    found = []
+    zeroed = []
     for record, b in zip(records, begun, strict=True):
         level = first_level(record)
         same = b.begins == "held" and 0.5 < (level - zero) / ((level - b.zero) or np.inf) < 2.0
-        found.append(replace(b, zero=zero, stderr=stderr) if same else replace(b, free=b.begins != "rest"))
-    return found
+        zeroed.append(replace(b, zero=zero, stderr=stderr) if same else replace(b, free=b.begins != "rest"))
+    return zeroed
 
 
 def first_level(record: Record) -> float:
