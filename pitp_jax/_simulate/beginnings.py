@@ -34,7 +34,7 @@ from .._record.initial_state import (
 )
 from .._record.record import Record
 from . import ports
-from .decoder import rest_state, rollout_batch, settled_state, step
+from .decoder import rest_state, rollout_batch, step, still_state
 
 _AHEAD = 2048  # samples, of which beginning and direction are read
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # scaled displacements among which an equilibrium is sought
@@ -56,7 +56,7 @@ def held_states(
         stages = jnp.full((2 * model.substeps + 1,), volts)
 
         def state(x):
-            return settled_state(model, jnp.zeros(model.order, x.dtype).at[0].set(x), x, volts, age)
+            return still_state(model, x, volts, age)
 
         def change(x):
             return (step(model, state(x), stages, dt) - state(x))[model.order - 1]
