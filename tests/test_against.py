@@ -11,10 +11,11 @@ from scipy.signal import lsim
 
 import pitp_jax as pitp
 from pitp_jax._against.correction import corrections
+from pitp_jax._against.entry import simplest_model
 from pitp_jax._against.parameters import parameters
 from pitp_jax._demo import joint
 from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.physical import physical
+from pitp_jax._effects.physical import physical, physical_factor
 from pitp_jax._model.fitted import Fitted
 from pitp_jax._model.origin import Origin
 
@@ -58,8 +59,8 @@ def _robot(model, effects=(), shift=(1.0, 1.0, 1.0)):
     told = [SimpleNamespace(effect=n, parameters={}) for n, _ in effects]
     names = tuple(n for n, _ in effects) + (("parameter_change",) if any(s != 1 for s in shift) else ())
     rows = {f"a_{i} over given": {"value": s, "unit": "1", "stderr": 0.01} for i, s in enumerate(shift)}
-    ranking = [SimpleNamespace(effect="parameter_change", parameters=rows)]
-    return SimpleNamespace(model=replace(moved, effects=added), added=told, effects=names, ranking=ranking)
+    told.append(SimpleNamespace(effect="parameter_change", parameters=rows))
+    return SimpleNamespace(model=replace(moved, effects=added), added=told, effects=names)
 
 
 def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_without(simulator):
@@ -78,6 +79,73 @@ def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_with
     ratios = {p.name: p for p in parameters(simulator, robot, recordings(), None)}
     assert ratios["coulomb_friction level"].robot == pytest.approx(0.035, rel=1e-3)
     assert ratios["damping"].unit == "Kp s" and ratios["damping"].simulator == pytest.approx(0.045, rel=5e-3)
+
+
+@pytest.fixture(scope="module")
+def turning(simulator):
+    """The simulator of a joint whose commands and angles are radians."""
+    return Fitted(simulator.model, replace(simulator.origin, voltage_unit="rad", displacement_unit="rad"))
+
+
+def _rows(simulator, *effects):
+    """Numbers beside a robot that has these (name, form, numbers in physical units) besides, Kp = 20."""
+    scales = (simulator.scales.state, simulator.scales.force)
+    made = []
+    for name, form, *values in effects:
+        row = next(f for f in CATALOGUE if (f.name, f.form) == (name, form))
+        factors = [physical_factor(p, *scales) for p in row.parameters]
+        made.append(row(*(jnp.asarray(v / f, jnp.float32) for v, f in zip(values, factors, strict=True))))
+    names = tuple(name for name, *_ in effects)
+    robot: Any = SimpleNamespace(model=replace(simulator, effects=tuple(made)), added=[], effects=names)
+    records = [replace(r, voltage_unit="rad", displacement_unit="rad") for r in recordings()]
+    return {p.name: p for p in parameters(simulator, robot, records, 20.0)}
+
+
+def test_a_body_on_a_spring_is_told_as_inertia_spring_and_damper(turning):
+    """kappa K = J2 omega^2 and 2 zeta omega J2 of a body of 0.004 kg m^2 at 4 Hz behind a joint of 20 N m/rad."""
+    omega = 2 * np.pi * 4
+    rows = _rows(turning, ("second_mode", "hung on", 0.004 * omega**2 / 20, omega, 0.06))
+    assert rows["second_mode inertia"].robot == pytest.approx(0.004, rel=0.01)
+    assert rows["second_mode spring"].robot == pytest.approx(0.004 * omega**2, rel=0.01)
+    assert rows["second_mode damper"].robot == pytest.approx(0.12 * omega * 0.004, rel=0.01)
+    assert rows["second_mode inertia"].unit == "kg m^2" and rows["second_mode inertia"].certain
+
+
+def test_a_weight_on_an_arm_is_told_as_such_and_the_spring_without_it(turning):
+    """K sin(c q) / c about 0 is a spring of K and a cubic of K c^2 / 6: a pendulum of K c^2, a spring of the rest."""
+    rows = _rows(turning, ("softening", "gravity", 0.5))
+    assert rows["softening weight"].robot == pytest.approx(0.25 * 20, rel=0.01)
+    assert rows["stiffness"].difference == pytest.approx(-0.25 * 20, rel=0.01)
+
+
+def test_stops_at_two_places_are_two_numbers_and_mass_is_inertia(turning):
+    rows = _rows(
+        turning, ("end_stop", "above", 30.0, 0.3), ("end_stop", "below", 30.0, 0.4), ("added_mass", "share", 0.5)
+    )
+    assert rows["end_stop place, above"].robot == pytest.approx(0.3, rel=1e-3)
+    assert rows["end_stop place, below"].robot == pytest.approx(0.4, rel=1e-3)
+    assert rows["inertia"].difference == pytest.approx(0.5 * rows["inertia"].simulator, rel=1e-3)
+    assert rows["inertia"].certain and not rows["damping"].certain
+
+
+def test_a_third_pole_stands_as_a_lag_behind_two_in_the_robots_model(turning):
+    """(a0 + a1 s + a2 s^2)(1 + tau s) is the simulator's polynomial: then no number differs."""
+    lag, third = 0.002, pitp.identify(recordings(np.convolve(A, [1.0, 0.002])), order=3, input_map="linear").model
+    row = next(f for f in CATALOGUE if (f.name, f.form) == ("sensor_lag", "one lag"))
+    model = replace(turning, effects=(row(jnp.asarray(lag, jnp.float32)),))
+    robot: Any = SimpleNamespace(model=model, added=[], effects=())
+    rows = {p.name: p for p in parameters(third, robot, recordings(), None)}
+    assert set(rows) == {"gain", "stiffness", "damping", "inertia", "a3"}
+    assert all(abs(p.difference) < 0.02 * abs(p.robot) for p in rows.values() if p.name in ("damping", "inertia"))
+
+
+@pytest.mark.slow
+def test_a_simulator_gets_no_pole_that_the_gap_cannot_see():
+    """A simulator's third pole at 20 Hz is left out beside a robot of more damping, and kept beside itself."""
+    third = np.convolve(A, [1.0, 1 / (2 * np.pi * 20)])
+    simulated = recordings(third)
+    assert simplest_model(simulated, recordings(third * [1, 1.6, 1, 1]))[0].chosen.order == 2
+    assert simplest_model(simulated, simulated)[0].chosen.order == 3
 
 
 def test_what_cannot_be_meant_is_refused(simulator):

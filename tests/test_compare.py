@@ -43,7 +43,8 @@ def test_recordings_are_paired_by_their_drives_and_clocks_told_apart():
     assert [p.offset for p in found.pairs] == pytest.approx([3.7] * 3, abs=1e-4)
     assert min(p.correlation for p in found.pairs) > 0.999
     assert found.remarks("robot", "simulator") == [
-        "The clock of the robot is 3.7 s ahead of that of the simulator; this is no delay."
+        "Paired by their commands (robot with simulator): log_5p with chirp, log_4w with slow, log_4t with fast.",
+        "The clock of the robot is 3.7 s ahead of that of the simulator; this is no delay.",
     ]
     assert np.nanmax(np.abs(found.pairs[0].output() - real[0].displacement)) < 1e-3
 

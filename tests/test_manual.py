@@ -17,6 +17,7 @@ from manual_blocks import ROOT, RUN, SHOWN, Block, blocks, commands, pages
 
 import pitp_jax
 from pitp_jax._commands.examples import EXAMPLES
+from pitp_jax._demo import joint
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._model_file import model_file
 from pitp_jax.cli import _parser, main
@@ -59,6 +60,7 @@ def demo(tmp_path_factory):
     shutil.copytree(root / "demo" / "held_out", root / "monday")
     for name in ("records/sweep.csv", "target.csv", "model.pitp"):
         shutil.copy(root / "demo" / name, root / Path(name).name)
+    joint.write(root, quick=True)
     return root
 
 

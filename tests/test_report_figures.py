@@ -49,7 +49,7 @@ def test_the_gap_is_drawn_where_it_is_largest_in_the_users_unit(explained):
     assert axes[0].get_ylabel() == "displacement (mm)"
     assert max(axes[0].lines[0].get_ydata()) == pytest.approx(1.0, rel=0.01)
     assert max(axes[1].lines[0].get_ydata()) == pytest.approx(0.2, rel=0.01)
-    before, after = gap_figure.left(explained.traces[2])
+    before, after = gap_figure.errors(explained.traces[2])
     assert before == pytest.approx(100 * 2e-4 / 2 / 2e-3, rel=0.02) and after == pytest.approx(before / 50)
 
 
@@ -89,6 +89,8 @@ def test_numbers_have_sensible_digits():
         == "0.4781 ± 0.0002 ms"
     )
     assert formatting.parameter("place", {"value": 0.0022, "unit": "m", "stderr": None}, "um")[1] == "2200 µm"
+    level = {"value": 0.02, "unit": "rad/s", "stderr": None}  # a joint's, in files of degrees
+    assert formatting.parameter("speed", level, "deg")[1] == "1.15 deg/s"
     assert formatting.parameter("inverse", {"value": 2e-5, "unit": "s/V", "stderr": 1.2e-6}, "m") == (
         "limit", "50000 ± 3000 V/s",
     )  # fmt: skip

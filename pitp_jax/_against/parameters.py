@@ -1,7 +1,9 @@
-"""A simulator's numbers and the robot's, in the names and units of MuJoCo, PhysX and URDF.
+"""The numbers of a simulator and of a robot as one types them in: units, names in three programs, differences.
 
-    a_2 q'' + a_1 q' + a_0 q + Fc sgn(q') = c(t - T)                        c: position command, same unit as q
-    J = Kp a_2,  D = Kp a_1,  frictionloss = Kp Fc,  gain = 1 / a_0           Kp: of the simulator's position controller
+    a_0 q + a_1 q' + a_2 q'' = c        c: position command, same unit as q
+    J = Kp a_2,  D = Kp a_1,  spring = Kp (a_0 - 1),  frictionloss = Kp Fc      Kp: of the position controller
+    weight on an arm   m g l = K c^2 where the spring is K sin(c q) / c, and the spring that is left K - m g l
+    second body        spring kappa K,  inertia kappa K / omega^2,  damper 2 zeta kappa K / omega
 
 A command is held from its time stamp to the next: where the model takes it as a line between samples, half a sample
 of each log is taken off its delay. From position commands alone only these ratios to Kp are known; with a torque or
@@ -11,10 +13,13 @@ difference that is to be added.
 Names: MuJoCo XML reference (joint, actuator); PhysxJointAxisAPI; Isaac Lab's actuator configurations; URDF <joint>.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
+from .._effects.effect import Effect
 from .._effects.physical import physical
 from .._model.fitted import Fitted
 from .._model.model import Model
@@ -32,8 +37,6 @@ class Answer(Protocol):
     def effects(self) -> tuple[str, ...]: ...
     @property
     def added(self) -> Sequence: ...
-    @property
-    def ranking(self) -> Sequence: ...
 
 
 @dataclass(frozen=True)
@@ -47,27 +50,34 @@ class Names:
 
 
 _NAMES = {
-    "gain": Names("steady output per command", "scale of ctrl", "scale of the target"),
-    "stiffness": Names("spring", "joint stiffness", "-", "-"),
+    "gain": Names("steady output per command"),
+    "stiffness": Names("spring", "joint stiffness"),
     "damping": Names("viscous damping", "joint damping", "viscousFrictionCoefficient", "dynamics damping"),
-    "inertia": Names("inertia", "joint armature", "armature", "-"),
-    ("coulomb_friction", "level"): Names(
-        "dry friction", "joint frictionloss", "dynamicFrictionEffort", "dynamics friction"
-    ),
-    ("coulomb_friction", "rise"): Names(
+    "inertia": Names("inertia", "joint armature", "armature"),
+    "softening weight": Names("weight on the arm, m g l", "mass of the body", "mass of the link", "inertial mass"),
+    "coulomb_friction level": Names("dry friction", "joint frictionloss", "dynamicFrictionEffort", "dynamics friction"),
+    "coulomb_friction rise": Names(
         "static over dry friction, less 1", "-", "staticFrictionEffort: dry friction (1 + it)"
     ),
-    ("coulomb_friction", "speed"): Names("speed over which static friction falls"),
-    ("delay", "time"): Names("delay of the command", "shift ctrl by it", "DelayedPDActuatorCfg max_delay (steps)"),
-    ("backlash", "width"): Names(
+    "coulomb_friction speed": Names("speed over which dry friction changes"),
+    "coulomb_friction give": Names("way that dry friction gives before it slides"),
+    "coulomb_friction mu": Names("dry friction over the spring's force"),
+    "delay time": Names("delay of the command", "shift ctrl by it", "DelayedPDActuatorCfg max_delay (steps)"),
+    "backlash width": Names(
         "backlash, whole width", "extra hinge, range +- half", "extra joint, limits +- half", "extra joint, limits"
     ),
-    ("end_stop", "place"): Names("place of the stop", "joint range", "joint limits", "limit lower/upper"),
-    ("electrode_rc", "tau"): Names("lag of the drive", 'actuator dyntype="filter" dynprm', "-"),
-    ("sensor_lag", "tau"): Names("lag of the sensor"),
-    ("slew_limit", "inverse"): Names("largest rate of the command", "rate of ctrl", "velocity limit", "limit velocity"),
-    ("voltage_clip", "inverse"): Names("largest command", "actuator ctrlrange", "clip of the target"),
-    ("dead_zone", "level"): Names("dead zone of the command"),
+    "end_stop place": Names("place of the stops", "joint range", "joint limits", "limit lower/upper"),
+    "end_stop place, above": Names("place of the upper stop", "joint range", "joint limits", "limit upper"),
+    "end_stop place, below": Names("place of the lower stop, from 0", "joint range", "joint limits", "limit lower"),
+    "second_mode inertia": Names("second body on a spring: inertia", "extra body", "extra link", "extra link"),
+    "second_mode spring": Names("its spring", "extra hinge stiffness", "extra joint stiffness"),
+    "second_mode damper": Names("its damper", "extra hinge damping", "extra joint damping", "dynamics damping"),
+    "electrode_rc tau": Names("lag of the drive", 'actuator dyntype="filter" dynprm'),
+    # behind a linear joint the two lags are one: either may be typed in
+    "sensor_lag tau": Names("lag of the sensor, or of the drive", 'actuator dyntype="filter" dynprm'),
+    "slew_limit inverse": Names("largest rate of the command", "rate of ctrl", "velocity limit", "limit velocity"),
+    "voltage_clip inverse": Names("largest command", "actuator ctrlrange", "clip of the target"),
+    "dead_zone level": Names("dead zone of the command"),
 }
 
 
@@ -140,78 +150,114 @@ def parameters(
     """
     of = units(records[0], nominal.order, position_gain)
     held = (0.0, 0.0) if nominal.hold == "zoh" else (0.5 * nominal.dt, 0.5 * records[0].dt)
-    return (*_coefficients(nominal, robot, of), *_effects(nominal, robot, of, held))
-
-
-def _coefficients(nominal: Model | Fitted, robot: Answer, of: Units) -> list[Parameter]:
-    sim, real = nominal.physical_coefficients, robot.model.physical_coefficients
-    # the robot's coefficients are known as factors on the simulator's: that of the simulator's own fit cancels
-    relative = _factor_errors(robot, len(sim))
-    errors = [None if e is None else abs(float(s)) * e for s, e in zip(sim, relative, strict=True)]
-    moved = "parameter_change" in robot.effects
-    rows = []
-    if of.position:
-        change = 1 / real[0] - 1 / sim[0]
-        error = None if errors[0] is None else errors[0] / sim[0] ** 2
-        rows.append(_row("gain", 1 / sim[0], 1 / real[0], change, error, "", _NAMES["gain"], moved))
-    start = 1 if of.position else 0
-    for i in range(start, len(sim)):
-        key = ("stiffness", "damping", "inertia")[i] if i < 3 else f"a{i}"
-        names = _NAMES.get(key, Names(f"coefficient a{i}"))
-        k, error = of.factor, errors[i]
-        scaled = None if error is None else k * error
-        rows.append(_row(key, k * sim[i], k * real[i], k * (real[i] - sim[i]), scaled, of.of[i], names, moved))
-    return rows
-
-
-def _factor_errors(robot: Answer, count: int) -> list[float | None]:
-    """Relative standard errors of refitted coefficients, where the diagnosis has them."""
-    told = next((r.parameters for r in robot.ranking if r.effect == "parameter_change"), {})
-    rows = [told.get(f"a_{i} over given") for i in range(count)]
-    return [None if r is None or r["stderr"] is None else float(r["stderr"]) for r in rows]
-
-
-def _effects(nominal: Model | Fitted, robot: Answer, of: Units, held: tuple[float, float]) -> list[Parameter]:
-    sides = [_numbers(m) for m in (nominal, robot.model)]
     fitted = {a.effect: a.parameters for a in robot.added}
-    rows = []
-    for key in dict.fromkeys([*sides[0], *sides[1]]):
-        sim, real = (side[key][0] if key in side else 0.0 for side in sides)
-        _, unit, force = sides[1].get(key) or sides[0][key]
-        stderr = (fitted.get(key[0], {}).get(key[1]) or {}).get("stderr")
-        if key == ("delay", "time"):
-            sim, real = max(sim - held[0], 0.0), max(real - held[1], 0.0)
-        if key[1] == "inverse":  # stored so that 0 is "no limit"; told as the limit
-            stderr = None if stderr is None or not real else stderr / real**2
-            sim, real = (1 / v if v else float("inf") for v in (sim, real))
-            unit = of.command + ("/s" if unit.startswith("s") else "")
-        elif force:  # not by its unit: a backlash in rad is no command in rad
-            sim, real, unit = of.factor * sim, of.factor * real, of.force
-            stderr = None if stderr is None else of.factor * stderr
-        names = _NAMES.get(key, Names(f"{key[0]}: {key[1]}"))
-        difference = real - sim if abs(sim) != float("inf") else real
-        certain = key[0] in robot.effects or key[0] in {e.name for e in nominal.effects}
-        rows.append(_row(f"{key[0]} {key[1]}", sim, real, difference, stderr, unit, names, certain))
-    return rows
+    first, second = _side(nominal, of, held[0], {}), _side(robot.model, of, held[1], fitted)
+    said, rows = {*robot.effects, *(e.name for e in nominal.effects)}, []
+    for key in dict.fromkeys([*first, *second]):
+        it = second.get(key) or first[key]
+        absent = np.inf if key.endswith("inverse") else 0.0  # a limit that is not there
+        sim, real = (side[key].value if key in side else absent for side in (first, second))
+        names = _NAMES.get(key) or Names(key.replace(" ", ": ", 1).replace("_", " "))
+        rows.append(Parameter(
+            key, names.words, float(sim), float(real), float(real - sim if np.isfinite(sim) else real), it.stderr,
+            "" if it.unit == "1" else it.unit, names.mujoco, names.physx, names.urdf, bool(said & it.causes),
+        ))  # fmt: skip
+    return tuple(rows)
 
 
-def _numbers(model: Model | Fitted) -> dict[tuple[str, str], tuple[float, str, bool]]:
-    """Physical numbers of a model's effects by (effect, parameter), and which are forces; two of one name add up."""
-    table: dict[tuple[str, str], tuple[float, str, bool]] = {}
-    for effect in model.effects:
-        for p, value in effect.numbers():
-            number, unit = physical(model, p, float(value))
-            key = effect.name, p.name
-            table[key] = (number + (table[key][0] if key in table else 0.0), unit, p.force == 1)
+@dataclass(frozen=True)
+class _Number:
+    """A value in the unit that is told, the names of a diagnosis it belongs to, and its standard error."""
+
+    value: float
+    unit: str
+    causes: frozenset[str]
+    stderr: float | None = None
+
+
+def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Mapping]) -> dict[str, _Number]:
+    """Numbers of one model; of several effects that share one the sum, of stops the nearest.
+
+    Args:
+        model: of the simulator or of the robot.
+        of: units.
+        held: part of its delay that is the hold of its log, s.
+        fitted: numbers of the effects that were added, with their standard errors.
+    """
+    coefficients, effects = _linear(model, len(of.of) - 1)
+    table = _coefficients(coefficients, of, fitted.get("parameter_change", {}))
+    for effect in effects:
+        for key, n in _numbers(model, effect, of, fitted.get(effect.name, {})):
+            old = table.get(key)
+            value = n.value if old is None else min(old.value, n.value) if "stop" in key else old.value + n.value
+            causes = n.causes | (old.causes if old else frozenset())
+            table[key] = replace(n, value=value, causes=causes)
+    if late := table.get("delay time"):
+        table["delay time"] = replace(late, value=max(late.value - held, 0.0))
     return table
 
 
-def _row(name, sim, real, difference, stderr, unit, names: Names, certain: bool) -> Parameter:
-    error = None if stderr is None else float(stderr)
-    return Parameter(
-        name, names.words, float(sim), float(real), float(difference), error, unit.replace("1", "", unit == "1"),
-        names.mujoco, names.physx, names.urdf, certain,
-    )  # fmt: skip
+def _linear(model: Model | Fitted, order: int) -> tuple[np.ndarray, list[Effect]]:
+    """Coefficients of the simulator's order, and the effects beside; a robot's third pole is a lag behind two."""
+    a, others = model.physical_coefficients, []
+    for effect in model.effects:
+        if effect.name == "sensor_lag" and len(a) <= order:
+            tau, *zeta = (float(v) for _, v in effect.numbers())
+            a = np.convolve(a, [1.0, 2 * zeta[0] * tau, tau**2] if zeta else [1.0, tau])
+        else:
+            others.append(effect)
+    return a, others
+
+
+def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number]:
+    """Gain, spring, damping and inertia; `moved`: factors on the nominal's coefficients, where they were fitted."""
+    causes = frozenset(["parameter_change"])
+    told = [moved.get(f"a_{i} over given") for i in range(len(a))]
+    relative = [None if t is None or t["stderr"] is None else t["stderr"] / t["value"] for t in told]
+    table = {}
+    if of.position:
+        table["gain"] = _Number(1 / a[0], "", causes, None if relative[0] is None else relative[0] / a[0])
+    for i, value in enumerate(a):
+        error = None if relative[i] is None else abs(of.factor * value * relative[i])
+        key = ("stiffness", "damping", "inertia")[i] if i < 3 else f"a{i}"
+        own = 1.0 if of.position and i == 0 else 0.0  # the controller's
+        table[key] = _Number(of.factor * (value - own), of.of[i], causes, error)
+    return table
+
+
+def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) -> Iterator[tuple[str, _Number]]:
+    """What one effect adds to a side, as numbers that a simulator has where there are such."""
+    told = {p.name: physical(model, p, float(v)) for p, v in effect.numbers()}
+    errors = {name: (fitted.get(name) or {}).get("stderr") for name in told}
+    a, causes = of.factor * model.physical_coefficients, frozenset([effect.name])
+
+    def share(value: float, i: int, *names: str) -> _Number:  # of a product of these numbers
+        known = [e / told[n][0] for n in names if (e := errors.get(n)) is not None and told[n][0]]
+        error = abs(value) * float(np.sqrt(sum(k * k for k in known))) if len(known) == len(names) else None
+        return _Number(value, of.of[i], causes, error)
+
+    if effect.name == "added_mass" and len(a) > 2:
+        yield "inertia", share(told["d"][0] * a[2], 2, "d")
+    elif (effect.name, effect.form) == ("softening", "gravity") and of.output == "rad":
+        weight = a[0] * told["curvature"][0] ** 2
+        yield "softening weight", share(weight, 0, "curvature", "curvature")
+        yield "stiffness", share(-weight, 0, "curvature", "curvature")
+    elif effect.name == "second_mode" and "kappa" in told and len(a) > 2:
+        spring, omega, zeta = a[0] * told["kappa"][0], told["omega"][0], told["zeta"][0]
+        yield "second_mode inertia", share(spring / omega**2, 2, "kappa", "omega", "omega")
+        yield "second_mode spring", share(spring, 0, "kappa")
+        yield "second_mode damper", share(2 * zeta * spring / omega, 1, "kappa", "zeta", "omega")
+    else:
+        for p, _ in effect.numbers():
+            value, unit = told[p.name]
+            error = errors[p.name]
+            if p.name == "inverse":  # stored so that 0 is "no limit"; told as the limit
+                error = None if error is None or not value else error / value**2
+                value, unit = 1 / value if value else np.inf, of.command + ("/s" if unit.startswith("s") else "")
+            elif p.force == 1:  # not by its unit: a backlash in rad is no command in rad
+                value, unit, error = of.factor * value, of.force, None if error is None else of.factor * error
+            side = f", {effect.form}" if effect.form in ("above", "below") else ""
+            yield f"{effect.name} {p.name}{side}", _Number(value, unit, causes, error)
 
 
 def as_rows(told: Sequence[Parameter]) -> list[dict[str, Any]]:

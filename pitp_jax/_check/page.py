@@ -108,7 +108,7 @@ def _drawn(record: Record) -> Figure:
     upper, lower = own_axes(None, 2, (5.6, 2.6), [2, 1])
     unit, time = record.displacement_unit, record.time - record.time[0]
     line(upper, time, from_base(record.displacement, unit), color=MEASURED, lw=1.0)
-    drive, label = volts(record.voltage)
+    drive, label = volts(record.voltage, record.voltage_unit)
     line(lower, time, drive, color=DRIVE, lw=1.0)
     finish(np.array([upper, lower]), "time (s)", [f"output ({shown_unit(unit)})", label])
     return upper.figure

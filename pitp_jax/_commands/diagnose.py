@@ -1,11 +1,15 @@
-"""`pitp diagnose`: where a model and recordings disagree, which missing effect causes it, how far that shrinks."""
+"""`pitp diagnose`: where recordings and a model, or a simulator, disagree, which missing effect causes it, how far."""
 
 from pathlib import Path
 
 import numpy as np
 
+from .._against import SimToReal
+from .._against import diagnose as run_diagnosis
+from .._against.entry import with_lineage
+from .._against.page import figures as figures_beside
+from .._against.page import page
 from .._diagnose.diagnosis import Diagnosis
-from .._diagnose.diagnosis import diagnose as run_diagnosis
 from .._diagnose.report.answers import NEXT_CSV
 from .._diagnose.report.figures import FIGURES, figures
 from .._diagnose.report.page import report
@@ -14,13 +18,14 @@ from .._model_file.lineage import descended
 from .._model_file.model_file import save
 from .._record.writing import write_csv, write_text_atomic
 from .._report.drawn import write_figure
-from .against import against as diagnose_against
+from .._table.units import column_name, from_base
 from .console import StatusLine, number, print_table, say
+from .ours import check_replaceable
 from .outputs import REPORT, check_outputs, staged, write_json
-from .recordings import open_both, warn
+from .recordings import open_both, read_records, warn
 
-MODEL, JSON = "model_augmented", "diagnosis.json"
-FILES = (MODEL, REPORT, JSON, NEXT_CSV, *(f"figures/{name}.{kind}" for name in FIGURES for kind in ("png", "csv")))
+MODEL, JSON, ROBOT = "model_augmented", "diagnosis.json", "robot.html"
+FILES = (MODEL, REPORT, ROBOT, JSON, NEXT_CSV, *(f"figures/{n}.{kind}" for n in FIGURES for kind in ("png", "csv")))
 _ROWS = 8  # of the ranking on standard output
 
 
@@ -43,48 +48,91 @@ def diagnose(
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    if against is not None:
-        if refit_nominal:
-            raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
-        diagnose_against(records, against, position_gain, seconds, out, json_file, reading)
-        return
-    if position_gain is not None:
+    if against is not None and refit_nominal:
+        raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
+    if against is None and position_gain is not None:
         raise BadInput("--position-gain is for --against: it is the simulator's")
-    check_outputs(json_file, folder=out, names=FILES, inputs=[nominal, *records])
-    model, read_in = open_both(nominal, records, reading)
-    warn(read_in)
-    say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
+    check_outputs(json_file, folder=out, names=FILES, inputs=[nominal, *records, *(against or ())])
+    if out is not None and not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the drive's name
+        check_replaceable(csv, csv)
     status = StatusLine()
-    limit = np.inf if seconds is None else seconds
-    found = run_diagnosis(model, read_in, refit_nominal=refit_nominal, seconds=limit, progress=status.update)
+    options = {"seconds": np.inf if seconds is None else seconds, "progress": status.update}
+    if against is None:
+        model, read_in = open_both(nominal, records, reading)
+        warn(read_in)
+        say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
+        found = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal, **options)
+        augmented = descended(found.model, "diagnose", read_in, model)
+    else:
+        read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
+        warn(read_in)
+        found = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
+        robot, augmented = found.robot, with_lineage(found)
     status.close()
-    csv = str(Path(out) / NEXT_CSV) if out is not None and found.next_experiment is not None else None
+    csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
     written: set[str] = set()
     with staged(folder=out, json_file=json_file, value=found.as_json(csv)) as stage:
         if out is not None:
-            _write(found, stage)
+            _write(found, stage, read_in[0].voltage_unit)
             write_json(stage / JSON, found.as_json(csv))
-            save(stage / MODEL, descended(found.model, "diagnose", read_in, model))
+            save(stage / MODEL, augmented)
             written = {path.relative_to(stage).as_posix() for path in stage.rglob("*")}
-    print(found)
-    _print_ranking(found)
+    _print(found)
     if out is not None:
-        for name in set(FILES) - written:  # of an earlier diagnosis: no part of this one
-            (Path(out) / name).unlink(missing_ok=True)
-        added = f"with {' and '.join(found.handed_back)}" if found.handed_back else "the nominal"
+        _tidy(Path(out), written)
+        added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
         print(f"wrote {Path(out) / REPORT}, its figures, and {Path(out) / MODEL} ({added})")
-        if csv is not None and found.next_experiment is not None:
-            print(f"next experiment, to tell {' from '.join(found.next_experiment.separates)}: {csv}")
+        if csv is not None and robot.next_experiment is not None:
+            print(f"next experiment, to tell {' from '.join(robot.next_experiment.separates)}: {csv}")
 
 
-def _write(found: Diagnosis, folder: Path) -> None:
-    """The page, its figures and the next experiment into an existing folder."""
-    write_text_atomic(folder / REPORT, report(found))
-    for name, drawn in figures(found).items():
+def _is_drive(file: Path) -> bool:
+    """Whether a file is missing or a drive to play, which has a time and an input and nothing measured."""
+    if not file.is_file():
+        return True
+    with open(file, encoding="utf-8", errors="replace") as stream:
+        return stream.readline(200).count(",") == 1
+
+
+def _tidy(folder: Path, written: set[str]) -> None:
+    """Remove what an earlier diagnosis has left and this one does not have, and say so."""
+    old = sorted(name for name in {*FILES} - written if (folder / name).is_file())
+    for name in old:
+        (folder / name).unlink()
+    if old:
+        print(f"removed from {folder}, of an earlier diagnosis: {', '.join(old)}")
+
+
+def _write(found: Diagnosis | SimToReal, folder: Path, input_unit: str) -> None:
+    """The pages, their figures and the next experiment into an existing folder."""
+    robot = found.robot if isinstance(found, SimToReal) else found
+    write_text_atomic(folder / (REPORT if robot is found else ROBOT), report(robot))
+    for name, drawn in figures(robot).items():
         write_figure(folder, name, drawn)
-    experiment = found.next_experiment
-    if experiment is not None:
-        write_csv(folder / NEXT_CSV, {"time_s": experiment.time, "voltage_V": experiment.voltage})
+    if isinstance(found, SimToReal):
+        write_text_atomic(folder / REPORT, page(found))
+        for name, (drawn, columns, _) in figures_beside(found).items():
+            write_figure(folder, name, drawn, columns)
+    if robot.next_experiment is not None:
+        unit = "V" if input_unit.endswith("V") else input_unit
+        drive = from_base(robot.next_experiment.voltage, unit)
+        write_csv(folder / NEXT_CSV, {"time_s": robot.next_experiment.time, column_name("voltage", unit): drive})
+
+
+def _print(found: Diagnosis | SimToReal) -> None:
+    """The verdict, then the candidates, or the numbers to type into a simulator, clocks and partners."""
+    if not isinstance(found, SimToReal):
+        print(found)
+        _print_ranking(found)
+        return
+    print(found.robot)
+    rows = [
+        (p.words, number(p.simulator), number(p.robot), number(p.difference), number(p.stderr, 2), p.unit, p.mujoco)
+        for p in found.parameters
+    ]
+    print_table(("quantity", "simulator", "robot", "difference", "+-", "unit", "MuJoCo"), rows)
+    for line in found.pairs.remarks("robot", "simulator"):
+        print(line)
 
 
 def _print_ranking(found: Diagnosis) -> None:

@@ -14,7 +14,7 @@ from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
 from .._simulate.prediction import Prediction
 from .._simulate.prediction import predict as run_predict
-from .._table.units import from_base
+from .._table.units import column_name, from_base
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
 from .recordings import open_both
@@ -107,8 +107,8 @@ def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
     volts, unit = record.voltage_unit, record.displacement_unit
     columns = {
         "time_s": record.time,
-        f"voltage_{volts}": from_base(record.voltage, volts),
-        f"displacement_{unit}": from_base(record.displacement, unit),
+        column_name("voltage", volts): from_base(record.voltage, volts),
+        column_name("displacement", unit): from_base(record.displacement, unit),
         f"predicted_{unit}": from_base(prediction.displacement, unit),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> di
     known = [p.zero for p in predictions if math.isfinite(p.zero_stderr)]
     middle, found = float(np.median(known)) if known else 0.0, {}
     for record, p in zip(records, predictions, strict=True):
-        may = 4 * p.zero_stderr + 0.002 * float(np.nanmax(record.displacement) - np.nanmin(record.displacement))
+        may = 4 * p.zero_stderr + 0.002 * record.span
         apart = math.isfinite(may) and abs(p.zero - middle) > may
         found[p.name] = Beginning(p.begins, p.direction, p.zero, p.zero_stderr, int(apart))
     return found

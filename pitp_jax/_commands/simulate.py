@@ -13,7 +13,7 @@ from .._record.sets import RATE_TOLERANCE
 from .._record.voltage_file import Drive, read_voltage
 from .._record.writing import write_csv
 from .._simulate.voltage_only import rollout
-from .._table.units import from_base
+from .._table.units import column_name, from_base
 from .console import number, print_table, say
 from .outputs import check_outputs, staged
 
@@ -89,6 +89,6 @@ def _write(path: Path, drive: Drive, x: np.ndarray, unit: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, {
         "time_s": drive.time,
-        f"voltage_{volts}": from_base(drive.voltage, volts),
-        f"displacement_{unit}": from_base(x, unit),
+        column_name("voltage", volts): from_base(drive.voltage, volts),
+        column_name("displacement", unit): from_base(x, unit),
     })  # fmt: skip

@@ -60,7 +60,8 @@ class Pairing:
 
     def remarks(self, first: str, second: str) -> list[str]:
         """Say in sentences what a user should know of clocks and partners; `first` and `second` name the sets."""
-        lines = []
+        named = [f"{p.first.name} with {p.second.name}" for p in self.pairs if p.first.name != p.second.name]
+        lines = [f"Paired by their commands ({first} with {second}): {', '.join(named)}."] if named else []
         offsets = [p.offset for p in self.pairs]
         # below 0.1 ms it is interpolation
         if offsets and max(map(abs, offsets)) >= 1e-4:

@@ -78,13 +78,14 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
         return []
     sizes, lags = np.array(fits)[:, 0], np.array(fits)[:, 1]
     errors = [float(v.std(ddof=1) / np.sqrt(len(v))) for v in (sizes, lags)]
+    name = a.name if a.name == pair.second.name else f"{a.name}, {pair.second.name}"
     stroke = float(from_base(np.ptp(y[seen]), unit))
     apart = np.sqrt(np.mean((other - y - np.mean((other - y)[seen]))[seen] ** 2))  # but for the zero
     difference, floor = (float(from_base(v, unit)) for v in (apart, noise))
     return [
-        measured(f"{a.name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
-        measured(f"{a.name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),
-        Difference(f"{a.name}: rms difference, beside the noise of both sensors", floor, difference, unit, None,
+        measured(f"{name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
+        measured(f"{name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),
+        Difference(f"{name}: rms difference, beside the noise of both sensors", floor, difference, unit, None,
                    difference > _NOISES * floor),
     ]  # fmt: skip
 

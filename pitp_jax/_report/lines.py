@@ -9,6 +9,9 @@ import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .._table.units import base_unit, from_base
+from .numbers import shown_unit
+
 MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 BINS = 1200
@@ -103,9 +106,11 @@ def same_length(*arrays: np.ndarray) -> None:
         raise ValueError(f"signals must be (T,), all of one length; got {[a.shape for a in arrays]}")
 
 
-def volts(voltage) -> tuple[np.ndarray, str]:
-    """Voltage as it is shown, in kV from 2 kV on, and its axis label."""
+def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
+    """Input (base unit) as it is shown, and its axis label: a voltage in kV from 2 kV on, any other in its own unit."""
     voltage = np.asarray(voltage, dtype=np.float64)
+    if base_unit(unit) != "V":
+        return from_base(voltage, unit), f"input ({shown_unit(unit)})"
     if np.nanmax(np.abs(voltage), initial=0.0) >= 2e3:
         return voltage / 1e3, "voltage (kV)"
     return voltage, "voltage (V)"

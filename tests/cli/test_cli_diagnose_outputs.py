@@ -68,7 +68,9 @@ def test_an_experiment_is_written_and_named_and_an_old_one_goes(bench, quick, ca
     assert json.loads((tmp_path / "j").read_text())["next_experiment"]["csv"] is None
     quick.found = replace(quick.found, verdict="no_gap", effects=(), next_experiment=None)
     (tmp_path / "d" / "notes.txt").write_text("mine")
-    assert call(*argv, "--out", tmp_path / "d")[0] == 0
+    code, out, _ = call(*argv, "--out", tmp_path / "d")
+    assert code == 0 and f"removed from {tmp_path / 'd'}, of an earlier diagnosis:" in out
+    assert "next_experiment.csv" in out.partition("removed")[2]
     left = {
         "figures",
         "figures/gap.png",
@@ -80,6 +82,16 @@ def test_an_experiment_is_written_and_named_and_an_old_one_goes(bench, quick, ca
         "report.html",
     }
     assert set(tree(tmp_path / "d")) == left
+
+
+def test_a_recording_under_the_name_of_the_experiment_stays(bench, quick, call, tmp_path):
+    """One plays next_experiment.csv and saves what was measured under that name, beside the report."""
+    (tmp_path / "d").mkdir()
+    write_record(tmp_path / "d" / "next_experiment.csv", *motion("sine2"))
+    (tmp_path / "d" / "report.html").write_text("<style>:root{--ink:#000}</style>")
+    argv = ["diagnose", bench / "records", "--nominal", bench / "nominal", "--out", tmp_path / "d"]
+    assert "was not written by pitp" in refused(call(*argv))
+    assert quick.calls == [] and "displacement" in (tmp_path / "d" / "next_experiment.csv").read_text()[:80]
 
 
 def test_figures_that_are_not_finite_are_null(bench, quick, call, tmp_path):

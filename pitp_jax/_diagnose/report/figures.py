@@ -16,8 +16,8 @@ from matplotlib.patches import Rectangle
 from ..._report.lines import DRIVE, ERROR, MEASURED, PREDICTED, finish, line, own_axes, volts
 from ..._report.numbers import figure as digits
 from ..._report.numbers import percent
-from ..._table.units import base_unit
 from ..diagnosis import Diagnosis
+from .formatting import drive_unit
 from .gap_figure import gap, output_unit
 
 TIED = "#e69f00"
@@ -138,8 +138,8 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         )
     axes = own_axes(axes, len(names), (5.0, 4.0))
     scale, unit = output_unit(diagnosis)
-    command = base_unit(diagnosis.model.provenance.voltage_unit)
-    drive = "voltage (V)" if command == "V" else f"command ({command})"
+    factor, command = drive_unit(diagnosis.model.origin.voltage_unit)
+    drive = f"voltage ({command})" if command == "V" else f"input ({command})"
     held = set(diagnosis.heldout)
     for ax, name in zip(axes, names, strict=True):
         table = diagnosis.where[name]
@@ -147,7 +147,8 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
             labels, values = list(table), list(table.values())
             colors = [ERROR if label in held else TIED for label in labels]
         else:
-            labels, values = _bin_edges(name, table, scale), [row["share"] for row in table]
+            labels = _bin_edges(name, table, factor if name == "voltage" else scale)
+            values = [row["share"] for row in table]
             colors = DRIVE if name in ("displacement", "velocity", "voltage") else ERROR
         ax.bar(range(len(values)), [100 * v for v in values], color=colors, width=0.75)
         finish(np.array([ax]), _AXES[name].format(unit=unit, drive=drive), ["share (%)"])
@@ -166,7 +167,7 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
 def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
     """Of every bin, one more than these: neighbours share theirs."""
     key, factor = {
-        "frequency": ("band_hz", 1.0), "time": ("part", 100.0), "voltage": ("range", 1.0)
+        "frequency": ("band_hz", 1.0), "time": ("part", 100.0)
     }.get(name, ("range", scale))  # fmt: skip
     edges = [*(row[key][0] for row in table), table[-1][key][1]] if table else []
     return [digits(factor * edge, 2) for edge in edges]
@@ -182,7 +183,7 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
     if diagnosis.next_experiment is None:
         raise ValueError("this diagnosis asks for no further experiment")
     drawn: Axes = own_axes(ax, 1, (5.0, 1.9))[0]
-    voltage, label = volts(diagnosis.next_experiment.voltage)
+    voltage, label = volts(diagnosis.next_experiment.voltage, diagnosis.model.origin.voltage_unit)
     line(drawn, diagnosis.next_experiment.time, voltage, color=DRIVE, lw=0.9)
     finish(np.array([drawn]), "time (s)", [label])
     return drawn
@@ -212,8 +213,8 @@ def _drawn(draw: Callable[[], Axes]) -> Figure:
         return figure
     except Exception as error:
         figure, reason = Figure(figsize=(5.0, 1.0)), " ".join(str(error).split())[:80]
-        told = f"not drawn: {type(error).__name__}: {reason}".encode("ascii", "replace").decode()
-        figure.text(0.02, 0.5, told, fontsize=_SMALL, parse_math=False)
+        message = f"not drawn: {type(error).__name__}: {reason}".encode("ascii", "replace").decode()
+        figure.text(0.02, 0.5, message, fontsize=_SMALL, parse_math=False)
         return figure
 
 

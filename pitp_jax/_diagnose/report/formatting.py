@@ -10,9 +10,9 @@ import numpy as np
 from ..._effects import CATALOGUE
 from ..._effects.spec import EffectSpec
 from ..._report.numbers import figure, percent, shown_unit, with_error
-from ..._table.units import OUTPUT_UNITS, base_unit
+from ..._table.units import INPUT_UNITS, OUTPUT_UNITS, base_unit
 
-PLAIN = {"parameter_change": "nothing is missing: the model's own coefficients have moved"} | {
+PLAIN = {"parameter_change": "the model's own numbers have moved"} | {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
 }  # reversed: a name's first form speaks for it
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of what they are called here
@@ -35,15 +35,15 @@ def named(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def parameter(name: str, told: dict, length_unit: str) -> tuple[str, str]:
+def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
     """Label and text of one parameter, in units people measure with; a limit as itself.
 
     Args:
         name: of the parameter.
-        told: its value, unit and stderr.
+        number: its value, unit and stderr.
         length_unit: the displacement's unit, of the user's files.
     """
-    value, unit, error = told["value"], told["unit"], told["stderr"]
+    value, unit, error = number["value"], number["unit"], number["stderr"]
     if name in _LIMITS and value and "/" in unit:
         top, bottom = unit.split("/")
         unit = bottom if top == "1" else f"{bottom}/{top}"
@@ -58,8 +58,9 @@ def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
     if unit == "s":
         factor, unit = next(p for p in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")) if abs(value) * p[0] >= 0.1 or p[0] > 1e3)
         return factor, unit
-    if unit.split("/")[0] == base_unit(length_unit) and unit != "V":
-        return 1 / OUTPUT_UNITS[length_unit], unit.replace("m", shown_unit(length_unit), 1)
+    base, slash, per = unit.partition("/")
+    if base == base_unit(length_unit) and base != "V":
+        return 1 / OUTPUT_UNITS[length_unit], f"{shown_unit(length_unit)}{slash}{per}"
     return 1.0, unit
 
 
@@ -77,10 +78,11 @@ def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) ->
         unit, drive: the displacement's and the drive's, of the user's files.
     """
     scale, shown = 1 / OUTPUT_UNITS[unit], shown_unit(unit)
-    found = []
+    per_input, input_shown = drive_unit(drive)
+    facts = []
     for axis, text, factor, key in (
         ("displacement", f"of the missing force acts at displacements of {{}} to {{}} {shown}", scale, "range"),
-        ("voltage", f"of the missing force acts at {{}} to {{}} {base_unit(drive)}", 1.0, "range"),
+        ("voltage", f"of the missing force acts at {{}} to {{}} {input_shown}", per_input, "range"),
         ("time", "of the error comes between {} and {} % of a recording's length", 100.0, "part"),
     ):
         shares = [row["share"] for row in where[axis]]
@@ -91,8 +93,14 @@ def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) ->
             words = text.format(figure(factor * low, 2), figure(factor * high, 2))
             rest = "" if axis == "time" else f", where {percent(there)} of the time is spent"
             if share >= _OVER * there:
-                found.append((there / share, f"{percent(share)} {words}{rest}."))
-    return [text for _, text in sorted(found)]
+                facts.append((there / share, f"{percent(share)} {words}{rest}."))
+    return [text for _, text in sorted(facts)]
+
+
+def drive_unit(unit: str) -> tuple[float, str]:
+    """Factor from the input's base unit to the one it is shown in, V for a voltage else the file's own, and that."""
+    shown = "V" if base_unit(unit) == "V" else unit
+    return 1 / INPUT_UNITS[shown], shown_unit(shown)
 
 
 def _narrowest(shares: Sequence[float]) -> tuple[int, int] | None:
