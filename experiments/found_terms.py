@@ -1,4 +1,4 @@
-"""Terms found in the data on actuators whose cause is outside the catalogue: gap closed, planted terms, noise.
+"""Terms of actuators whose cause is outside the catalogue: gap closed, planted terms, noise.
 
     clean (healthy) -> identify -> nominal;    real (a force of `_withheld/found.py`) -> diagnose -> term
 

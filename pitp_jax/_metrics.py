@@ -132,6 +132,7 @@ def rmhe_percent(
     up = np.asarray(reference, dtype=np.float64)[cycle][counted]
     if len(up) < 3 or np.ptp(up) == 0 or np.ptp(across) == 0:
         return float("nan")
+    # edges of the polygon; the last one closes it
     left, right = across, np.roll(across, -1)
     bottom, top = up, np.roll(up, -1)
     low, high = np.minimum(left, right), np.maximum(left, right)
@@ -139,6 +140,7 @@ def rmhe_percent(
     widest = 0.0
     # between the extremes: at these the loop turns, and has no width
     for level in np.linspace(across.min(), across.max(), levels + 2)[1:-1]:
+        # edges that cross this level; a vertical one has no single place on it
         crossed = (low <= level) & (level <= high) & (left != right)
         at = bottom[crossed] + slope[crossed] * (level - left[crossed])
         widest = max(widest, float(np.ptp(at)) if at.size else 0.0)
@@ -147,22 +149,3 @@ def rmhe_percent(
 
 def _percent(error: float, normaliser: float) -> float:
     return 100.0 * error / normaliser if normaliser > 0 else float("nan")
-
-
-def steady(time: np.ndarray, fraction: float = 0.5, start: float | None = None) -> np.ndarray:
-    """Mask the steady part of a record: the end of it, or all from a given time after its start.
-
-    Args:
-        time: sample times in s, shape (T,).
-        fraction: of the duration to keep, at the end, in (0, 1].
-        start: seconds after the first sample from which to keep; replaces `fraction`.
-
-    Returns:
-        True where a sample belongs to the steady part, shape (T,).
-    """
-    time = np.asarray(time, dtype=np.float64)
-    if start is None:
-        if not 0 < fraction <= 1:
-            raise ValueError(f"fraction {fraction} is not in (0, 1]")
-        start = (1.0 - fraction) * (time[-1] - time[0])
-    return time - time[0] >= start

@@ -51,6 +51,7 @@ def spread(batch, mesh: Mesh):
     count, devices = len(leaves[0]), len(mesh.local_devices)
     if count == 0 or any(len(leaf) != count for leaf in leaves):
         raise BadInput(f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot go side by side")
+    # the leading axis is cut among the devices, all others stay whole
     placed = NamedSharding(mesh, PartitionSpec(_AXIS))
 
     def place(leaf):
@@ -71,6 +72,7 @@ def local_rows(array: Array, count: int) -> np.ndarray:
 @jit
 def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
     """Run function(model, *batch) on every device's own records, side by side."""
+    # `shard_map` takes arrays alone; what is static stands in the function
     arrays, static = eqx.partition(model, eqx.is_array)
 
     def local(arrays, batch):
@@ -146,6 +148,7 @@ def sharded_inverse(
         (1, 64)
     """
     model = model_of(model)
+    # on the host, in float64: derivatives lose digits that float32 has not
     rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
     batch = spread((rows.astype(model.coefficients.dtype),), mesh)
     return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

@@ -33,6 +33,12 @@ with install_import_hook("pitp_jax", "typecheck.check"):
             import_module(_module.name)
 
 
+def pytest_configure(config):
+    """The default suite mostly compiles, so it does without most of XLA's optimisations; `-m slow` keeps them."""
+    short = config.getoption("markexpr") == "not slow and not exhaustive"
+    jax.config.update("jax_disable_most_optimizations", short)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _few_mappings():
     """Compiled programs are dropped after a file, before the process runs out of memory mappings.

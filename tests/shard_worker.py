@@ -66,7 +66,7 @@ def errors(me: int, processes: int) -> dict:
     vector = parameters(model)[0]
 
     def runs(rows):
-        return Runs(*(jnp.asarray(a[rows]) for a in (start, np.ones(len(volts), np.float32), volts, target, weight)))
+        return Runs(*(jnp.asarray(a[rows]) for a in (start, volts, target, weight)))
 
     batch = spread(runs(mine).filled(len(mesh.local_devices)), mesh)
     slopes = local_rows(over_records(lambda m, r: run_slopes(m, r, DT, 4), mesh, model, (batch,)), RECORDS)

@@ -11,7 +11,7 @@ from typed import some
 
 import pitp_jax as pitp
 from pitp_jax._effects import CATALOGUE, lookup
-from pitp_jax._effects.found_term import FOUND_TERM, NAMES, sparse_term
+from pitp_jax._effects.found_term import term_row
 from pitp_jax._model.fitted import Fitted
 from pitp_jax._model.origin import Origin
 
@@ -139,10 +139,7 @@ def test_a_heavier_load_is_added_mass_and_moved_damping_a_parameter_change(nomin
 @pytest.mark.slow
 def test_a_force_without_a_name_is_an_equation(nominal):
     """Damping that grows with the square of the displacement is no form of the catalogue."""
-    values = [0.0] * len(FOUND_TERM.parameters)
-    values[NAMES.index("x^2 x'")] = 0.6
-    values[len(NAMES) :] = [1.0] * (len(values) - len(NAMES))
-    found = pitp.diagnose(nominal, play(replace(nominal, effects=(sparse_term(values),))))
+    found = pitp.diagnose(nominal, play(replace(nominal, effects=(term_row(("x^2 x'",))(0.6),))))
     assert found.verdict == "unknown" and found.effects == ()
     term = some(found.term)
     assert "x^2 x'" in term.equation and "term" in found.handed_back
@@ -159,6 +156,7 @@ def test_excluded_names_are_not_said(nominal, hardened):
     assert found.gap.after > hardened.gap.after
 
 
+@pytest.mark.slow
 def test_out_of_time_the_best_so_far_is_told(nominal):
     planted = replace(nominal, effects=(effect("electrode_rc", "one lag", 0.02),))
     others = sorted({c.name for c in CATALOGUE} - {"electrode_rc", "delay"})

@@ -25,7 +25,7 @@ def problem(nonlinear):
         start = np.tile(np.asarray(rest_state(model)), (count, 1))
         drawn = rng.uniform(0, 1800, (count, samples)), rng.normal(0.3, 0.4, (count, samples))
         weight = rng.uniform(0.5, 2, (count, samples))
-        return Runs(*(jnp.asarray(a, jnp.float32) for a in (start, np.ones(count), *drawn, weight)))
+        return Runs(*(jnp.asarray(a, jnp.float32) for a in (start, *drawn, weight)))
 
     vector, _ = parameters(model)
     prior = rng.uniform(0.1, 1, len(vector)), vector + rng.normal(0, 1, len(vector))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pitp_jax._numerics import geodesic_steps, levenberg_marquardt
-from pitp_jax._numerics.geodesic_steps import steps
+from pitp_jax._numerics import minimise
+from pitp_jax._numerics.minimise import accelerated
 
 TIME = np.linspace(0, 3, 200)
 TRUTH = np.array([1.3, -0.9, 1.8, 0.7])
@@ -42,7 +42,7 @@ def slopes_of(errors):
 
 def walk(errors, start, count=100):
     """All that is yielded, `count` steps at most."""
-    return list(islice(steps(lambda p: [errors(p)], slopes_of(errors), np.asarray(start, float)), count + 1))
+    return list(islice(accelerated(lambda p: [errors(p)], slopes_of(errors), np.asarray(start, float)), count + 1))
 
 
 @pytest.mark.parametrize("start", [[1.0, 0.0, 1.7, 0.0], [3.0, -2.0, 1.9, 2.0], [0.2, -0.5, 1.75, -1.0]])
@@ -68,16 +68,14 @@ def test_a_bent_valley_takes_fewer_jacobians(monkeypatch):
 
     def normal(p):
         r, (j,) = valley(p), slopes_of(valley)(p)
-        return levenberg_marquardt.Normal(float(r @ r), j.T @ r, j.T @ j)
+        return minimise.Normal(float(r @ r), j.T @ r, j.T @ j)
 
     def jacobians():
         return next(k for k, (_, cost, _) in enumerate(walk(valley, start)) if cost < 1e-10)
 
-    plain = next(
-        k for k, (_, n, _) in enumerate(levenberg_marquardt.steps(normal, start, np.full(2, np.inf))) if n.cost < 1e-10
-    )
+    plain = next(k for k, (_, n, _) in enumerate(minimise.steps(normal, start, np.full(2, np.inf))) if n.cost < 1e-10)
     bent = jacobians()
-    monkeypatch.setattr(geodesic_steps, "_BENT", 0.0)  # every turn is too sharp
+    monkeypatch.setattr(minimise, "_BENT", 0.0)  # every turn is too sharp
     straight = jacobians()
     assert bent < 0.7 * straight and bent < 0.7 * plain
 
@@ -91,7 +89,7 @@ def test_a_linear_problem_has_no_bend():
     hessian = matrix.T @ matrix
     reached = [
         np.linalg.solve(
-            hessian + geodesic_steps._FIRST_DAMPING * geodesic_steps._DAMPING_FACTOR**k * np.diag(np.diag(hessian)),
+            hessian + minimise._FIRST_DAMPING * minimise._DAMPING_FACTOR**k * np.diag(np.diag(hessian)),
             matrix.T @ side,
         )
         for k in range(-30, 2)
@@ -111,7 +109,7 @@ def test_blocks_of_any_shape_add_up():
         (j,) = slopes_of(decay)(p)
         return [jnp.asarray(j[:120].reshape(10, 12, 4), jnp.float32), j[120:]]
 
-    found = [params for params, _, _ in islice(steps(parts, slopes, np.array([1.0, 0.0, 1.7, 0.0])), 8)]
+    found = [params for params, _, _ in islice(accelerated(parts, slopes, np.array([1.0, 0.0, 1.7, 0.0])), 8)]
     whole = [params for params, _, _ in walk(decay, [1.0, 0.0, 1.7, 0.0], 7)]
     np.testing.assert_allclose(found[1], whole[1], rtol=1e-3)
     np.testing.assert_allclose(found[-1], whole[-1], atol=1e-4)
@@ -123,5 +121,5 @@ def test_a_lost_start_is_told_once():
 
 
 def test_slopes_that_are_lost_end_it():
-    found = list(steps(lambda p: [p - 1.0], lambda p: [np.full((1, 1), np.nan)], np.zeros(1)))
+    found = list(accelerated(lambda p: [p - 1.0], lambda p: [np.full((1, 1), np.nan)], np.zeros(1)))
     assert [done for *_, done in found] == [False, True] and found[-1][1] == 1.0

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from pitp_jax import e_rms_percent, nrmse_percent, rmhe_percent, rmse
-from pitp_jax._metrics import steady
 
 PHASE = np.arange(1000) / 1000 * 2 * np.pi
 SINE = 2.0 * np.sin(PHASE)
@@ -74,12 +73,3 @@ def test_rmhe_skips_missing():
     measured = 2.0 * np.sin(PHASE - 0.3)
     measured[10:12] = np.nan
     assert rmhe_percent(SINE, measured) == pytest.approx(100 * np.sin(0.3), abs=0.2)
-
-
-def test_steady():
-    time = 5.0 + np.arange(100) / 10
-    assert steady(time).sum() == 50
-    assert steady(time, 1.0).all()
-    assert steady(time, start=9.0).sum() == 10
-    with pytest.raises(ValueError, match="fraction"):
-        steady(time, 0.0)

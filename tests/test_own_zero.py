@@ -50,7 +50,7 @@ def test_a_zero_of_its_own_is_projected_out_of_a_free_run(model):
     start, *_ = begin(model, given)
     voltage = jnp.asarray(np.stack([r.voltage for r in given]), jnp.float32)
     target = np.stack([model.output.to_model(r.displacement) / model.scales.state[0] for r in given])
-    runs = Runs(start, jnp.zeros(3), voltage, jnp.asarray(target, jnp.float32), jnp.ones(voltage.shape), jnp.ones(3))
+    runs = Runs(start, voltage, jnp.asarray(target, jnp.float32), jnp.ones(voltage.shape), jnp.ones(3))
     moved = replace(runs, target=runs.target + 0.7)
     here, there = (np.asarray(run_errors(model, r, given[0].dt, 4)) for r in (runs, moved))
     np.testing.assert_allclose(there, here, atol=1e-4)

@@ -213,6 +213,7 @@ def test_the_next_recordings_lower_the_expected_error(model, following):
     keeps(following, 2000.0, 2e5)
 
 
+@pytest.mark.slow
 def test_nothing_is_left_to_learn_where_everything_is_known(model, records):
     known, dt = knowledge(model, records), 5e-3
     told = motions(model, [r.voltage for r in records], dt, floor=known.floor)

@@ -14,7 +14,7 @@ import pitp_jax as pitp
 from pitp_jax._invert.equation import invert_path, scaled_equation
 from pitp_jax._model import Fitted, Origin
 from pitp_jax._model.domain import Domain
-from pitp_jax._model.model import Output, Scales, linear_model
+from pitp_jax._model.model import Output, Scales
 from pitp_jax._model.sections import sections_of
 from pitp_jax._record.record import Record
 from pitp_jax._simulate import decoder, prediction
@@ -135,23 +135,6 @@ def test_what_is_read_off_a_fitted_model_is_the_models(actuator):
     assert isinstance(fitted, pitp.Model) and not isinstance(fitted.origin, pitp.Model)
     with pytest.raises(AttributeError, match="notes"):
         _ = fitted.notes
-
-
-def test_the_deprecated_provenance_reads_and_replaces_both_halves(actuator):
-    """As code written before there was an origin does it."""
-    fitted = Fitted(actuator, Origin(displacement_unit="mm", identified_on=("sweep",), noise=2e-6))
-    known = fitted.provenance
-    assert (known.dt, known.displacement_unit, known.region) == (actuator.dt, "mm", [])
-    assert json.loads(known.notes)["identification"]["noise_std"] == 2e-6
-    moved = replace(fitted, provenance=known.with_(clock=5.0, misfit=2.0, covariance=((1.0, 0.0), (0.0, 4.0))))
-    assert moved.domain.clock == 5.0 and moved.origin.misfit == 2.0 and moved.origin.noise == 2e-6
-    np.testing.assert_array_equal(moved.origin.covariance, np.diag([1.0, 4.0]))
-    assert actuator.provenance.displacement_unit == "m" and actuator.provenance.notes == "{}"
-    linear = linear_model(
-        np.arange(1.0, 4.0), input_map=actuator.input_map, state_scale=np.ones(3), force_scale=1.0,
-        output=actuator.output, hold="foh", substeps=1, provenance=moved.provenance,
-    )  # fmt: skip
-    assert isinstance(linear, Fitted) and linear.domain.clock == 5.0 and linear.origin is moved.origin
 
 
 def test_scales_and_output_are_exact_numbers_and_not_trained(nonlinear):

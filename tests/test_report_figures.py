@@ -49,7 +49,7 @@ def test_the_gap_is_drawn_where_it_is_largest_in_the_users_unit(explained):
     assert axes[0].get_ylabel() == "displacement (mm)"
     assert max(axes[0].lines[0].get_ydata()) == pytest.approx(1.0, rel=0.01)
     assert max(axes[1].lines[0].get_ydata()) == pytest.approx(0.2, rel=0.01)
-    before, after = gap_figure.left(explained.traces[2])
+    before, after = gap_figure.errors(explained.traces[2])
     assert before == pytest.approx(100 * 2e-4 / 2 / 2e-3, rel=0.02) and after == pytest.approx(before / 50)
 
 

@@ -44,7 +44,6 @@ def runs_of(model, samples=SAMPLES):
     weight[1, 5:9] = 0
     return Runs(
         start,
-        jnp.asarray([1.0, 0.0], start.dtype),
         jnp.asarray(rng.uniform(0, 1800, (2, samples)), start.dtype),
         jnp.asarray(rng.normal(0.3, 0.4, (2, samples)), start.dtype),
         jnp.asarray(weight, start.dtype),

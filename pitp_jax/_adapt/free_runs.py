@@ -18,19 +18,19 @@ from jaxtyping import Array, Float
 from .._errors import BadInput
 from .._model.model import Model
 from .._model.programs import jit
-from .._numerics.levenberg_marquardt import Normal, steps
+from .._numerics.minimise import Normal, minimise
 from .._record.initial_state import Beginning, aligned
 from .._record.record import Record
 from .._simulate import ports
 from .._simulate.batched_rollout import in_rows, rows_rollout
 from .._simulate.beginnings import held_states
-from .._simulate.decoder import rollout
+from .._simulate.decoder import at_rest, rollout
 from .._simulate.prediction import FAR
 from .factors import Factors, moved
 
 # of forward differences: logarithms; times, and first states in scales: a run in float32 rounds at 1e-6 of its range
 _STEP, _LATER = 3e-3, 0.02
-_BATCHES, _ENOUGH = 10, 1e-3  # at most in a fit, and the relative decrease below which it ends
+_MOST_STEPS, _ENOUGH = 10, 1e-3  # of a fit, and the relative decrease below which it ends
 _RESONANCES = np.linspace(-0.4, 0.4, 17)  # logarithms of the inertias that a fit may start from
 _BLOCKS = 8
 _LOOSE = 0.3  # prior of a first state's shift, in scales of the state
@@ -107,8 +107,9 @@ def runs(
             return ports.readings(here, rollout(here, u, dt, s))
 
         return jax.vmap(one)(z, start, voltage)
-    rest = ~jnp.any(start[:, : model.order], axis=1)
-    film = jax.vmap(lambda z, u, r: moved(model, factors, z, dt).drive.film(u, dt, r))(z, voltage, rest)
+    film = jax.vmap(lambda z, u, r: moved(model, factors, z, dt).drive.film(u, dt, r))(
+        z, voltage, at_rest(model, start)
+    )
     return rows_rollout(moved(model, factors, z.T, dt), film, dt, start)[..., 0]
 
 
@@ -213,12 +214,9 @@ class Problem:
             return Normal(float(cost), gradient, unit**2 * jacobian.T @ jacobian + np.diag(spread**-2.0))
 
         start = np.concatenate([np.zeros(count) if first is None else first, np.zeros(shifts + records)])
-        upper, before = np.full(len(start), np.inf), np.inf
-        upper[:count][~times] = np.log(10.0)  # also marks the logarithms, whose steps `steps` keeps short
-        for _, here, met in steps(normal, start, upper):
-            if met or len(tried) >= _BATCHES or before - here.cost < _ENOUGH * before:
-                break
-            before = here.cost
+        upper = np.full(len(start), np.inf)
+        upper[:count][~times] = np.log(10.0)  # also marks the logarithms, whose steps `minimise` keeps short
+        minimise(normal, start, upper, _MOST_STEPS, _ENOUGH)
         if not tried:
             raise BadInput("the model diverges on this recording; check units and columns with `pitp predict`")
         _, z, e, jacobian = min(tried, key=lambda t: t[0])

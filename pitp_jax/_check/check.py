@@ -149,22 +149,27 @@ def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Che
 def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Mapping[str, str]) -> Check:
     """As `check`, beside files that could not be read (name: refusal)."""
     check_records(records, empty=bool(refused))
+    # its origin says in which unit its output is, and what it left of its own records
     model = None if model is None else fitted_of(model)
     records = [masked(r) for r in _named(records)]
     own = {r.name: facts(r) for r in records}
     unit = base_unit(model.origin.displacement_unit) if model is not None else None
     apart = _apart(records, unit)
+    # only these can tell of the set: one rate, one kind of output, driven and moving
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
     fitted = fit_set(used) if used and model is None else None
     beside = beside_model(model, used) if used and model is not None else {}
     resonance = model.natural_frequency / (2 * np.pi) if model is not None else fitted.natural_hz if fitted else None
     input_map = model.input_map.name if model is not None else fitted.input_map if fitted else "square"
     rows = {r.name: _row(r, own[r.name], fitted, beside.get(r.name)) for r in records}
-    rows = {name: _with(row, [apart[name]] if name in apart else []) for name, row in _reversed(rows).items()}
+    turned = _turned(rows)
+    more = dict.fromkeys(turned, "its sensor reads against the direction of most others") | apart
+    rows = {n: replace(row, problems=(*row.problems, more[n])) if n in more else row for n, row in rows.items()}
     cover = coverage(used, input_map, resonance) if used and resonance else None
     repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
-    advice = set_advice(rows, used, cover, repeats, cycles(used), model is not None, fitted)
+    advice = set_advice(rows, used, cover, repeats, cycles(used), beside, fitted, turned)
     monitor = monitor_warning(used) if used and input_map == "square" else None
+    # beside the others, not instead of them: one bad file hides no good one
     lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
     lines = ([monitor] if monitor else []) + advice
     return Check(rows | lost, tuple(lines), resonance, input_map, cover, tuple(repeats), tuple(records))
@@ -183,6 +188,7 @@ def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
     """Records that cannot be in one set with most others: of another rate or kind of output."""
     if not records:
         return {}
+    # in steps of the tolerance, so that equal ones are counted together
     rates = [round(np.log(r.dt) / RATE_TOLERANCE / 2) for r in records]
     most = Counter(rates).most_common(1)[0][0]
     dt = next(r.dt for r, rate in zip(records, rates, strict=True) if rate == most)
@@ -216,6 +222,7 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         noise = beside.coloured if beside.coloured is not None else noise
         problems += [beside.problem] if beside.problem else []
     shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
+    # an infinite error of a zero means that it was not read
     known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
     seen = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
     return CheckedRecord(
@@ -227,18 +234,8 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
     )  # fmt: skip
 
 
-def _reversed(rows: dict[str, CheckedRecord]) -> dict[str, CheckedRecord]:
-    """The same, those read against the direction of most told."""
-    known = Counter(row.direction for row in rows.values() if row.direction is not None)
-    if len(known) < 2:
-        return rows
-    most = known.most_common(1)[0][0]
-    line = "its sensor reads against the direction of most others"
-    return {
-        name: _with(row, [line] if row.direction is not None and row.direction != most else [])
-        for name, row in rows.items()
-    }
-
-
-def _with(row: CheckedRecord, problems: Sequence[str]) -> CheckedRecord:
-    return replace(row, problems=(*row.problems, *problems)) if problems else row
+def _turned(rows: Mapping[str, CheckedRecord]) -> list[str]:
+    """Names of those read against the direction of most."""
+    known = {name: row.direction for name, row in rows.items() if row.direction is not None}
+    most = Counter(known.values()).most_common(1)
+    return [name for name, direction in known.items() if direction != most[0][0]]

@@ -52,6 +52,7 @@ class Coverage:
                 f"beside the resonance at {_two(f0)} Hz: take a slow sweep, or sines at {_two(one)} and {_two(other)} "
                 f"Hz, of {self._size(1.6 * half)}{by}"
             )
+        # where the amplitude matters most, since the motion is largest there
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
         if len(near) and near.min() > 0.7 * near.max():
             lines.append(
@@ -83,6 +84,7 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
         return None
     largest = float(points[:, 1].max())
     points = points[points[:, 1] > _STILL * largest]
+    # without bias the force has twice the drive's frequency, and none at its own
     doubled = input_map == "square" and all(abs(r.voltage.mean()) < 0.1 * r.voltage.std() for r in records)
     strong = np.unique(points[points[:, 1] >= _HALF * largest, 0])
     return Coverage(resonance, points, tuple(_gaps(strong, resonance)), largest, doubled, records[0].voltage_unit)
@@ -91,6 +93,7 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
 def _points(record: Record, input_map: str, resonance: float) -> list[tuple[float, float, float]]:
     size = int(min(max(_PERIODS / (resonance * record.dt), 64), record.samples))
     force, window, excited = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
+    # windows overlap by half: the Hann window sees little of their ends
     for first in range(0, record.samples - size + 1, max(size // 2, 1)):
         part = np.asarray(force[first : first + size], np.float64)
         power = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] ** 2
@@ -98,7 +101,9 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
         if not power.sum() > 0:
             continue
         order = np.argsort(power)[::-1]
+        # as few lines as hold most of the energy
         many = int(np.searchsorted(np.cumsum(power[order]), _ENERGY * power.sum())) + 1
+        # a line much weaker than its neighbour is that one's leak
         beside = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
         lines = [k for k in order[:many] if power[k] >= _LEAK * beside[k]]
         excited += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]

@@ -110,6 +110,7 @@ def quick_problems(records: Sequence[Record]) -> list[str]:
         band = drive_band(r) if np.ptp(r.voltage) > 0 else None
         lines += [f"{r.name}: {line}" for line in drive_problems(r, noise_std(r.displacement), band)]
         reach.append(float(np.nanstd(r.displacement)) / max(float(r.voltage.std()), 1e-300))
+    # the median: one record in other units must not move what is usual
     usual = float(np.median(reach))
     return lines + [
         f"{r.name}: moves {x / usual:.2g} times as far per volt as most others: is its unit right?"
@@ -131,6 +132,7 @@ def drive_band(record: Record) -> tuple[float, float]:
     if kind(record) == "sine":
         line = loudest(record)
         return line, line
+    # from line 1 on: the mean is no excitation
     total = np.cumsum(np.abs(np.fft.rfft(record.voltage - record.voltage.mean()))[1:] ** 2)
     low, high = (int(np.searchsorted(total, share * total[-1])) + 1 for share in (_TAIL, 1 - _TAIL))
     return low / (record.samples * record.dt), high / (record.samples * record.dt)
@@ -148,10 +150,12 @@ def coloured_noise(residual: np.ndarray, seen: np.ndarray, dt: float, top: float
     """
     edges = band_edges(int(0.6 * len(residual)), dt)
     levels = band_levels(residual, seen, dt, edges)
+    # so far above drive and resonance the actuator answers nothing: what is there is noise
     own = edges[:-1] > max(_ABOVE_DRIVE * top, _ABOVE_RESONANCE * resonance)
     quarter = int(own.sum()) // 4
     if own.sum() < _FEWEST_BANDS or not levels[own][-quarter:].any():
         return None
+    # white noise is level over these bands
     low, high = levels[own][:quarter].mean(), levels[own][-quarter:].mean()
     if low < _COLOURED * high:
         return None

@@ -48,6 +48,7 @@ def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repea
     if seen.sum() < 2:
         return Repeat(tuple(r.name for r in records), float("nan"), float("nan"))
     y = y[:, seen] - y[:, seen].mean(1, keepdims=True)
+    # sample by sample over the repeats: what they share, the model's part, drops out
     sigma = float(np.sqrt(np.mean(y.var(0, ddof=1))))
     span = float(np.median(np.ptp(y, axis=1)))
     return Repeat(tuple(r.name for r in records), sigma, 100 * sigma / span if span > 0 else float("nan"))
@@ -58,7 +59,7 @@ def cycles(records: Sequence[Record]) -> dict[str, float]:
     scatter = {}
     for r in records:
         y = np.where(r.observed, r.displacement, 0.0)
-        square, span = repeat_scatter(r, y, r.observed), float(np.ptp(r.displacement[r.observed]))
+        square, span = repeat_scatter(r, y, r.observed), r.span
         if square is not None and span > 0:
             scatter[r.name] = 100 * float(np.sqrt(square)) / span
     return scatter

@@ -9,6 +9,7 @@ from .._table.units import base_unit, from_base, to_base
 from .coverage import Coverage
 from .repeats import Repeat
 from .set_fit import SetFit
+from .with_model import Explained
 
 _PER_PERIOD = 20.0  # samples of the resonance's period for RK4 and a readable second derivative
 _STDERRS = 4.0  # from which two zeros differ, and 0.2 % of range
@@ -17,7 +18,7 @@ _SMALL = 0.002
 
 def set_advice(
     rows: Mapping, used: Sequence[Record], cover: Coverage | None, repeats: Sequence[Repeat],
-    cycles: Mapping[str, float], modelled: bool, fitted: SetFit | None,
+    cycles: Mapping[str, float], beside: Mapping[str, Explained], fitted: SetFit | None, turned: Sequence[str],
 ) -> list[str]:  # fmt: skip
     """What to do about the set.
 
@@ -27,24 +28,24 @@ def set_advice(
         cover: excited frequencies and amplitudes.
         repeats: drives that were played more than once.
         cycles: what the cycles of a record's drive do not share, % of range.
-        modelled: whether a model was given.
+        beside: records beside the model, where one was given.
         fitted: the quiet linear fit.
+        turned: records that are read against the direction of most.
     """
     if not used:
         return ["no record moves under a drive: nothing can be identified from these; look at sensor and amplifier"]
     lines = []
-    poor = [name for name, row in rows.items() if any("does not explain" in p for p in row.problems)]
+    poor = [name for name, row in beside.items() if row.problem and row.e_rms_percent is not None]
     if poor:
         lines.append(
             f"the model does not explain {len(poor)} of {len(used)} records ({_some(poor)}): `pitp diagnose` says why"
         )
-    strange = [n for n, row in rows.items() if any("belong" in p or "as far as" in p for p in row.problems)]
+    strange = [name for name, row in fitted.records.items() if row.strange] if fitted else []
     if strange:
         lines.append(f"{_some(strange)} may not belong to this set: look at them, or leave them out")
-    turned = [n for n, row in rows.items() if any("against the direction" in p for p in row.problems)]
     if turned:
         lines.append(f"the sensor is reversed in {_some(turned)}: taken into account, but look at its sign")
-    if not modelled and fitted is None:
+    if not beside and fitted is None:
         lines.append("no linear model could be fitted quietly: beginnings, zeros and directions are not known")
     if fitted is not None and fitted.input_map == "linear":
         lines.append("a force proportional to the input explains these better than its square: --input-map linear")
@@ -57,6 +58,7 @@ def set_advice(
                 f"{per:.1f} samples a period of the resonance at {cover.resonance:.3g} Hz are few: sample at "
                 f"{_PER_PERIOD * cover.resonance:.0f} Hz or more"
             )
+    # None: nothing is known of how it begins
     begins = {rows[r.name].begins for r in used} - {None}
     if begins and "rest" not in begins:
         none, what = (
@@ -78,6 +80,7 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
         np.array([to_base(getattr(rows[r.name], field), r.displacement_unit) for r in known])
         for field in ("zero", "zero_stderr")
     )
+    # of records at rest the zero was read, of all others it was fitted
     resting = [zero for r, zero in zip(known, zeros, strict=True) if rows[r.name].begins == "rest"]
     middle, far = float(np.median(resting or zeros)), False
     for r, zero, error in zip(known, zeros, errors, strict=True):

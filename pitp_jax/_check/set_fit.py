@@ -144,7 +144,7 @@ def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float]
 
 def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
     """Force and output as means over blocks: a linear system keeps their relation."""
-    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, total = records[0].dt, sum(r.samples for r in records)
     fine = int(1 / (_PER_PERIOD * force_band(forces, dt) * dt))
     step = max(1, min(max(fine, -(-total // _MOST)), min(r.samples for r in records) // 64))

@@ -38,8 +38,7 @@ def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explaine
     errors = [
         float(e_rms_percent(p.displacement, r.displacement, p.scored)) for p, r in zip(runs, records, strict=True)
     ]
-    ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
-    floors = [100 * noise_std(r.displacement) / span for r, span in zip(records, ranges, strict=True)]
+    floors = [100 * noise_std(r.displacement) / r.span for r in records]
     misfit = model.origin.misfit
     usual = float(np.median(np.nan_to_num(errors, nan=np.inf, posinf=np.inf)))
     resonance, square = model.natural_frequency / (2 * np.pi), model.input_map.name == "square"

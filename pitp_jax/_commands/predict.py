@@ -123,7 +123,7 @@ def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> di
     known = [p.zero for p in predictions if math.isfinite(p.zero_stderr)]
     middle, found = float(np.median(known)) if known else 0.0, {}
     for record, p in zip(records, predictions, strict=True):
-        may = 4 * p.zero_stderr + 0.002 * float(np.nanmax(record.displacement) - np.nanmin(record.displacement))
+        may = 4 * p.zero_stderr + 0.002 * record.span
         apart = math.isfinite(may) and abs(p.zero - middle) > may
         found[p.name] = Beginning(p.begins, p.direction, p.zero, p.zero_stderr, int(apart))
     return found

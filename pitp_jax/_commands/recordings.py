@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from .._check.one_record import quick_problems
 from .._model.fitted import Fitted
 from .._model.input_map import SquareInput
 from .._model_file.model_file import load
@@ -53,6 +52,8 @@ def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted
 
 def warn(records: Sequence[Record]) -> None:
     """The cheap part of `pitp check` on standard error, for commands that fit."""
+    from .._check.one_record import quick_problems  # with it comes all that identifies: a third of what a command loads
+
     for line in quick_problems(records):
         say(f"warning: {line}")
 

@@ -24,7 +24,7 @@ from .library import slots_of
 from .simulator import INDEX, Drive, Film, Simulator, root
 
 PERIOD, COARSEST, BUDGET = 40.0, 16.0, 12_000  # samples a period of the fastest mode or drive; fewer where all exceed
-SCREEN = 5_000  # samples from which no further record is needed to tell a promising start
+_ENOUGH = 5_000  # samples from which no further record is needed to tell a promising start
 STEPS = 24  # steps a period of the nominal's own mode, at least
 _FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
 _BLOCKS = 4  # folds of a single record
@@ -100,11 +100,11 @@ class Case:
         return [seen]
 
     def screened(self) -> list[np.ndarray]:
-        """Samples that the first steps of a fit may see: of the records with the widest motion, `SCREEN` in all."""
+        """Samples that the first steps of a fit may see: of the records with the widest motion, `_ENOUGH` in all."""
         rows = [s.counts.astype(float) for s in self.series]
         kept = 0
         for k in np.argsort([-s.span for s in self.series], kind="stable"):
-            if kept >= SCREEN:
+            if kept >= _ENOUGH:
                 rows[k] = np.zeros_like(rows[k])
             kept += int(rows[k].sum())
         return rows
@@ -125,11 +125,13 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         BadInput: a nominal that diverges on a record.
     """
     model = at_rate(model, records[0].dt)
+    # of a single record nothing came before
     known = len(records) > 1 and session_clock(records)
     _, _, begun = begin(model, records, known)
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
             raise BadInput(f"the nominal model diverges on {r.name}: it cannot be diagnosed, identify it again")
+    # what no slot holds (a trained encoder) is taken off the measurement below
     nominal, foreign = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
     k = _thinning(model, nominal, turned)
@@ -146,8 +148,10 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
             force = film.force(np.arange(len(x)) * r.dt * k)
         volts = root(force) if square else force
         seen = np.asarray(np.isfinite(x))
-        age = model.provenance.age(r.time[0]) if known else 0.0
+        age = model.domain.age(r.time[0]) if known else 0.0
+        # of the first thinned sample, which may stand before the record
         age = max(age + first_node, 0.0)
+        # a mean of a few samples: one alone carries the whole noise
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         starts.append((0.0, 0.0) if rest else (first, 0.0))
         jump = -r.dt / 2 if held else 0.0
@@ -186,6 +190,7 @@ def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
     force = voltage * np.abs(voltage)
     if held:
         return force
+    # the larger end: the smaller may be zero, and a force below it would be a pull
     rise, larger = np.diff(voltage) ** 2 / 6, np.abs(voltage[1:]) >= np.abs(voltage[:-1])
     size = np.abs(force)
     size[1:] -= rise * larger
@@ -197,6 +202,7 @@ def averaged(series: np.ndarray, k: int, rest: bool) -> np.ndarray:
     """Every k-th sample as the mean of the k around it, from the rest before a record on; nan is no part."""
     if k == 1:
         return series
+    # an even k has no middle: half of either end
     weights = np.ones(k) if k % 2 else np.r_[0.5, np.ones(k - 1), 0.5]
     whole = np.concatenate([np.full(_before(k, rest), np.nan), series])
     there = np.isfinite(whole)
@@ -218,6 +224,7 @@ def _thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> i
     drive = force_band([model.input_map.force(r.voltage) for r in records], dt, 0.98)
     moved = force_band([m for m in motion if np.ptp(m) > 0], dt, 0.98)
     mode = _omega(nominal) / (2 * np.pi)
+    # a drive that moves nothing counts no more than a motion that nothing drives
     fastest = max(min(drive, moved), mode if mode < 3 * moved else 0.0, 1e-12)
     wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / BUDGET
     k = min(max(wanted, min(total, wanted * PERIOD / COARSEST)), max(r.samples for r in records) / _FEWEST)
@@ -228,6 +235,7 @@ def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
     """Records left out one by one, or in at most six groups of neighbours in range."""
     if len(series) == 1:
         return tuple((k,) for k in range(_BLOCKS))
+    # every group then has small and large motions
     order = np.argsort([s.span for s in series], kind="stable")
     groups = min(len(series), _MOST_FOLDS)
     return tuple(tuple(int(k) for k in order[g::groups]) for g in range(groups))

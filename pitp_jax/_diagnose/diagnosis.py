@@ -4,7 +4,6 @@ records -> thinned case -> sets of effects searched out of fold -> verdict, budg
 nominal
 """
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
@@ -81,7 +80,7 @@ class Diagnosis:
     heldout: tuple[str, ...]
     shift: np.ndarray
     traces: tuple[Trace, ...]
-    model: Model | Fitted
+    model: Fitted
     notes: tuple[str, ...] = ()
     term: Term | None = None
     budget: dict = field(default_factory=dict)
@@ -159,15 +158,16 @@ def diagnose(
         >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
         no gap ...
     """
-    model = cast(Model, fitted_of(model))  # reads as one, with the origin that `model.provenance` looks into
+    model = cast(Model, fitted_of(model))  # reads as one
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)
-    model = replace(model, provenance=model.provenance.with_(clock=model.provenance.clock or clock_start(records)))
+    model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     case = build_case(model, records, tuple(mesh.devices.flat) if mesh is not None else ())
     limit = Budget(seconds)
     misfit, source = own_misfit(case) if not refit_nominal else (0.0, "unknown in a refit")
     noise = _thinned(case, 0.0)
+    # in a refit the nominal was made from these records: what it left of others is not known
     own = _thinned(case, misfit) if not refit_nominal else 0.0
     search = Search(case, refit_nominal, exclude, limit, progress, max(own, noise), misfit)
     if not search.given.rms <= rules.OWN * own:
@@ -176,6 +176,7 @@ def diagnose(
     progress("which of them is sure")
     decision = decide(search, own, noise, distinct)
     handed, made, parts = hand_back(search, decision, model, records)
+    # told in % of range, as the gap is
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)
     errors = errors_of(search, handed.fit)
@@ -201,7 +202,7 @@ def diagnose(
         heldout=tuple(s.record.name for s in case.series) if not case.blocks else (),
         shift=shift,
         traces=traces_of(model, made[0], records),
-        model=made[0],
+        model=fitted_of(made[0]),
         notes=notes,
         term=term,
         budget=budget_of(search, decision, raw),
@@ -219,12 +220,11 @@ def own_misfit(case: Case) -> tuple[float, str]:
     It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
     robot's noise times that hid any gap.
     """
-    source, scale = case.model.provenance, float(case.model.scales.state[0])
-    if not np.isfinite(source.misfit):
+    origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
+    if not np.isfinite(origin.misfit):
         return 0.0, "the sensor's noise: the nominal carries no error of its own"
-    first = json.loads(source.notes).get("identification", {}).get("noise_std")
-    noise = float(first) / scale if first else _noise(case)
-    return float(noise * np.sqrt(max(source.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
+    noise = origin.noise / scale if origin.noise > 0 else _noise(case)
+    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
 
 
 def _noise(case: Case) -> float:
@@ -252,6 +252,7 @@ def _floor(search: Search, own: float) -> float:
 
 def _gap(search: Search, decision: Decision, handed: Hypothesis, low: float, source: str) -> Gap:
     before, after = percent(search, search.base), percent(search, handed)
+    # of all that was tried, names or none: how far down any explanation came
     best = min(search.every.values(), key=lambda h: h.rms)
     room = min(percent(search, best), before * float(np.exp((decision.bar.score - search.base.evidence.score) / 2)))
     known = low > 0
@@ -264,11 +265,12 @@ def _gap(search: Search, decision: Decision, handed: Hypothesis, low: float, sou
 def _raw(search: Search):
     """The nominal's residuals with zeros and starts as the records' beginnings say."""
     case = search.case
+    # as the records begin, before any zero or start was fitted
     runs = case.simulator.run(np.tile(case.nominal, (len(case.series), 1)), range(len(case.series)), case.starts)
     rows = []
-    for run, s, left in zip(runs, case.series, search.given.residuals, strict=True):
+    for run, s, residual in zip(runs, case.series, search.given.residuals, strict=True):
         e = np.where(s.counts & np.isfinite(run), run - s.output, np.nan)
-        rows.append(np.where(np.isfinite(left), np.where(np.isfinite(e), e, left), np.nan))
+        rows.append(np.where(np.isfinite(residual), np.where(np.isfinite(e), e, residual), np.nan))
     return search.weigh(rows)
 
 
@@ -279,6 +281,7 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
     given, error = search.given.evidence.bare, _error
+    # sets with no name said may still predict better than the one that was judged
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
     if not decision.said:
@@ -291,10 +294,11 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
     for h in tried:
         if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
             continue
+        # in the package's own parts; what none of them can carry is not handed back
         made, added, missing = model_of(search.case.nominal, h.fit.slots, model, omega)
         if missing:
             continue
-        made = replace(made, provenance=made.provenance.driven_by(records))
+        made = replace(made, domain=made.domain.driven_by(records))
         after = _package_error(made, records)
         if np.isfinite(after) and after < before:
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
@@ -340,6 +344,7 @@ def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment
     if not names or not best.names or not limit.allows("an experiment that separates the tied names"):
         return None
     lacking = dict(zip(best.labels, best.names, strict=True)).get(names[0])
+    # as large at most: a larger set fits anything, and separates nothing
     rivals = [
         h for h in search.every.values() if h.names and lacking not in h.names and len(h.names) <= len(best.names)
     ]

@@ -6,7 +6,7 @@
 One large record decides pooled squares, and blocks alone gave 0.99 to second effects that one record knows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,13 +36,14 @@ class Evidence:
     def mse(self) -> np.ndarray:
         """Mean square of every record."""
         count = self.floor.size
+        # bincount sums blocks by the record they are of
         total = np.bincount(self.records, self.squares, count)
         mean = total / np.maximum(np.bincount(self.records, self.sizes, count), 1) + self.floor
         return np.maximum(mean, self.least)
 
     @property
     def score(self) -> float:
-        """S."""
+        """The score S, the log of the error squared."""
         weight = np.bincount(self.records, self.sizes, self.floor.size)
         return float(np.sum(weight * np.log(self.mse)) / weight.sum())
 
@@ -65,6 +66,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
         seen = r[np.isfinite(r)]
         if not len(seen):
             continue
+        # blocks, not samples: neighbours on one smooth run are no independent witnesses
         for block in np.array_split(seen, max(_FEWEST, round(_BLOCKS * len(seen) / total))):
             squares.append(float(np.sum(block**2)))
             sizes.append(len(block))
@@ -72,34 +74,31 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
     return Evidence(np.array(squares), np.array(sizes), np.array(records), np.array(floors) ** 2 + 1e-300, least**2)
 
 
-def draws(sets: Sequence[Evidence]) -> np.ndarray:
-    """S of every set in every draw, shape (sets, draws); all sets are drawn alike."""
-    rng, first = np.random.default_rng(0), sets[0]
-    there = np.unique(first.records)
-    picks = (
-        rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS)
-        if len(there) > 1
-        else np.ones((_DRAWS, 1))
-    )
-    size = np.array([first.sizes[first.records == r].sum() for r in there])
-    weight = picks * size
-    weight = weight / weight.sum(1, keepdims=True)
-    found = np.zeros((len(sets), _DRAWS))
+def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Draw records, then blocks within each: (record, times drawn (count,), its blocks (count, blocks)) in turn."""
+    rng, there = np.random.default_rng(seed), np.unique(first.records)
+    # how often each record is drawn; with one record only its blocks can vary
+    times = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), count)
     for j, r in enumerate(there):
         place = np.flatnonzero(first.records == r)
-        pick = place[rng.integers(0, len(place), (_DRAWS, len(place)))]
+        yield int(r), times[:, j], place[rng.integers(0, len(place), (count, len(place)))]
+
+
+def draws(sets: Sequence[Evidence]) -> np.ndarray:
+    """Score every set in every draw, shape (sets, draws); all sets are drawn alike."""
+    first = sets[0]
+    scores, weight = np.zeros((len(sets), _DRAWS)), np.zeros(_DRAWS)
+    for r, times, pick in resampled(first, _DRAWS, seed=0):
+        # a record counts by its samples, as in the score itself; the same blocks for all sets: what they share cancels
+        size = times * first.sizes[first.records == r].sum()
+        weight += size
         count = first.sizes[pick].sum(1)
         for k, s in enumerate(sets):
-            found[k] += weight[:, j] * np.log(np.maximum(s.squares[pick].sum(1) / count + s.floor[r], s.least))
-    return found
+            scores[k] += size * np.log(np.maximum(s.squares[pick].sum(1) / count + s.floor[r], s.least))
+    return scores / weight
 
 
 def probability(a: Evidence, b: Evidence, ratio: float = 1.0) -> float:
     """P that the rms error of `a` is below `ratio` times that of `b`."""
     first, second = draws([a, b])
     return float(np.mean(first < second + 2 * np.log(ratio)))
-
-
-def energy(s: Evidence) -> float:
-    """Mean square error, its geometric mean over records."""
-    return s.rms**2

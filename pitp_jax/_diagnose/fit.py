@@ -22,7 +22,7 @@ _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
 _LONGEST = 1.5  # largest change of a logarithm in one step, or of a number in units of itself and its start
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
-SCREEN = -1  # the fold of first steps: some records only
+PREVIEW = -1  # the fold of first steps: some records only
 
 
 @dataclass
@@ -63,6 +63,10 @@ class Fit:
         fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "done": False}
         return replace(self, **(fresh | changes))
 
+    def anew(self, **changes) -> "Fit":
+        """A copy with other numbers free, which has not been run yet."""
+        return self.again(**({"unit": np.zeros(0), "jacobian": None, "cost": np.inf} | changes))
+
     def value(self, name: str) -> float:
         """Of one slot."""
         return float(self.slots[INDEX[name]])
@@ -93,7 +97,9 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
         return np.ones((size, 1)), np.zeros((1, 2))
     a0, a1, a2 = (float(slots[INDEX[k]]) for k in ("a0", "a1", "a2"))
     time = np.arange(size) * case.dt
+    # the sensor's zero, then what the plant does by itself
     columns, begins = [np.ones(size)], [(0.0, 0.0)]
+    # order one: a single real pole
     poles: list[complex] = [complex(-a0 / a1)]
     if a2 > 0:
         root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
@@ -116,7 +122,9 @@ def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple
     if columns.shape[1] == 1:
         mean = rows[seen > 0].mean(0, keepdims=True)
         return rows - mean, mean
+    # QR, not normal equations: free responses of two close poles are nearly one column
     q, r = np.linalg.qr(inside)
+    # a column that the others have already is left out
     keep = np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-300)
     q = q * keep
     r = r + np.diag(np.where(keep, 0.0, 1.0)) * max(np.abs(r).max(), 1e-300)
@@ -130,7 +138,7 @@ class Fitter:
     def __init__(self, case: Case):
         self.case = case
         self.runs = 0
-        self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {SCREEN: case.screened()}
+        self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {PREVIEW: case.screened()}
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
     def _simulate(self, jobs: Sequence[tuple[np.ndarray, int, np.ndarray]]) -> list[np.ndarray]:
@@ -151,9 +159,9 @@ class Fitter:
         if not seen.any():
             seen = s.counts.astype(float)
         columns, begins = basis(self.case, slots, record)
-        left, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, seen)
+        residual, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, seen)
         moved = starts[record] - begins.T @ c[:, 0]
-        return np.where(s.counts, left[:, 0], np.nan), moved
+        return np.where(s.counts, residual[:, 0], np.nan), moved
 
     def evaluate(self, fits: Sequence[Fit], slots: Sequence[np.ndarray], everything: bool = False):
         """(cost, residuals, starts) of every fit at other slots; `everything`: on records left out, too."""
@@ -162,7 +170,7 @@ class Fitter:
             for k in range(len(self.case.series)) if everything else self._seen(fit.fold):
                 jobs.append((p, k, fit.starts[k]))
                 owners.append((fit, k))
-        runs, found, place = self._simulate(jobs), [], 0
+        runs, results, place = self._simulate(jobs), [], 0
         for fit, p in zip(fits, slots, strict=True):
             count = len(self.case.series) if everything else len(self._seen(fit.fold))
             residuals: list = [None] * len(self.case.series)
@@ -170,8 +178,8 @@ class Fitter:
             for (_, k), run in zip(owners[place : place + count], runs[place : place + count], strict=True):
                 residuals[k], starts[k] = self._residual(p, fit.starts, k, run, fit.fold)
             place += count
-            found.append((self._cost(residuals, fit.fold), residuals, starts))
-        return found
+            results.append((self._cost(residuals, fit.fold), residuals, starts))
+        return results
 
     def _cost(self, residuals, fold) -> float:
         total = 0.0
@@ -179,6 +187,7 @@ class Fitter:
             if residuals[k] is None:
                 return np.inf
             seen = self._masks[fold][k] > 0
+            # a record's own variance: one of a large motion does not decide alone
             total += seen.sum() * np.log(np.mean(residuals[k][seen] ** 2) + self.floors[k])
         return float(total)
 
@@ -188,6 +197,7 @@ class Fitter:
         for fit in fits:
             z = coordinates(fit)
             log = LOGARITHM[[INDEX[k] for k in fit.free]]
+            # relative to a number and its start: one that is near zero still gets a step that shows
             step = np.where(log, _STEP, _STEP * np.maximum(np.abs(z), 0.1 * fit.unit))
             steps.append(step)
             for k in self._seen(fit.fold):
@@ -195,6 +205,7 @@ class Fitter:
                     moved = z.copy()
                     moved[i] += step[i]
                     jobs.append((at(fit, moved), k, fit.starts[k]))
+                # the unmoved run beside them, in the same block: rounding of another program would not cancel
                 jobs.append((fit.slots, k, fit.starts[k]))
         runs, place = self._simulate(jobs), 0
         for fit, step in zip(fits, steps, strict=True):
@@ -213,6 +224,7 @@ class Fitter:
         for k in self._seen(fit.fold):
             seen = self._masks[fit.fold][k] > 0
             j, r = fit.jacobian[k][seen], fit.residuals[k][seen]
+            # the derivative of n log MSE by MSE
             weight = 1 / (np.mean(r**2) + self.floors[k])
             h, g = h + weight * j.T @ j, g + weight * j.T @ r
         return h, g
@@ -232,7 +244,7 @@ class Fitter:
             if not active:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
-            trials = [self._trial(f) for f in active]
+            trials = [at(f, coordinates(f) + self._move(f)) for f in active]
             for f, p, (cost, residuals, starts) in zip(active, trials, self.evaluate(active, trials), strict=True):
                 self._judge(f, p, cost, residuals, starts)
         return list(fits)
@@ -246,8 +258,7 @@ class Fitter:
         probes = []
         for fit, front in zip(fits, fronts, strict=True):
             free = tuple(k for k in fit.free if k not in front.free)
-            probes.append(fit.again(free=free, unit=np.zeros(0), fold=SCREEN, residuals=[], jacobian=None, cost=np.inf))
-            probes[-1].__post_init__()
+            probes.append(fit.anew(free=free, fold=PREVIEW, residuals=[]))
         self.fit(probes, 0)
         there = [p for p in probes if np.isfinite(p.cost)]
         self.differentiate(there)
@@ -255,30 +266,25 @@ class Fitter:
 
     def _stepped(self, probe: Fit, front: Fit) -> float:
         assert probe.jacobian is not None
-        seen, both = self._seen(SCREEN), list(probe.jacobian)
+        seen, both = self._seen(PREVIEW), list(probe.jacobian)
         if front.free and front.jacobian is not None:
             for k in seen:
                 both[k] = np.concatenate([front.jacobian[k], both[k]], 1)
         whole = replace(probe, free=(*front.free, *probe.free), unit=np.zeros(0), jacobian=both)
-        h, g = self.normal(whole)
-        d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
-        move = -np.linalg.lstsq(h / np.outer(d, d) + whole.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
-        log, z = LOGARITHM[[INDEX[k] for k in whole.free]], coordinates(whole)
-        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(z), whole.unit))
-        move = np.clip(move, -most, most)
+        move = self._move(whole)
         after = list(whole.residuals)
         for k in seen:
             after[k] = np.where(np.isfinite(after[k]), after[k] + both[k] @ move, np.nan)
-        return min(probe.cost, self._cost(after, SCREEN))
+        return min(probe.cost, self._cost(after, PREVIEW))
 
-    def _trial(self, fit: Fit) -> np.ndarray:
+    def _move(self, fit: Fit) -> np.ndarray:
+        """The damped step of the free coordinates, none of them too far."""
         h, g = self.normal(fit)
         d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
         move = -np.linalg.lstsq(h / np.outer(d, d) + fit.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
-        z = coordinates(fit)
         log = LOGARITHM[[INDEX[k] for k in fit.free]]
-        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(z), fit.unit))
-        return at(fit, z + np.clip(move, -most, most))
+        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(coordinates(fit)), fit.unit))
+        return np.clip(move, -most, most)
 
     def _judge(self, fit: Fit, slots, cost, residuals, starts):
         total = sum((self._masks[fit.fold][k] > 0).sum() for k in self._seen(fit.fold))
@@ -286,26 +292,28 @@ class Fitter:
         if gain > 0:
             fit.slow = fit.slow + 1 if gain < _SLOW else 0
             fit.slots, fit.cost, fit.residuals, fit.starts = slots, cost, residuals, starts
+            # trusted more: the quadratic held
             fit.damping, fit.jacobian = max(fit.damping / 6, 1e-7), None
             fit.done = fit.slow >= 2
         else:
             fit.damping *= 8
             fit.done = fit.damping > 1e4
 
-    def left_out(self, fits: Sequence[Fit], iterations: int) -> list[list[np.ndarray]]:
+    def refitted_without(self, fits: Sequence[Fit], iterations: int) -> list[list[np.ndarray]]:
         """Out-of-fold residuals of every fit, record by record: refitted without each fold from the fit to all."""
         self.differentiate([f for f in fits if f.jacobian is None and f.free])
         tasks = []
         for f in fits:
             for fold in range(len(self.case.folds)):
                 one = f.again(fold=fold, damping=1e-3)
+                # as good on the other folds as the fit to all: from there a few steps are enough
                 one.cost = self._cost(one.residuals, fold)
                 if self.case.blocks and f.free:  # the zero is fitted without the block
                     one.jacobian = None
                 tasks.append(one)
         self.fit(tasks, iterations)
         done = self.evaluate(tasks, [t.slots for t in tasks], everything=True)
-        found, place = [], 0
+        per_fit, place = [], 0
         for _ in fits:
             rows = [np.full(len(s.output), np.nan) for s in self.case.series]
             for fold in range(len(self.case.folds)):
@@ -315,5 +323,5 @@ class Fitter:
                     if tested.any():
                         far = 10 * self.case.series[k].span  # what diverges there is no model
                         rows[k][tested] = far if residuals[k] is None else np.clip(residuals[k][tested], -far, far)
-            found.append(rows)
-        return found
+            per_fit.append(rows)
+        return per_fit

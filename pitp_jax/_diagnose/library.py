@@ -10,10 +10,10 @@ from typing import cast
 import numpy as np
 
 from .._effects import CATALOGUE, lookup
-from .._effects.found_term import FOUND_TERM, sparse_term
-from .._effects.found_term import NAMES as TERMS
+from .._effects.found_term import term_row
 from .._model.encoder import ConstantEncoder
-from .._model.model import Model, Provenance, linear_model
+from .._model.fitted import Fitted, fitted_of
+from .._model.model import Model, linear_model
 from .simulator import INDEX, NAMES, OFF
 
 BORDER = 15.0  # tau omega: creep above, relaxation below
@@ -60,11 +60,12 @@ class Scale:
 def forms(s: Scale) -> list[Form]:
     """Every form with its starts."""
     x, pull = s.reach, s.force
+    # a plant without damping of its own still gets one to measure others by
     damping = max(s.a1, 0.1 * s.tau * max(s.a0, s.force / x))
-    found = []
+    all_forms = []
 
     def add(name: str, *starts: dict[str, float], second: bool = False):
-        found.extend(Form(name, start, second) for start in starts)
+        all_forms.extend(Form(name, start, second) for start in starts)
 
     add("spring", *({"k3": c / x**2} for c in (0.1, 0.5, -0.1)), *({"k2": c / x} for c in (-0.2, 0.2)))
     add(
@@ -157,7 +158,7 @@ def forms(s: Scale) -> list[Form]:
         *({"place_damping2": f * damping / x**2} for f in (0.3, 2.0)),
     )
     add(FREE, *({"field_damping": f * damping / pull} for f in (-0.3, 0.5)))
-    return found
+    return all_forms
 
 
 def named(name: str, slots: np.ndarray, scale: Scale) -> str:
@@ -246,7 +247,7 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
 }
 # numbers that do nothing where the strength beside them is off
 _SHAPES = set(
-    "charge_tau play_range exponent reach stop_at low_stop_at mullins_length drift_time branch_tau branch2_tau yield "
+    "charge_tau play_range reach stop_at low_stop_at mullins_length drift_time branch_tau branch2_tau yield "
     "plays_width rise_speed mode_w mode_zeta filter_zeta drive_yield".split()
 )
 _BRANCHES = (("branch", "branch_tau"), ("branch2", "branch2_tau"))
@@ -276,14 +277,14 @@ def _number(slots: np.ndarray, code: str) -> float:
 
 def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tuple], list[str]]:
     """The catalogue's effects that these slots are, each with its numbers' slots, and slots that no row has."""
-    on = {k for k in NAMES if slots[INDEX[k]] != OFF[INDEX[k]]} - {"a0", "a1", "a2", "bias"}
-    rates, found, used = np.asarray(model.scales.rates, float), [], set()
+    on = {k for k in NAMES if slots[INDEX[k]] != OFF[INDEX[k]]} - {"a0", "a1", "a2"}
+    rates, effects, used = np.asarray(model.scales.rates, float), [], set()
 
     def add(name: str, form: str, codes: tuple[str, ...]) -> None:
         spec, keys = row(name, form), {_slot(c) for c in codes}
         if spec is not None and not keys & used:
             values = zip(spec.parameters, codes, strict=True)
-            found.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
+            effects.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
             used.update(keys)
 
     if slots[INDEX["bouc"]] > 0 and "bouc" in on:
@@ -295,7 +296,7 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
         else:
             loop = lookup("hysteresis", "Dahl")(kappa, give)
         codes = ("bouc", "yield", "gamma")[: 3 if gamma else 2]
-        found.append((loop, codes))
+        effects.append((loop, codes))
         used.update(codes)
     for (name, form), codes in sorted(ROWS.items(), key=lambda item: -len(item[1])):  # the fullest form that fits
         signed = name != "charge_leak" or slots[INDEX["charge"]] < 0
@@ -304,29 +305,21 @@ def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tupl
     for strength, tau in _BRANCHES:
         if strength in on:
             add("creep" if slots[INDEX[tau]] * omega > BORDER else "relaxation", "one branch", (strength, tau))
-    terms = tuple(_TERMS[t] for t in TERMS if _TERMS.get(t) in on - used)
+    terms = {text: slot for text, slot in _TERMS.items() if slot in on - used}
     if terms:
-        found.append((_term(slots, terms, rates), terms))
-        used.update(terms)
+        effects.append((_term(slots, terms, rates), tuple(terms.values())))
+        used.update(terms.values())
     place = {(c.name, c.form): k for k, c in enumerate(CATALOGUE)}
-    found.sort(key=lambda pair: place.get((pair[0].name, pair[0].form), len(place)))
-    return found, sorted(on - used - _SHAPES)
+    effects.sort(key=lambda pair: place.get((pair[0].name, pair[0].form), len(place)))
+    return effects, sorted(on - used - _SHAPES)
 
 
-def _term(slots: np.ndarray, chosen: tuple[str, ...], rates: np.ndarray):
-    """Springs, dampers and friction by load as a sum of functions."""
-    values = [0.0] * len(FOUND_TERM.parameters)
-    for k, text in enumerate(TERMS):
-        slot = _TERMS.get(text)
-        if slot not in chosen:
-            continue
-        value = slots[INDEX[slot]]
-        if slot in ("k2", "k3", "k5"):
-            value = value * slots[INDEX["a0"]]
-        values[k] = float(value * _factor(FOUND_TERM.parameters[k], rates))
-    for k in range(len(TERMS), len(values)):
-        values[k] = 1.0
-    return sparse_term(values)
+def _term(slots: np.ndarray, chosen: dict[str, str], rates: np.ndarray):
+    """Springs, dampers and friction by load as a sum of functions; `chosen`: the slot of each."""
+    spec = term_row(tuple(chosen))
+    unit = {slot: slots[INDEX["a0"]] if slot in ("k2", "k3", "k5") else 1.0 for slot in chosen.values()}
+    numbers = zip(chosen.values(), spec.parameters, strict=True)
+    return spec(*(float(slots[INDEX[slot]] * unit[slot] * _factor(p, rates)) for slot, p in numbers))
 
 
 def slots_of(model: Model) -> tuple[np.ndarray, bool]:
@@ -340,7 +333,7 @@ def slots_of(model: Model) -> tuple[np.ndarray, bool]:
     if filtered:
         slots[INDEX["filter"]], slots[INDEX["filter_zeta"]] = filtered
     if model.hold == "zoh":
-        slots[INDEX["delay"]] += model.provenance.dt / 2
+        slots[INDEX["delay"]] += model.dt / 2
     foreign = not isinstance(model.encoder, ConstantEncoder) or type(model.drive).__name__ != "DirectDrive"
     rates = np.asarray(model.scales.rates, float)
     for e in model.effects:
@@ -393,7 +386,7 @@ def model_of(
     places = [INDEX[k] for k in core]
     slots = slots.copy()
     for k in ("delay", "lag", "filter"):  # what a fit has pushed to nothing is not there
-        slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.provenance.dt
+        slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
     change = slots.copy()
     same = (slots[places] > 0) == (case_nominal[places] > 0)
     if model.order <= 2 and same.all():
@@ -407,7 +400,7 @@ def model_of(
                 )
         moved = [k for k in behind if slots[INDEX[k]] != case_nominal[INDEX[k]]]
         if model.hold == "zoh" and "delay" in moved:
-            change[INDEX["delay"]] = max(change[INDEX["delay"]] - model.provenance.dt / 2, 0.0)
+            change[INDEX["delay"]] = max(change[INDEX["delay"]] - model.dt / 2, 0.0)
         own = tuple(e for e in model.effects if not (moved and (e.name, e.form) in _BEHIND))
         for k in () if moved else behind:
             change[INDEX[k]] = OFF[INDEX[k]]
@@ -423,9 +416,10 @@ def model_of(
     state = scale[: len(a)] if len(scale) >= len(a) else scale[0] * rate ** np.arange(len(a))
     plain = linear_model(
         a, input_map=model.input_map, state_scale=state, force_scale=force, output=model.output, hold="foh",
-        substeps=model.substeps, provenance=cast(Provenance, model.provenance),
+        substeps=model.substeps, domain=model.domain,
     )  # fmt: skip
-    return replace(plain, effects=tuple(e for e, _ in effects_of(change, plain, omega)[0])), added, missing
+    whole = replace(plain, effects=tuple(e for e, _ in effects_of(change, plain, omega)[0]))
+    return cast(Model, Fitted(whole, fitted_of(model).origin)), added, missing
 
 
 _BEHIND = {("delay", "pure"), ("sensor_lag", "one lag"), ("sensor_lag", "second order")}

@@ -39,20 +39,23 @@ class Experiment:
 def excitations(low: float, top: float, slew: float, hz: float, dt: float, size: float) -> dict[str, np.ndarray]:
     """Voltages by what they are, of that share of the range; each about sixty natural periods long, and the ramps."""
     t = np.arange(int(np.clip(60 / hz / dt, 2000, 40000))) * dt
-    found, middle = {}, (top + low) / 2 if low >= 0 else 0.0
+    drives, middle = {}, (top + low) / 2 if low >= 0 else 0.0
     for m in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.5):
+        # three periods at least, and ten samples in each
         if m * hz * t[-1] < 3 or m * hz > 0.1 / dt:
             continue
+        # within the range and the slew that were played
         swing = size * min((top - low) / 2 * 0.95, slew / (2 * np.pi * m * hz))
-        found[f"sine of {m * hz:.3g} Hz"] = size * middle - swing * np.cos(2 * np.pi * m * hz * t)
+        drives[f"sine of {m * hz:.3g} Hz"] = size * middle - swing * np.cos(2 * np.pi * m * hz * t)
         carrier = size * min(0.95 * top, -0.95 * low, slew / (2 * np.pi * m * hz))
         if carrier > 0:
-            found[f"sine of {m * hz:.3g} Hz about zero volts"] = carrier * np.sin(2 * np.pi * m * hz * t)
+            drives[f"sine of {m * hz:.3g} Hz about zero volts"] = carrier * np.sin(2 * np.pi * m * hz * t)
     level = low + np.repeat([0.2, 0.9, 0.5, 1.0, 0.1, 0.7], -(-len(t) // 6))[: len(t)] * (top - low)
     rise = max(int(np.ceil((top - low) / slew / dt)), 1)
+    # a mean over the time that the largest step takes at the largest slew
     ramped = np.convolve(np.pad(level, (rise, 0), mode="edge"), np.ones(rise) / rise, "valid")
-    found["steps of six levels"] = size * ramped[: len(t)]
-    return {name: _from_zero(u, slew * dt) for name, u in found.items()}
+    drives["steps of six levels"] = size * ramped[: len(t)]
+    return {name: _from_zero(u, slew * dt) for name, u in drives.items()}
 
 
 def _from_zero(voltage: np.ndarray, step: float) -> np.ndarray:
@@ -76,6 +79,7 @@ def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tupl
         drives = tuple(Drive(averaged(u, k, False), dt * k, (0.0, 0.0)) for u in tried.values())
         imagined = replace(case.simulator, drives=drives)
         places, starts = list(range(len(drives))), np.zeros((len(drives), 2))
+        # both explanations under the same voltages, from rest
         runs = [imagined.run(np.tile(h.fit.slots, (len(drives), 1)), places, starts) for h in (a, b)]
         for (what, u), x, y in zip(tried.items(), *runs, strict=True):
             if not (np.isfinite(x).all() and np.isfinite(y).all()):

@@ -109,6 +109,7 @@ def interval(search: Search, before: Hypothesis, after: Hypothesis, low: float) 
 
     The nominal's own error is an estimate, too, and at most what it is told as: the lower end is that without it.
     """
+    # the same draws for both: what they share cancels in their ratio
     e = 100**2 * energies([before.evidence, after.evidence], _spans(search))
     if np.sqrt(e[0, 0]) <= GAP * low:
         return None
@@ -136,6 +137,7 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
         r = np.nan_to_num(fit.residuals[k])
         weight = 1 / (np.mean(r[s.counts] ** 2) + search.floors[k])
         blocks = max(3, round(_BLOCKS * s.counts.sum() / total))
+        # scores of whole blocks: residuals within one are correlated
         for j, e in zip(np.array_split(fit.jacobian[k], blocks), np.array_split(r, blocks), strict=True):
             score = weight * j.T @ e
             meat += np.outer(score, score)
@@ -147,7 +149,7 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
     return dict(zip(fit.free, np.sqrt(np.maximum(variance, 0)).tolist(), strict=True))
 
 
-def told(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
+def in_units(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
     """Parameters of one effect in physical units; `codes`: the slots they are."""
     numbers, rows = effect.numbers(), {}
     for k, (p, value) in enumerate(numbers):
@@ -164,7 +166,7 @@ def told(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str,
 
 def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
     """The effects beyond the nominal, with their numbers."""
-    return tuple(Added(e.name, e.form, told(model, e, codes, fit, errors)) for e, codes in added)
+    return tuple(Added(e.name, e.form, in_units(model, e, codes, fit, errors)) for e, codes in added)
 
 
 def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
@@ -184,14 +186,16 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     before = percent(search, search.base)
     for h in search.level(1):
         label = h.labels[0]
+        # what the form moved alone: the base's own delay and lags are none of it
         same = h.fit.slots == search.base.fit.slots
         same[[INDEX[k] for k in ("delay", "lag", "filter")]] |= label not in ("delay", "sensor_lag")
         slots = np.where(same, OFF, h.fit.slots)
         slots[INDEX["a0"]] = h.fit.value("a0")
-        found, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
-        mine = next(((e, c) for e, c in found if e.name in (label, "found_term")), None)
+        effects, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
+        mine = next(((e, c) for e, c in effects if e.name in (label, "found_term")), None)
+        # each takes slopes of its own: of the first three, which a reader compares
         errors = errors_of(search, h.fit) if len(rows) < 3 else {}
-        numbers = told(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
+        numbers = in_units(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
         after, moved = percent(search, h), label == "parameter_change"
         rows.append(Ranked(
             label, family(label), mine[0].form if mine else "refitted coefficients" if moved else "of the library",

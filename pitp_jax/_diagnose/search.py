@@ -14,7 +14,7 @@ from . import rules
 from .budget import Budget
 from .data import Case
 from .evidence import Evidence, evidence, probability
-from .fit import SCREEN, Fit, Fitter
+from .fit import PREVIEW, Fit, Fitter
 from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
@@ -61,11 +61,13 @@ def scale_of(case: Case, base: Fit) -> Scale:
         [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
     )
     a0, a1, a2 = (base.value(k) for k in ("a0", "a1", "a2"))
+    # the natural period's, else the slowest pole's, of whatever the base has
     tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
     tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
     drives = case.simulator.drives
     volts = np.concatenate([d.voltage for d in drives])
     force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
+    # of the integral of the drive, the unit of a loop of a speed command
     area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
@@ -81,6 +83,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
 
 def _smooth(x: np.ndarray) -> np.ndarray:
     filled = np.interp(np.arange(len(x)), np.flatnonzero(np.isfinite(x)), x[np.isfinite(x)])
+    # five samples: enough that a difference of a thinned record is no noise
     return np.convolve(np.pad(filled, 2, mode="edge"), np.ones(5) / 5, "valid")
 
 
@@ -97,10 +100,11 @@ class Search:
         self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
+        # of the nominal's linear part what is there at all
         self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
-        self.given = self._judged([given])[0]
+        self.given = self._scored([given])[0]
         self.linear = self._linear()
         base = self.linear if refit else self.given
         self.base = base
@@ -118,6 +122,7 @@ class Search:
             ]
         else:
             if self.scale.a2 > 0:
+                # a mass that moved: two starts, heavier and lighter
                 heavier = [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
                 self.library += heavier if "added_mass" not in self.exclude else []
             moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",))
@@ -131,32 +136,40 @@ class Search:
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
-    def _judged(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
-        found = []
-        for fit, rows in zip(fits, self.fitter.left_out(fits, steps), strict=True):
+    def _scored(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
+        hypotheses = []
+        for fit, rows in zip(fits, self.fitter.refitted_without(fits, steps), strict=True):
             labels = tuple(
                 "parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names
             )
-            found.append(Hypothesis(fit, labels, rows, self.weigh(rows)))
-        return found
+            hypotheses.append(Hypothesis(fit, labels, rows, self.weigh(rows)))
+        return hypotheses
 
     def _linear(self) -> Hypothesis:
         """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
 
         Of several structures that with the fewest numbers counts which no other surely beats by a twentieth: effects
-        act on a core of order two at most, and a lag behind it that need not be there hides them.
+        act on a core of order two at most, and a lag behind it that need not be there hides them. Where few records
+        make a refit worse out of fold than the nominal as it was given, effects start from its own structure and
+        are measured against it: a name that only mends the refit is none.
         """
         fits = [self._structure(self.core, {})]
         if self.refit:
             fits += self._structures()
         self.fitter.fit(fits, 25)
+        # of fits of one structure the best, whatever it started from
         best: dict[tuple[str, ...], Fit] = {}
         for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
             best.setdefault(f.free, f)
-        tried = self._judged([*best.values()] or fits[:1], 4)
+        tried = self._scored([*best.values()] or fits[:1], 4)
         self.linears = sorted(tried, key=lambda h: len(h.fit.free))
         least = min(tried, key=lambda h: h.rms)
-        return next(h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
+        good = (h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
+        plainest = next(good)
+        if self.refit and self.given.rms < plainest.rms:
+            own = next((h for h in tried if h.fit.free == self.core), plainest)
+            return replace(own, residuals=self.given.residuals, evidence=self.given.evidence)
+        return plainest
 
     def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
         slots = self.case.nominal.copy()
@@ -173,22 +186,22 @@ class Search:
         own, core = self.core, tuple(k for k in self.core if k not in ("lag", "filter"))
         # the nominal's whole lateness at slow drives as one time constant, of a plant with a spring
         tau = max(v["a1"] / v["a0"] + v["lag"] + 2 * v["filter_zeta"] * v["filter"], dt) if v["a0"] > 0 else 0.0
-        found = []
+        fits = []
         for faster in (0.5, 2.0):
-            found.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
+            fits.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
         if not late:
-            found.append(self._structure((*own, "delay"), {"delay": dt}))
+            fits.append(self._structure((*own, "delay"), {"delay": dt}))
         if tau and ("a2" not in core or core != own):
             for share in (0.03, 0.3):
                 numbers = {"a1": v["a0"] * tau, "a2": share * v["a0"] * tau**2}
-                found.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
+                fits.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
         if tau and own != ("a0", "a1"):
-            found.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
-            found.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
+            fits.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
+            fits.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
         if "lag" not in own and "filter" not in own:
             numbers = {"lag": 0.3 * max(tau, dt)}, {"filter": 0.2 * max(tau, dt), "filter_zeta": 0.3}
-            found += [self._structure((*own, *extra), extra) for extra in numbers]
-        return found
+            fits += [self._structure((*own, *extra), extra) for extra in numbers]
+        return fits
 
     def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> list[Hypothesis]:
         """Names beside every front, each by its best form."""
@@ -201,22 +214,23 @@ class Search:
                     continue
                 groups.setdefault(key, []).append(start := self._started(front.fit, form))
                 below[id(start)] = front.fit
+        # at the first level every name is fitted: nothing is known yet of what it may hide
         groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
         keys = list(groups)
         # what promises most first; without a limit of time all of them side by side
-        size, found = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, []
+        size, tried = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, []
         for first in range(0, len(keys), max(size, 1)):
             some = {key: groups[key] for key in keys[first : first + size]}
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            found += self._climbed(some)
-        return found
+            tried += self._climbed(some)
+        return tried
 
     def _climbed(self, groups: dict[frozenset, list[Fit]]) -> list[Hypothesis]:
         """The optimum of every set that helps, judged out of fold."""
         for f in (starts := [f for g in groups.values() for f in g]):
-            f.fold = SCREEN
+            f.fold = PREVIEW
         self.fitter.fit(starts, _FIRST_STEPS)
         groups = {
             key: [
@@ -227,14 +241,15 @@ class Search:
         }
         self.fitter.fit([f for g in groups.values() for f in g], 0)
         for key, group in groups.items():
+            # only what lowers the error of the set below it goes on
             least = [self.every[key - {f.names[-1]}].fit.cost - 2 * rules.GAIN * self.samples for f in group]
             groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
         chosen = self._richer([self._plainest(g) for g in groups.values() if g])
-        found = [h for h in self._judged(chosen) if not self.exclude & set(h.labels)]
-        for h in found:
+        scored = [h for h in self._scored(chosen) if not self.exclude & set(h.labels)]
+        for h in scored:
             self.every[frozenset(h.names)] = h
-        return found
+        return scored
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
         """The form with the fewest numbers of those that leave at most GAIN more than the best."""
@@ -247,12 +262,13 @@ class Search:
         for n, f in enumerate(fits):
             if f.names[-1] != "viscoelastic" or "branch2" in f.free:
                 continue
+            # a decade apart: nearer, two branches are one of a time constant between them
             for ratio in (0.1, 10.0):
                 slots = f.slots.copy()
                 slots[INDEX["branch2"]] = 0.3 * f.value("branch")
                 slots[INDEX["branch2_tau"]] = ratio * f.value("branch_tau")
                 free = (*f.free, "branch2", "branch2_tau")
-                more.append((n, f.again(free=free, slots=slots, unit=np.zeros(0), jacobian=None, cost=np.inf)))
+                more.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
         for n, f in more:
@@ -275,16 +291,11 @@ class Search:
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
         if form.name == PARAMETERS:
-            return front.again(
-                names=(*front.names, PARAMETERS),
-                free=tuple(dict.fromkeys((*self.core, *front.free))),
-                slots=slots,
-                unit=np.zeros(0),
-                jacobian=None,
-                cost=np.inf,
-            )
+            free = tuple(dict.fromkeys((*self.core, *front.free)))
+            return front.anew(names=(*front.names, PARAMETERS), free=free, slots=slots)
         for k, v in form.start.items():
             slots[INDEX[k]] = v
+        # so that the start is as stiff as the base, and no detour of the core's numbers
         stiff = 1 + slots[INDEX["bouc"]] * (
             "bouc" in form.start
         )  # what adds stiffness begins with as much less of the core
@@ -292,15 +303,7 @@ class Search:
         if stiff > 1.05 and "a0" in free:
             for k in ("a0", "a1", "a2"):
                 slots[INDEX[k]] /= stiff
-        return front.again(
-            names=(*front.names, form.name),
-            free=free,
-            slots=slots,
-            unit=np.zeros(0),
-            jacobian=None,
-            cost=np.inf,
-            residuals=[],
-        )
+        return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     # -- the beam ------------------------------------------------------------------------------------------------------
 
@@ -317,6 +320,7 @@ class Search:
                 self.progress("no single effect helps")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
+            # down to the nominal's own error there is nothing more to explain
             settled = level[0].rms <= rules.OWN * self.own
             helps = level[0].rms < rules.FIRST * least.rms
             if settled or (not helps and depth > 1) or not self.budget.allows(f"sets of {depth + 1} effects"):
@@ -328,8 +332,8 @@ class Search:
 
     def level(self, depth: int, without: set | frozenset = frozenset()) -> list[Hypothesis]:
         """Sets of so many names, best first."""
-        found = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
-        return sorted(found, key=lambda h: h.rms)
+        sets = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
+        return sorted(sets, key=lambda h: h.rms)
 
     def _backward(self) -> None:
         """Sets that lack one name of the best are tried too: the first name may have been taken for a later one."""
@@ -351,21 +355,16 @@ class Search:
                 free.append(k)
         for k in ("fold", "reach"):
             slots[INDEX[k]] = fit.slots[INDEX[k]] if any(k in f.start for f in keep) else OFF[INDEX[k]]
-        one = fit.again(
-            names=tuple(n for n in fit.names if n in key),
-            free=tuple(dict.fromkeys(free)),
-            slots=slots,
-            unit=np.zeros(0),
-            jacobian=None,
-            cost=np.inf,
-        )
+        names = tuple(n for n in fit.names if n in key)
+        one = fit.anew(names=names, free=tuple(dict.fromkeys(free)), slots=slots)
         (done,) = self.fitter.fit([one], _STEPS)
         if np.isfinite(done.cost):
-            self.every[key] = self._judged([done])[0]
+            self.every[key] = self._scored([done])[0]
 
     def best(self) -> Hypothesis:
         """The last set that pays."""
         best, floor = self.base, self.own
+        # over all that was tried, also sets that the backward step added
         deepest = max(len(h.names) for h in self.every.values())
         for depth in range(1, deepest + 1):
             level = self.level(depth)
@@ -384,6 +383,7 @@ class Search:
             return self._plainer(level, best, lambda h: h.names[0] in LONE)
         if PARAMETERS in best.names:
             return best
+        # fewer numbers win a tie: they had less room to fit by chance
         few = [h for h in level if len(h.fit.free) < len(best.fit.free)]
         as_good = [h for h in few if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
         return min(as_good, key=lambda h: (len(h.fit.free), h.rms), default=best)
@@ -403,6 +403,7 @@ class Search:
             nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
             known = [h for h in nexts if h is not None]
             step = min(known, key=lambda h: h.rms) if known else chosen
+            # the last step ends at the set chosen, not at a like one with other starts
             step = chosen if len(have) + 1 == len(chosen.names) else step
             steps.append(step)
             have = frozenset(step.names)

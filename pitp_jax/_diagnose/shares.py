@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from . import rules
-from .evidence import Evidence
+from .evidence import Evidence, resampled
 from .search import PARAMETERS, Hypothesis, Search
 from .verdict import Decision
 
@@ -19,19 +19,17 @@ _DRAWS = 1000
 
 
 def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
-    """E of every set, first as it is and then in draws of records and blocks, shape (sets, 1 + draws)."""
-    rng, first = np.random.default_rng(1), sets[0]
-    there = np.unique(first.records)
-    found = np.zeros((len(sets), 1 + _DRAWS))
-    picks = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), _DRAWS) / len(there)
-    for j, r in enumerate(there):
-        place = np.flatnonzero(first.records == r)
-        drawn = np.vstack([place, place[rng.integers(0, len(place), (_DRAWS, len(place)))]])
+    """Energy E of every set, first as it is and then in draws of records and blocks, shape (sets, 1 + draws)."""
+    first = sets[0]
+    number = len(np.unique(first.records))
+    energy = np.zeros((len(sets), 1 + _DRAWS))
+    for r, times, pick in resampled(first, _DRAWS, seed=1):
+        drawn = np.vstack([np.flatnonzero(first.records == r), pick])
+        weight = np.concatenate([[1], times]) / number
         count = first.sizes[drawn].sum(1)
-        weight = np.concatenate([[1 / len(there)], picks[:, j]])
         for k, s in enumerate(sets):
-            found[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
-    return found
+            energy[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
+    return energy
 
 
 def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
@@ -39,9 +37,11 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
     steps = search.steps(chosen)
     more = decision.above if decision.more >= rules.SURE else chosen.evidence
+    # from the nominal as it stands to the best that anything reaches, a step each
     path = [raw, search.given.evidence, *[h.evidence for h in steps], more]
     e = energies(path, spans)
     whole = np.maximum(e[:2].max(0), 1e-300)
+    # steps telescope: all shares add up to one in every draw
     gains = (e[:-1] - e[1:]) / whole
     gains[0] = (whole - e[1]) / whole
     parts: dict[str, np.ndarray] = {"nuisance": gains[0], "parameters": np.zeros(e.shape[1])}
@@ -61,12 +61,12 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     unnamed = gains[-1] + sum((v for n, v in named.items() if n not in said), np.zeros(e.shape[1]))
     rest = 1 - parts["nuisance"] - parts["parameters"] - sum(said.values(), np.zeros(e.shape[1])) - unnamed
     names = {
-        n: _share(v) | {"probability": decision.probabilities.get(n), "equivalent": list(decision.tied.get(n, ()))}
+        n: _fraction(v) | {"probability": decision.probabilities.get(n), "equivalent": list(decision.tied.get(n, ()))}
         for n, v in said.items()
     }
     return {
-        "nuisance": _share(parts["nuisance"]), "parameters": _share(parts["parameters"]), "effects": names,
-        "unnamed": _share(unnamed), "unexplainable": _share(rest),
+        "nuisance": _fraction(parts["nuisance"]), "parameters": _fraction(parts["parameters"]), "effects": names,
+        "unnamed": _fraction(unnamed), "unexplainable": _fraction(rest),
     }  # fmt: skip
 
 
@@ -75,11 +75,12 @@ def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
     if any(h is None for h in alone):
         return named
     e = energies([search.base.evidence, *[h.evidence for h in alone if h is not None], chosen.evidence], spans) / whole
+    # the mean of what a name gains alone and of what it gains as the second
     first = (e[0] - e[1] + e[2] - e[3]) / 2
     return dict(zip(chosen.labels, (first, e[0] - e[3] - first), strict=True))
 
 
-def _share(draws: np.ndarray) -> dict:
+def _fraction(draws: np.ndarray) -> dict:
     low, high = np.quantile(draws[1:], (0.025, 0.975))
     here = float(draws[0])
     return {"share": here, "ci95": [float(np.clip(min(low, here), -1, 1)), float(np.clip(max(high, here), -1, 1))]}

@@ -26,18 +26,17 @@ FAR = 1e4  # scaled displacement from which a run has diverged
 _NEVER = 1e30
 # slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
 _COSTLY = (
-    "play1 play2 play3 play4 stretch_exp power tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc "
-    "bend"
+    "play1 play2 play3 play4 stretch_exp tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc bend"
 ).split()
 
 # name: (value that switches it off, whether it is fitted by its logarithm)
 SLOTS: dict[str, tuple[float, bool]] = {
-    "a0": (0.0, True), "a1": (0.0, True), "a2": (0.0, True), "bias": (0.0, False), "delay": (0.0, True),
+    "a0": (0.0, True), "a1": (0.0, True), "a2": (0.0, True), "delay": (0.0, True),
     "rc": (0.0, True), "slew": (_NEVER, True), "clip": (_NEVER, True), "offset": (0.0, False), "dead": (0.0, True),
     "charge": (0.0, False), "charge_tau": (1.0, True), "saturation": (0.0, True), "play1": (0.0, False),
     "play2": (0.0, False), "play3": (0.0, False), "play4": (0.0, False), "play_range": (1.0, True),
     "stretch": (0.0, False), "stretch_exp": (0.0, False), "k2": (0.0, False), "k3": (0.0, False), "k5": (0.0, False),
-    "power": (0.0, True), "exponent": (2.0, True), "reach": (1.0, True), "gent": (0.0, True), "tanh": (0.0, True),
+    "reach": (1.0, True), "gent": (0.0, True), "tanh": (0.0, True),
     "expo": (0.0, False), "sine": (0.0, True), "root": (0.0, False), "stop": (0.0, True), "stop_at": (1.0, False),
     "low_stop": (0.0, True), "low_stop_at": (-1.0, False), "mullins": (0.0, False), "mullins_length": (1.0, True),
     "drift": (0.0, False), "drift_time": (1.0, True), "branch": (0.0, False), "branch_tau": (1.0, True),
@@ -59,7 +58,7 @@ HIGHEST = {"mode_zeta": 0.5}  # an overdamped second mode is a relaxation or a d
 
 _CONSTANTS = (
     "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp "
-    "saturation play1 play2 play3 play4 play_range force stretch stretch_exp bias k2 k3 k5 power exponent reach "
+    "saturation play1 play2 play3 play4 play_range force stretch stretch_exp k2 k3 k5 reach "
     "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age reached "
     "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry "
     "dry_speed drive_bouc drive_yield rise rise_speed dry_load place_damping place_damping2 field_damping slack "
@@ -148,6 +147,7 @@ class Simulator:
         places = np.asarray(records, int)
         costly = (slots[:, [INDEX[k] for k in _COSTLY]] != OFF[[INDEX[k] for k in _COSTLY]]).any(1)
         steps = np.array([len(d.voltage) for d in self.drives])[places]
+        # alike ones side by side: blocks then share lengths, delays and the cheap program
         order = np.lexsort((slots[:, INDEX["delay"]], places, -steps, costly))
         blocks, place = [], 0
         while place < len(order):
@@ -156,7 +156,7 @@ class Simulator:
             width = WIDTHS[0] if count <= 2 * WIDTHS[0] else WIDTHS[1]
             blocks.append((order[place : place + min(count, width)], width, bool(mixed)))
             place += min(count, width)
-        found: list = [None] * len(records)
+        outputs: list = [None] * len(records)
 
         def run(numbered):
             k, (block, width, mixed) = numbered
@@ -167,11 +167,12 @@ class Simulator:
             runs = pool.map(run, enumerate(blocks))
             for (block, _, _), rows in zip(blocks, runs, strict=True):
                 for k, row in zip(block, rows, strict=True):
-                    found[k] = row
-        return found
+                    outputs[k] = row
+        return outputs
 
     def _block(self, slots, records, starts, width: int, costly: bool) -> list[np.ndarray]:
         lanes = len(records)
+        # copies of the last lane fill the block: programs have few widths
         fill = np.concatenate([np.arange(lanes), np.full(width - lanes, lanes - 1)])
         slots, records, starts = slots[fill], records[fill], starts[fill]
         sizes = [len(self.drives[r].voltage) for r in records]
@@ -191,6 +192,7 @@ class Simulator:
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
         """Delayed input at every step's ends, shape (steps + 1, lanes); its force runs straight between nodes."""
+        # one delayed input for all lanes that share record and delay
         pairs, which = np.unique(np.stack([records, slots[:, INDEX["delay"]]], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
@@ -213,6 +215,7 @@ class Simulator:
         """
         steps = max((delay + drive.jump) / drive.dt * self.substeps, 0.0)
         place = np.arange(len(column)) - steps
+        # part of the step behind the jump
         share = np.clip(place + 0.5, 0.0, 1.0)
         share[0] = np.clip(1 - 2 * steps, 0.0, 1.0)
         before = float(drive.before or 0.0)
@@ -258,6 +261,7 @@ def root(force: np.ndarray) -> np.ndarray:
 
 def _lag(tau: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(keep, ramp) of tau z' = w - z over h for w linear: z+ = keep z + (ramp - keep) w_0 + (1 - ramp) w_1."""
+    # a time constant of zero: the lag follows at once
     r = h / np.maximum(tau, 1e-12)
     keep = np.exp(-np.minimum(r, 700))
     return keep, -np.expm1(-np.minimum(r, 700)) / np.maximum(r, 1e-300) * (r < 1e9) * (tau > 0)
@@ -274,10 +278,12 @@ def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     low = np.where(second, np.where(second, a2, 1.0), np.maximum(a1, 1e-300))
     row = np.where(second, 1, 0)
     lanes = np.arange(len(h))
+    # order one writes the first row, order two the second
     m[lanes, row, 0] = -a0 / low * h
     m[:, 1, 1] = np.where(second, -a1 / low * h, 0.0)
     m[lanes, row, 2] = h / low
     m[:, 2, 3] = 1.0
+    # scaled to a norm below an eighth, where ten terms leave rounding
     norm = np.abs(m).sum(2).max(1)
     squarings = int(np.clip(np.ceil(np.log2(np.maximum(norm.max(), 1e-300))) + 3, 0, 60))
     m = m / 2.0**squarings
@@ -356,8 +362,7 @@ def _advance(square, costly, constants, state, volts, clock):
         sine = jnp.where(near[1], -p * p / 6, jnp.sin(p) / p1 - 1)
         expo = jnp.where(near[2], -g / 2 + g * g / 6, -jnp.expm1(-g) / g1 - 1)
         size = jnp.abs(x)
-        power = c["power"] * jnp.minimum(jnp.exp(c["exponent"] * jnp.log(size / c["reach"] + 1e-9)), 1e3)
-        shape = x * (power + 0.97 * tanh + expo + sine)
+        shape = x * (0.97 * tanh + expo + sine)
         shape = shape + c["root"] * (jnp.sign(x) * jnp.sqrt(size * c["reach"] + 1e-12) - x)
         shape = shape + c["mullins"] * jnp.expm1(-jnp.maximum(s["most"], size) / c["mullins_length"]) * x
         shape = shape + c["drift"] * jnp.expm1(-(c["age"] + time) / c["drift_time"]) * x
@@ -407,6 +412,7 @@ def _advance(square, costly, constants, state, volts, clock):
         s: dict[str, Any] = dict(zip(_STATES, carry, strict=True))
         before, after, time = ends
         n = dict(s)
+        # the drive: lag, then slew limit, then what is stored or remembered of it
         n["rc"] = _follow(c["rc_keep"], c["rc_ramp"], s["rc"], before, after)
         most = c["slew"] * h
         n["slewed"] = s["slewed"] + jnp.clip(n["rc"] - s["slewed"], -most, most)
@@ -422,25 +428,31 @@ def _advance(square, costly, constants, state, volts, clock):
             v0, v1 = (v + c["drive_bouc"] * z / c["drive_yield"] for v, z in ((v0, s["zd"]), (v1, n["zd"])))
         p0 = _film(square, c, s["rc"], v0, s["q"], before)
         p1 = _film(square, c, n["rc"], v1, n["q"], after)
+        # where the step will be half way, as at the end of the last one
         ahead = s["x"] + h / 2 * s["vm"]
         couple = jnp.maximum(1 + c["stretch"] * ahead, 0.05)
         couple = couple * jnp.exp(jnp.clip(c["stretch_exp"] * ahead, -8.0, 8.0)) if costly else couple
-        p0, p1 = p0 * couple + c["bias"], p1 * couple + c["bias"]
+        p0, p1 = p0 * couple, p1 * couple
+        # the linear plant's own step, exact for a force that runs straight
         x = c["e11"] * s["x"] + c["e12"] * s["v"] + c["bx"] * p0 + c["dx"] * (p1 - p0)
         v = c["e21"] * s["x"] + c["e22"] * s["v"] + c["bv"] * p0 + c["dv"] * (p1 - p0)
         middle, speed, push = (s["x"] + x) / 2, (x - s["x"]) / h, (p0 + p1) / 2
+        # what else pulls, at the middle of that step, and how it answers to being moved
         f, slope = jax.jvp(lambda x, v: forces(x, v, push, time, s), (middle, speed), (c["bx"] / 2, c["bx"] / h))
         f = f / (1 + jnp.maximum(slope, -0.5))
         x, v = x - c["bx"] * f, v - c["bv"] * f
+        # friction last: it takes what would stop the motion that all others leave
         level = c["dry"] * (1 + c["rise"] * jnp.exp(-((speed / c["rise_speed"]) ** 2)) if costly else 1.0)
         level = level + c["dry_load"] * c["a0"] * jnp.abs(middle)
         stops = jnp.where(second, v / jnp.where(second, c["bv"], 1.0), (x - s["x"]) / c["bx"])
         dry = jnp.clip(stops, -level, level)
         dry = smoothed(dry, level, jnp.where(second, v, (x - s["x"]) / h)) if costly else dry
         x, v = x - c["bx"] * dry, v - c["bv"] * dry
+        # nothing pulls back faster than it falls
         least = s["v"] - h / jnp.maximum(c["slack"], 1e-30)
         falls = (v < least) & (c["slack"] > 0) & second
         x, v = jnp.where(falls, s["x"] + h / 2 * (s["v"] + least), x), jnp.where(falls, least, v)
+        # nan compares false: it is lost, too
         lost = ~(jnp.abs(x) < FAR)
         n["x"], n["v"] = jnp.where(lost, FAR, x), jnp.where(lost, 0.0, v)
         x, past = n["x"], s["x"]
@@ -452,6 +464,7 @@ def _advance(square, costly, constants, state, volts, clock):
             for k, w in enumerate(_PLAYS):
                 n[f"b{k + 1}"] = jnp.clip(s[f"b{k + 1}"], x - w * c["plays_width"], x + w * c["plays_width"])
             n["most"] = jnp.maximum(s["most"], jnp.abs(x))
+        # the sensor's side: a mode, backlash, lag and filter, one behind the other
         n["my"] = c["m11"] * s["my"] + c["m12"] * s["mv"] + c["mb1"] * past + c["md1"] * (x - past)
         n["mv"] = c["m21"] * s["my"] + c["m22"] * s["mv"] + c["mb2"] * past + c["md2"] * (x - past)
         old, new = past + c["mode_gain"] * (s["my"] - past), x + c["mode_gain"] * (n["my"] - x)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-_SHARE = 0.8  # of an error's energy within three bins of one frequency: a line
+_FRACTION = 0.8  # of an error's energy within three bins of one frequency: a line
 
 
 def steady_tone(
@@ -22,16 +22,18 @@ def steady_tone(
         voltages: drives, V.
         intervals: between samples, s.
     """
-    found = []
+    lines = []
     for e, u, dt in zip(errors, voltages, intervals, strict=True):
         window = np.hanning(len(e))
         power = np.abs(np.fft.rfft((e - e.mean()) * window)) ** 2
+        # not line 0, the mean
         k = int(np.argmax(power[1:])) + 1
         near = slice(max(k - 3, 0), k + 4)
+        # of the force: a squared drive has lines that its voltage has not
         squared = np.abs(np.fft.rfft((u**2 - np.mean(u**2)) * window)) ** 2
         driven = squared[near].sum() / max(squared.sum(), 1e-30)
-        found.append((k / (len(e) * dt), power[near].sum() / max(power.sum(), 1e-30), driven, 1 / (len(e) * dt)))
-    hz, share, driven, width = np.array(found).T
-    if len(hz) < 3 or share.min() < _SHARE or np.ptp(hz) > 2 * width.max() or np.count_nonzero(driven < 0.1) < 2:
+        lines.append((k / (len(e) * dt), power[near].sum() / max(power.sum(), 1e-30), driven, 1 / (len(e) * dt)))
+    hz, fraction, driven, width = np.array(lines).T
+    if len(hz) < 3 or fraction.min() < _FRACTION or np.ptp(hz) > 2 * width.max() or np.count_nonzero(driven < 0.1) < 2:
         return None
-    return float(np.median(hz)), float(share.min())
+    return float(np.median(hz)), float(fraction.min())

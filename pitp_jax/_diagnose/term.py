@@ -7,7 +7,7 @@ It is fitted on whole free runs and judged out of fold as an effect is; it acts 
 
 from dataclasses import dataclass
 
-from .result import Gap, told
+from .result import Gap, in_units
 from .search import Hypothesis, Search
 
 
@@ -42,7 +42,7 @@ def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: d
     if pair is None:
         return None
     effect, codes = pair
-    rows = told(made[0], effect, codes, handed.fit, errors)
+    rows = in_units(made[0], effect, codes, handed.fit, errors)
     kept = {}
     for name, row in list(rows.items())[: len(codes)]:
         near = [row["value"] - 1.96 * row["stderr"], row["value"] + 1.96 * row["stderr"]] if row["stderr"] else None

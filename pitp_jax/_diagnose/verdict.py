@@ -55,6 +55,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     """Judge a search; `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: excitations."""
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
+    # beside a refit also every linear structure: a reference on a poor one would be a low bar
     bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
     bar = min(bars, key=lambda e: e.score)
     above = reference(case, chosen, floors) if chosen.names else bar
@@ -71,6 +72,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="the nominal leaves no more than on its own records")
     if not chosen.names:
+        # nothing at all helps, the reference included
         gains = [h.rms for h in search.every.values()] + [bar.rms]
         if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
             return answer("no_gap", reason="what is left is the sensor's noise")
@@ -78,21 +80,23 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     p, rivals, taken = {}, {}, _fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     for name, label in zip(chosen.names, chosen.labels, strict=True):
+        # searched anew without the name: what stands in its place need not have been tried yet
         rivals[name] = _rival(search, chosen, {name})
         p[label] = _needed(chosen, rivals[name])
     if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
         p["parameter_change"] = probability(chosen.evidence, search.given.evidence)
-    told: dict[str, Any] = {"p": p, "fractions": fractions}
+    seen: dict[str, Any] = {"p": p, "fractions": fractions}
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
-        return answer("unknown", reason="a flexible model without names explains as much", **told)
+        return answer("unknown", reason="a flexible model without names explains as much", **seen)
     if FREE in chosen.names:
-        return answer("unknown", reason="a force that has no name is part of it", **told)
+        return answer("unknown", reason="a force that has no name is part of it", **seen)
     deeper = [h for h in search.every.values() if len(h.names) > len(chosen.names) and h.rms < rules.HALF * chosen.rms]
     deepest = min(deeper, key=lambda h: h.rms, default=None)
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
-        return answer("unknown", reason="a larger set leaves less than half of it, and does without", **told)
+        return answer("unknown", reason="a larger set leaves less than half of it, and does without", **seen)
     said, tied = [], {}
+    # what closes most is said first
     order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
     for name, label in order:
         if fractions[label] < rules.LISTED or label in said:
@@ -102,16 +106,17 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         if equal is None or few:
             rival = "+".join(rivals[name].labels)
             why = "too few kinds of excitation to tell" if few else "these records cannot tell"
-            return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **told)
+            return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **seen)
+        # no record can tell these apart, so they are told however sure the set is
         twins = {n for group in TWINS if label in group for n in group} - {label}
         twins = set() if label == "parameter_change" or search.refit and label != "delay" else twins
         said.append(label)
         tied[label] = tuple(dict.fromkeys((*equal, *sorted(twins))))
     if not said:
-        return answer("unknown", reason="no single effect of the set closes much", **told)
+        return answer("unknown", reason="no single effect of the set closes much", **seen)
     open_ = more >= rules.SURE or deepest is not None
     verdict = "partly" if open_ and not settled else "explained"
-    return answer(verdict, said, tied, **told)
+    return answer(verdict, said, tied, **seen)
 
 
 def _needed(chosen: Hypothesis, rival: Hypothesis) -> float:
@@ -140,12 +145,12 @@ def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     for name in without:
         search.without(name, len(chosen.names))
     labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
-    found = [
+    lacking = [
         h
         for h in search.every.values()
         if not without & set(h.names) and not labels & set(h.labels) and len(h.names) <= len(chosen.names)
     ]
-    fair = [h for h in found if not _nested(h, chosen) and not _nested(chosen, h)] or found
+    fair = [h for h in lacking if not _nested(h, chosen) and not _nested(chosen, h)] or lacking
     return min(fair, key=lambda h: h.rms)
 
 
@@ -170,6 +175,7 @@ def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str
         rival = _rival(search, chosen, group)
         if _needed(chosen, rival) >= rules.SURE:
             return tuple(labels)
+        # a tie is one name in the place of one; two would be another explanation
         new = set(rival.names) - set(chosen.names)
         if len(new) != 1 or len(group) == rules.TIED:
             return None

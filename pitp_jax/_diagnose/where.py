@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._model.fitted import fitted_of
 from .._record.excitation_kind import kind, spectrum
 from .._record.preprocess import preprocess
 from .._record.record import Record
@@ -68,7 +69,7 @@ class Seen(NamedTuple):
 
 def motions(case: Case, scale: Scale) -> Seen:
     """Derivatives and missing forces along the measured motion; `scale`: of the search."""
-    found, dt = [], case.dt
+    along, dt = [], case.dt
     a = [case.nominal[INDEX[k]] for k in ("a0", "a1", "a2")]
     omega = 1 / scale.tau
     for s, d in zip(case.series, case.simulator.drives, strict=True):
@@ -76,13 +77,14 @@ def motions(case: Case, scale: Scale) -> Seen:
         filled = np.interp(place, place[s.counts], s.output[s.counts])
         record = Record(s.record.name, d.age + place * dt, d.voltage, filled)
         force = (d.voltage**2 if case.simulator.square else d.voltage) / case.simulator.force_scale
+        # six times the resonance, three lines of the record, and never near the Nyquist frequency
         cut = min(max(6 * omega / (2 * np.pi), 3 / (len(place) * dt)), 0.3 / dt)
         states = preprocess(record, 2, cut, force, displacement=filled).states
         weight = 1e4 * s.counts / (s.counts.sum() * s.span**2)
-        found.append(Motion(record, weight, states, force - states @ a, s.noise, s.span))
-    scale_, unit = float(case.model.scales.state[0]), case.model.provenance.displacement_unit
-    reach = max(float(np.abs(m.states[:, 0]).max()) for m in found)
-    return Seen(tuple(found), omega, reach, scale_, unit)
+        along.append(Motion(record, weight, states, force - states @ a, s.noise, s.span))
+    scale_, unit = float(case.model.scales.state[0]), fitted_of(case.model).origin.displacement_unit
+    reach = max(float(np.abs(m.states[:, 0]).max()) for m in along)
+    return Seen(tuple(along), omega, reach, scale_, unit)
 
 
 def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
@@ -106,6 +108,7 @@ def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
 def _quiet(seen: Seen) -> float:
     """Mean square of the missing force that noise alone makes: the lowest of its local mean squares."""
     size = max(int(np.pi / seen.omega / seen.dt), 8)
+    # mean squares over half a natural period: the quietest of them hold hardly any gap
     local = [np.convolve(m.force**2, np.ones(size) / size, "valid")[::size] for m in seen.motions]
     return float(np.quantile(np.concatenate(local), 0.05))
 
@@ -130,6 +133,7 @@ def _frequency(seen: Seen, errors) -> list[dict]:
     for s, e in zip(seen.motions, errors, strict=True):
         power = np.abs(np.fft.rfft(e * (s.weight > 0))) ** 2 / len(e) * 2
         frequency = np.fft.rfftfreq(len(e), seen.dt)
+        # white noise, in the density of a one-sided spectrum
         floor = 2 * s.noise**2
         energy = energy + np.histogram(frequency, edges, weights=(power - floor) / (len(e) * s.span**2))[0]
     return [
@@ -142,12 +146,15 @@ def _harmonics(seen: Seen, errors) -> dict:
     """Shares at multiples of the drive's line (sines only), the rest under "other"; empty without a sine."""
     totals: dict[str, float] = {}
     for s, e in zip(seen.motions, errors, strict=True):
+        # of other drives no line says which multiple an error belongs to
         if kind(s.record) != "sine":
             continue
         line = int(np.argmax(spectrum(s.record)[1:]) + 1)
         power = np.abs(np.fft.rfft(e * (s.weight > 0) * np.hanning(len(e)))) ** 2 / s.span**2 / len(e)
+        # mean square of a Hann window: what it leaves of white noise
         power = power - 0.375 * s.noise**2 / s.span**2
         order = np.arange(len(power)) / line
+        # two lines on either side: the window widens a line to four
         near = np.abs(order - np.round(order)) * line <= 2
         for name, mask in [("0f", order * line <= 2), *((f"{k}f", near & (np.round(order) == k)) for k in range(1, 7))]:
             totals[name] = totals.get(name, 0.0) + float(np.maximum(power[mask], 0).sum())
@@ -158,12 +165,12 @@ def _harmonics(seen: Seen, errors) -> dict:
 
 def _tone(seen: Seen, errors) -> dict | None:
     """`steady_tone` of the residuals: its frequency, in how many records, and its least share of one's gap."""
-    found = steady_tone(
+    tone = steady_tone(
         [e * (s.weight > 0) for s, e in zip(seen.motions, errors, strict=True)],
         [s.record.voltage for s in seen.motions],
         [seen.dt] * len(errors),
     )
-    return None if found is None else {"hz": found[0], "records": len(errors), "share": found[1]}
+    return None if tone is None else {"hz": tone[0], "records": len(errors), "share": tone[1]}
 
 
 def _time(seen: Seen, errors) -> list[dict]:
@@ -178,6 +185,7 @@ def _time(seen: Seen, errors) -> list[dict]:
 def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
     scale = seen.length if index is not None else 1.0
     values = [m.record.voltage if index is None else m.states[:, index] for m in seen.motions]
+    # not the extremes: a single overshoot would leave the outer bins empty
     low = min(float(np.quantile(v, 0.001)) for v in values)
     high = max(float(np.quantile(v, 0.999)) for v in values)
     edges = np.linspace(low, high, _BINS + 1)
@@ -203,6 +211,7 @@ def _cells(seen: Seen, quiet: float) -> list[dict]:
             energy[i, j] += np.sum((m.force[first:last] ** 2 - quiet)[there])
             weight[i, j] += there.sum()
     density = np.maximum(energy, 0) / np.maximum(weight, 1)
+    # density, not energy: a cell that was visited often is not loud for that
     loud = density.max()
     flagged = (density > _FLAG**2 * loud) & (density > 3 * quiet) & (weight > 0)
     shares = _shares(energy.ravel()).reshape(energy.shape)
@@ -228,6 +237,7 @@ def windows(s: Motion, seen: Seen):
     longest = max(int(10 * 2 * np.pi / seen.omega / seen.dt), 16)
     edges = [0]
     for c in [*crossings, len(u) - 1]:
+        # a slow drive crosses seldom: its windows end after ten natural periods
         while c - edges[-1] > longest:
             edges.append(edges[-1] + longest)
         if c - edges[-1] >= shortest:
@@ -243,6 +253,7 @@ def _sentence(seen: Seen, out: dict) -> str:
     unit = seen.unit
     factor = from_base(1.0, unit)
     ordered = sorted(out["cells"], key=lambda c: -c["share"])
+    # as many of the loudest cells as hold most of the gap
     held = np.cumsum([c["share"] for c in ordered])
     loud = ordered[: int(np.searchsorted(held, _MOST)) + 1]
     band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]

@@ -9,7 +9,6 @@ from .coupling import COUPLING
 from .dissipation import DRAG, FRICTION
 from .drive import DRIVE
 from .effect import Effect
-from .found_term import FOUND_TERM
 from .inertia import MASSES, SLACK
 from .memory import BRANCHES, DRIFT, LOOPS
 from .sensor import SENSOR
@@ -19,10 +18,6 @@ from .stiffness import BUMPERS, SPRINGS
 CATALOGUE: tuple[EffectSpec, ...] = (
     *SPRINGS, *BRANCHES, *LOOPS, *DRIFT, *MASSES, *BUMPERS, *DRAG, *FRICTION, *SLACK, *DRIVE, *COUPLING, *SENSOR,
 )  # fmt: skip
-_BY_KEY = {spec.key: spec for spec in CATALOGUE}
-
-# All that a model may carry, in the order its forces act in; a found term is no name, so no diagnosis ranks it.
-EFFECTS: tuple[EffectSpec, ...] = (*CATALOGUE, FOUND_TERM)
 
 
 def lookup(name: str, form: str | None = None) -> EffectSpec:

@@ -3,8 +3,7 @@
     f = sum_j c_j phi_j(x, x', F, z; knees) + c x x'',   tau z' = x - z      F the film's force (V^2 or V), U = sqrt|F|
 
 phi are products, signs and thresholds (`LIBRARY`). Dry friction among them is resolved as the catalogue's is. Which
-functions there are is static, their coefficients are data: with all of them, absent ones at c = 0, every sparse sum is
-a row of numbers under one compiled program.
+functions there are is static, their coefficients are data.
 """
 
 import re
@@ -18,7 +17,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from .dissipation import dry
-from .effect import Effect, Instant
+from .effect import Instant
 from .kernels import Kernel, lags
 from .spec import EffectSpec, Parameter
 
@@ -195,14 +194,3 @@ def term_row(functions: tuple[str, ...]) -> EffectSpec:
 
 def _smooth(f: Function) -> bool:
     return not f.friction and not f.inertial
-
-
-def sparse_term(values) -> Effect:
-    """Drop the functions whose coefficient is zero, from numbers in the order of `FOUND_TERM.parameters`."""
-    kept = [k for k in range(len(NAMES)) if values[k] != 0]
-    chosen = tuple(NAMES[k] for k in kept)
-    knees = [values[len(NAMES) + k] for k in held_knees(chosen)]
-    return term_row(chosen)(*map(float, [*(values[k] for k in kept), *knees]))
-
-
-FOUND_TERM = term_row(NAMES)  # all functions: every sparse sum is a row of numbers under one compiled program

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 from .kernels import CLOCK, bouc_wen, dahl, lags, play
 from .spec import EffectSpec, Parameter
 
-BORDER = 15.0  # tau omega_0 between relaxation and creep
 _STRENGTH = Parameter("kappa", off=0.0)
 _BRANCH = (_STRENGTH, Parameter("tau", "s"))
 _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))

@@ -4,15 +4,12 @@ physical = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: t
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
+from .._model.fitted import Fitted, fitted_of
+from .._model.model import Model
 from .._table.units import base_unit
 from .effect import Effect
 from .spec import Parameter
-
-if TYPE_CHECKING:
-    from .._model.fitted import Fitted
-    from .._model.model import Model
 
 
 def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float:
@@ -26,11 +23,12 @@ def in_scales(effect: Effect, old: tuple, new: tuple) -> Effect:
     return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 
 
-def physical(model: "Model | Fitted", p: Parameter, value: float) -> tuple[float, str]:
+def physical(model: Model | Fitted, p: Parameter, value: float) -> tuple[float, str]:
     """Convert a number stored in an effect to physical units."""
-    unit = p.unit.replace("x", base_unit(model.provenance.displacement_unit))  # m where there is no origin
+    origin = fitted_of(model).origin  # m and V where there is none
+    unit = p.unit.replace("x", base_unit(origin.displacement_unit))
     if p.force:  # behind a linear input map the force is a voltage
         unit = unit.replace("V^2", model.input_map.unit)
-    drive = base_unit(model.provenance.voltage_unit)  # a robot's command is no voltage
+    drive = base_unit(origin.voltage_unit)  # a robot's command is no voltage
     unit = unit.replace("V", drive) if drive != "V" else unit
     return value * physical_factor(p, model.scales.state, model.scales.force), unit

@@ -114,6 +114,7 @@ class EffectSpec:
             return Effect(self, tuple(numbers))
         # a found term stores its coefficients as one array, so that a sum of many functions has few leaves
         ends = np.cumsum([0, *(size for _, size in self.arrays)])
+        # one array to cut into those the row names
         flat = jnp.stack(numbers)
         return Effect(self, tuple(flat[a:b] for a, b in zip(ends, ends[1:], strict=False)))
 

@@ -80,7 +80,6 @@ _BUMPER = (
     Parameter("place", "x", length=1),
     Parameter("loss", "s/x", speed=-1),
 )
-_LOSS = (0.3, 1e-3, 30.0)
 _CURVATURE = (Parameter("curvature", "1/x", length=-1, off=0.0, linear=False),)
 
 SPRINGS = (

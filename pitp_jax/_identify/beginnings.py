@@ -61,21 +61,21 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
         return [_at_rest(r) for r in begun], None, 1.0
     cost, poles = first
     clean = _only_noise(cost, small)
-    found: list[Beginning] = []
+    decided: list[Beginning] = []
     for _ in range(_ROUNDS):
         rows = [_columns(r, input_map, *poles) for r in begun]
         known = [r is b for r, b in zip(records, begun, strict=True)]
         kinds = [_kind(row, r, whole, poles[0]) for row, r, whole in zip(rows, begun, known, strict=True)]
         kinds = _settled_together(begun, rows, kinds, known, poles[0])
-        before, found = found, _with_zeros(begun, rows, kinds, clean)
-        if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in found]:
+        before, decided = decided, _with_zeros(begun, rows, kinds, clean)
+        if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in decided]:
             break
-        some = build_problem([begun[k] for k in chosen], input_map, [found[k] for k in chosen])
+        some = build_problem([begun[k] for k in chosen], input_map, [decided[k] for k in chosen])
         better = _fitted(poles[0], some)
         if better is None:
             break
         cost, poles = better
-    return found, np.roots(polynomial(poles[0])[::-1]), float(np.sqrt(cost))
+    return decided, np.roots(polynomial(poles[0])[::-1]), float(np.sqrt(cost))
 
 
 def _only_noise(cost: float, records: Sequence[Record]) -> bool:
@@ -99,7 +99,7 @@ class _Columns:
     one: np.ndarray
     size: float  # standard deviation of the output
 
-    def left(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
+    def residual(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
         """What this explanation leaves, and its zero."""
         base = self.output - direction * (self.driven + (self.held if begins == "held" else 0.0))
         columns = [self.one, self.free] if begins == "moving" else [self.one]
@@ -108,19 +108,19 @@ class _Columns:
 
     def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
         """The zero fitted, its weight 1 / variance, and how many samples tell of it."""
-        left, zero = self.left(begins, direction)
+        residual, zero = self.residual(begins, direction)
         alone = project(self.one, self.free)[1] if begins == "moving" else self.one
-        return zero, float(alone @ alone / max(left @ left / len(left), 1e-300)), len(left)
+        return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
     def score(self, begins: Begins, direction: float) -> float:
-        """BIC."""
+        """How badly this explains the record, with its numbers paid for (BIC)."""
         extra = self.free.shape[1] if begins == "moving" else 0
-        return criterion(self.left(begins, direction)[0], extra, floor=_FINEST * self.size)
+        return criterion(self.residual(begins, direction)[0], extra, floor=_FINEST * self.size)
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
     """Some records in means over blocks of a tenth of the band's period, and which they are."""
-    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     size = int(1 / (_PER_PERIOD * force_band(forces, records[0].dt) * records[0].dt))
     size = max(1, min(size, min(r.samples for r in records) // 64))
     chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))
@@ -140,11 +140,11 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
         logs = no_faster(start, FASTEST / problem.fine)
         same = _directed(logs, problem)
         scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
-    found = []
+    fits = []
     for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
         fit = _fitted(logs, same)
-        found += [] if fit is None else [fit]
-    return min(found, key=lambda f: f[0]) if found else None
+        fits += [] if fit is None else [fit]
+    return min(fits, key=lambda f: f[0]) if fits else None
 
 
 def _from_response(problem: Problem) -> np.ndarray | None:
@@ -198,8 +198,8 @@ def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _
     means = means * np.sqrt(share)[:, None]
     y, driven, one = means[:, 0], means[:, 1], means[:, -1:]
     columns = np.column_stack([one, means[:, 3:-1]])
-    left = [project(y - d * driven, columns)[1] for d in (1.0, -1.0)]
-    white = whitener(min(left, key=lambda e: float(e @ e)))(means)
+    residuals = [project(y - d * driven, columns)[1] for d in (1.0, -1.0)]
+    white = whitener(min(residuals, key=lambda e: float(e @ e)))(means)
     return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1], float(y.std()))
 
 
@@ -264,19 +264,19 @@ def _with_zeros(
     records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]], clean: bool
 ) -> list[Beginning]:
     """Zeros at rest from the first samples, pooled where they agree; of the others that one, one for all, or own."""
-    found: dict[int, Beginning] = {}
+    decided: dict[int, Beginning] = {}
     resting = [k for k, (begins, _) in enumerate(kinds) if begins == "rest"]
     groups = level_groups([records[k] for k in resting])
     fitted = {k: rows[k].zero(*kinds[k]) for k in range(len(records))}
     for group, (members, zero, stderr) in enumerate(groups):
         free = clean or _sharper([fitted[resting[m]] for m in members], zero, stderr)
-        found |= {resting[m]: Beginning("rest", kinds[resting[m]][1], zero, stderr, group, free) for m in members}
-    own = {k: zero for k, zero in fitted.items() if k not in found}
+        decided |= {resting[m]: Beginning("rest", kinds[resting[m]][1], zero, stderr, group, free) for m in members}
+    own = {k: zero for k, zero in fitted.items() if k not in decided}
     if groups:
         (first, *_), zero, stderr = groups[0]
-        free = found[resting[first]].free
+        free = decided[resting[first]].free
         near = [k for k, (there, w, size) in own.items() if _agree(zero - there, w / (1 + w * stderr**2), size)]
-        found |= {k: Beginning(*kinds[k], zero, stderr, 0, free) for k in near}
+        decided |= {k: Beginning(*kinds[k], zero, stderr, 0, free) for k in near}
         own = {k: v for k, v in own.items() if k not in near}
     pool, mean = dict(own), 0.0
     while pool:
@@ -287,10 +287,12 @@ def _with_zeros(
         pool.pop(worst)
     group = len(groups)
     together = sum(w for _, w, _ in pool.values())
-    found |= {k: Beginning(*kinds[k], mean, _stderr(together), group, True) for k in pool}
+    decided |= {k: Beginning(*kinds[k], mean, _stderr(together), group, True) for k in pool}
     apart = [k for k in own if k not in pool]
-    found |= {k: Beginning(*kinds[k], own[k][0], _stderr(own[k][1]), group + 1 + j, True) for j, k in enumerate(apart)}
-    return [found[k] for k in range(len(records))]
+    decided |= {
+        k: Beginning(*kinds[k], own[k][0], _stderr(own[k][1]), group + 1 + j, True) for j, k in enumerate(apart)
+    }
+    return [decided[k] for k in range(len(records))]
 
 
 def _stderr(weight: float) -> float:

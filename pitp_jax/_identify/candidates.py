@@ -45,11 +45,11 @@ def search(
     progress: Callable[[str], None],
 ) -> list[Candidate]:
     """All candidates that could be fitted, in ascending order; `pair`: poles of order 2 known beforehand (rad/s)."""
-    told = fit_response(response, problem.fine, orders, delays) if response.rich else {}
+    by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
     roots = cache(lambda order: guesses(order, problem) + _with_pair(pair, order))
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     for order in orders:
-        if order > _ALWAYS and len(orders) > 1 and not _worth_trying(order, found):
+        if order > _ALWAYS and len(orders) > 1 and not _worth_trying(order, candidates):
             break
         here: list[Candidate] = []
         for delayed in delays:
@@ -63,7 +63,7 @@ def search(
                 if ends:
                     end = least_squares(_under(hold, ends[0], problem), structure, problem, _STEPS, _LEAST_STEP)
                 else:
-                    end = _fitted(structure, problem, told, roots, found + here)
+                    end = _fitted(structure, problem, by_response, roots, candidates + here)
                 ends += [(structure, end)] if end is not None and np.isfinite(end[1]) else []
             if not ends:
                 continue
@@ -78,10 +78,10 @@ def search(
             here.append(_scored(structure, end, problem))
         if not here:
             continue
-        found += here
+        candidates += here
         best = min(here, key=lambda c: c.score)
         progress(f"order {order}: {100 * best.score:.3g} % of the output's deviation left on blocks left out")
-    return found
+    return candidates
 
 
 def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
@@ -91,13 +91,13 @@ def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
                          identifiable(params, structure, problem, converged))  # fmt: skip
 
 
-def _worth_trying(order: int, found: Sequence[Candidate]) -> bool:
+def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
     """Whether the best order that is known is the last one; or the last but one, for one mode adds two.
 
     Or no order explains half of the output yet, or the last one halved what was left in sample: of two modes, three
     poles explain no block left out.
     """
-    known = [c for c in found if c.known]
+    known = [c for c in earlier if c.known]
     costs = [min((c.cost for c in known if c.structure.order < n), default=np.inf) for n in (order - 1, order)]
     if not known:
         return False
@@ -115,15 +115,15 @@ def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.
     return params
 
 
-def _fitted(structure: Structure, problem: Problem, told, roots, found: Sequence[Candidate]) -> Ending | None:
+def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending | None:
     """Where the fit ends from where the frequency response leads; if that is worse than what it holds, from others."""
     order, delayed = structure.order, structure.delayed
-    known = {(c.structure.order, c.structure.delayed): c for c in found}
+    known = {(c.structure.order, c.structure.delayed): c for c in earlier}
     lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
     if lower is None and order > 1 and len(problem.drive) > 1:
         bound = -np.inf  # asked for alone: the lines of several sines together pass for a sweep's
-    start, short = told.get((order, delayed)), np.log(_DELAY * problem.fine)
+    start, short = known_starts.get((order, delayed)), np.log(_DELAY * problem.fine)
     if start is not None and delayed:
         start = np.append(start[:-1], max(start[-1], short))
     ends = [] if start is None else [_short(start, structure, problem)]

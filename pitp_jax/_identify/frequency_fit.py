@@ -34,15 +34,15 @@ def fit_response(
 ) -> dict[tuple[int, bool], np.ndarray]:
     """Parameters of every (order, delayed): logarithms of the pole coefficients (rad/s), then of the delay (s)."""
     s, value, weight, held, unit = _Lines.of(response, dt)
-    lanes = [(order, delayed) for order in orders for delayed in delays]
-    rows = [(_start(*lane, s, value / held, weight * held, unit * dt), _mask(*lane)) for lane in lanes]
+    shapes = [(order, delayed) for order in orders for delayed in delays]
+    rows = [(_start(*shape, s, value / held, weight * held, unit * dt), _mask(*shape)) for shape in shapes]
     pad = _LINES - len(s)  # to one shape, with weight 0: one program for every record
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
     with jax.enable_x64(True):
         fixed = [jnp.asarray(a) for a in data]
-        found = [_least_squares(jnp.asarray(start), jnp.asarray(mask), fixed) for start, mask in rows]
+        fits = [_least_squares(jnp.asarray(start), jnp.asarray(mask), fixed) for start, mask in rows]
     result = {}
-    for (order, delayed), row in zip(lanes, found, strict=True):
+    for (order, delayed), row in zip(shapes, fits, strict=True):
         logs = _logs(row, order, unit)
         if np.isfinite(row).all():
             result[order, delayed] = np.append(logs, [row[-1] - np.log(unit)] * delayed)
@@ -52,8 +52,8 @@ def fit_response(
 def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
     """Logarithms of the pole coefficients (rad/s) of the linear equation-error fit, which needs no start itself."""
     s, value, weight, held, unit = _Lines.of(response, dt)
-    found = _start(order, False, s, value / held, weight * held, unit * dt)
-    return _logs(found, order, unit)
+    start = _start(order, False, s, value / held, weight * held, unit * dt)
+    return _logs(start, order, unit)
 
 
 class _Lines(NamedTuple):
@@ -71,6 +71,7 @@ class _Lines(NamedTuple):
         known = np.flatnonzero(response.coherent)
         hz, value = response.hz[known], response.value[known]
         weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
+        # powers of s up to six stay of order one
         unit = 2 * np.pi * float(np.exp(np.log(hz).mean()))
         return cls(2j * np.pi * hz / unit, value, weight, np.sinc(hz * dt) ** 2, unit)
 
@@ -84,10 +85,10 @@ def _logs(row: np.ndarray, order: int, unit: float) -> np.ndarray:
 def _least_squares(start: Array, mask: Array, data: list[Array]) -> np.ndarray:
     """One lane. They run one after the other: side by side they take twice as long to compile."""
     solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
-    found = optimistix.least_squares(
+    solution = optimistix.least_squares(
         _residual, solver, start, args=(start, mask, *data), max_steps=_STEPS, throw=False
     )  # fmt: skip
-    return np.asarray(found.value)
+    return np.asarray(solution.value)
 
 
 def _mask(order: int, delayed: bool) -> np.ndarray:
@@ -139,5 +140,5 @@ def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
     own = weight * held * jnp.exp(-s * jnp.exp(p[-1]) * mask[-1]) * jnp.prod(pairs, 0) * single
     # g is linear and real: projected out, so that a start needs none
     gain = jnp.sum((own.conj() * weight * value).real) / jnp.maximum(jnp.sum(jnp.abs(own) ** 2), 1e-300)
-    left = gain * own - weight * value
-    return jnp.concatenate([left.real, left.imag, _RIDGE * (p - start)])
+    misfit = gain * own - weight * value
+    return jnp.concatenate([misfit.real, misfit.imag, _RIDGE * (p - start)])

@@ -81,11 +81,11 @@ def _local(force: np.ndarray, output: np.ndarray, dt: float, most: int) -> Seque
     at = middle[:, None] + r
     design = np.concatenate([powers * u[at][..., None], np.broadcast_to(powers, (*at.shape, _DEGREE + 1))], -1)
     inverse = np.linalg.pinv(design, rcond=1e-8)  # of all lines at once: (lines, 6, 13)
-    found = (inverse @ y[at][..., None])[..., 0]
-    left = y[at] - (design @ found[..., None])[..., 0]
-    variance = (np.abs(left) ** 2).sum(-1) / (len(r) - design.shape[-1])
+    factors = (inverse @ y[at][..., None])[..., 0]
+    residual = y[at] - (design @ factors[..., None])[..., 0]
+    variance = (np.abs(residual) ** 2).sum(-1) / (len(r) - design.shape[-1])
     stderr = np.sqrt(variance * (np.abs(inverse[:, 0]) ** 2).sum(-1))
-    value, drive = found[:, 0], (np.abs(u[at]) ** 2).mean(-1)
+    value, drive = factors[:, 0], (np.abs(u[at]) ** 2).mean(-1)
     moved = np.abs(value) ** 2 * drive
     hz = (middle + 1) / ((2 * len(u) + 1) * dt)
     return hz, value, stderr, moved / np.maximum(moved + variance, 1e-300)

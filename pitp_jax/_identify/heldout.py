@@ -73,7 +73,7 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
     edges = [np.linspace(0, len(w), 3 * _FOLDS + 1).astype(int) for w in problem.weight]
     error = [np.zeros(len(w)) for w in problem.weight]
     scored = [np.zeros(len(w)) for w in problem.weight]
-    left = whole = 0.0
+    missed = whole = 0.0
     for fold in range(_FOLDS):
         parts = [
             [slice(*e[j : j + 2]) for j in range((fold + k) % _FOLDS, 3 * _FOLDS, _FOLDS)] for k, e in enumerate(edges)
@@ -100,6 +100,6 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
                 e, y = problem.output[k][block] - run[block], problem.output[k][block]
                 e, y = ((v - weight @ v / weight.sum()) * weight for v in (e, y))
                 error[k][block], scored[k][block] = e, weight
-                left, whole = left + float(e @ e), whole + float(y @ y)
-    score = float(np.sqrt(left / max(whole, 1e-300)))
+                missed, whole = missed + float(e @ e), whole + float(y @ y)
+    score = float(np.sqrt(missed / max(whole, 1e-300)))
     return HeldOut(score if np.isfinite(score) else np.inf, tuple(error), tuple(scored))

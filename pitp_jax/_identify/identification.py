@@ -187,12 +187,14 @@ def identify(
         # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
     if "delay" in learn:  # in any case, but where it vanishes: as one more number it would only cost held-out scores
+        # orders whose delay did not vanish
         late = {c.structure.order for c in candidates if c.structure.delayed}
         candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
     if not fit.identifiable:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
         raise ComputationFailed(why)
+    # of each order what the records determine, then what predicts best
     best = [min((c for c in candidates if c.structure.order == n), key=lambda c: (not c.known, c.score))
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
@@ -213,7 +215,7 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
     )
     if size < 2:
         return whole
-    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage), np.float64) for r in records]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
     return replace(build_problem(small, "linear", begun), fine=whole.dt)
 
@@ -257,13 +259,13 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
     if problem.free_zeros:
         variance = np.diag(covariance(chosen.params, chosen.structure, problem))
         errors = problem.scale * np.sqrt(np.clip(variance[first : first + problem.free_zeros], 0, None))
-    found = []
+    fitted = []
     for k, b in enumerate(begun):
         stderr = float(errors[problem.zeros[k]]) if b.free else b.stderr
-        found.append(
+        fitted.append(
             replace(b, direction=polarity * b.direction, zero=zero_of(k, gains, problem), stderr=stderr, free=False)
         )
-    return found
+    return fitted
 
 
 def _to_model(
@@ -275,7 +277,7 @@ def _to_model(
     relative = chosen.stderr / a
     output = Output(chosen.offset, chosen.polarity)
     moved = [output.to_model(aligned(r, b, output).displacement) for r, b in zip(records, begun, strict=True)]
-    forces = [np.asarray(INPUT_MAPS[input_map]().force(r.voltage)) for r in records]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     force_scale = max(float(np.abs(f).max()) for f in forces)
     longest = int(np.argmax([r.samples for r in records]))
     x_rms = float(np.sqrt(np.nanmean(np.concatenate(moved) ** 2)))

@@ -73,19 +73,19 @@ def logs_from_roots(roots: np.ndarray) -> np.ndarray:
 
 def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
     """The poles, no two of them alike."""
-    found: list[complex] = []
+    roots: list[complex] = []
     for factor in _factors(logs):
         if len(factor) == 2:
-            found.append(complex(-factor[0]))
+            roots.append(complex(-factor[0]))
             continue
         half = np.sqrt(complex(factor[1] ** 2 / 4 - factor[0]))  # p = -b/2 +- sqrt(b^2 / 4 - c)
         half = half if abs(half) > _APART * factor[1] else complex(_APART * factor[1])
         far = -factor[1] / 2 - half  # the larger one, which does not cancel
-        found += [far, factor[0] / far if half.imag == 0 else far.conjugate()]
-    for k, pole in enumerate(found):
-        if any(abs(pole - other) < _APART * abs(pole) for other in found[:k]):
-            found[k] = pole * (1 + 3 * _APART * (k + 1))
-    return np.array(found)
+        roots += [far, factor[0] / far if half.imag == 0 else far.conjugate()]
+    for k, pole in enumerate(roots):
+        if any(abs(pole - other) < _APART * abs(pole) for other in roots[:k]):
+            roots[k] = pole * (1 + 3 * _APART * (k + 1))
+    return np.array(roots)
 
 
 def no_faster(logs: Float[np.ndarray, " n"], fastest: float) -> Float[np.ndarray, " n"]:
@@ -146,12 +146,12 @@ def respond(
         how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
         return respond(logs, _finer(drive), **how)[::_FINER]
     rows, level = _inputs(drive, square, hold, settled)
-    z, found = poles(logs) * step, np.zeros(len(drive))
+    z, response = poles(logs) * step, np.zeros(len(drive))
     whole, part = _split(late, len(drive))
     for pole in z[np.imag(z) >= 0]:
         mode = _later(_filtered(_weights(pole)[0, : len(rows)] @ rows, pole), pole, part, rows, whole)
-        found[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z) * mode)
-    return found + level
+        response[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z) * mode)
+    return response + level
 
 
 def respond_with_slopes(
@@ -172,7 +172,7 @@ def respond_with_slopes(
     rows, level = _inputs(drive, square, hold, settled)
     z, moves = poles(logs) * step, pole_slopes(logs) * step
     whole, part = _split(late, len(drive))
-    found = np.zeros((len(logs) + 2, len(drive)))
+    runs = np.zeros((len(logs) + 2, len(drive)))
     for i in np.flatnonzero(np.imag(z) >= 0):
         pole, others = z[i], np.delete(z, i)
         weights = _weights(pole)[:, : len(rows)]
@@ -187,7 +187,7 @@ def respond_with_slopes(
         of_mode = residue * np.concatenate([[1.0], relative @ moves, [pole / step]])
         of_slope = residue * np.concatenate([[0.0], moves[i], [0.0]])
         for series, factors in ((mode, of_mode), (slope, of_slope)):
-            for number, size in zip(found, factors, strict=True):  # by hand: BLAS would start its threads for this
+            for number, size in zip(runs, factors, strict=True):  # by hand: BLAS would start its threads for this
                 if pole.imag:
                     number[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
                 elif size:
@@ -195,8 +195,8 @@ def respond_with_slopes(
     if len(z) == 1:  # the force itself acts on the rate of a first order
         rows = np.column_stack([rows, rows[:, -1]])
         force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
-        found[-1, whole:] -= np.real(z[0]) / step * force[: len(drive) - whole]
-    return found[0] + level, found[1:-1], found[-1]
+        runs[-1, whole:] -= np.real(z[0]) / step * force[: len(drive) - whole]
+    return runs[0] + level, runs[1:-1], runs[-1]
 
 
 def bounded_response(
@@ -208,7 +208,7 @@ def bounded_response(
     back. A solution of m' = p m + F either way; what it begins or ends with is in the free ones.
     """
     start, change = force[:-1], np.diff(force) * (hold != "zoh")
-    found, free = np.zeros(len(force)), []
+    response, free = np.zeros(len(force)), []
     for pole in poles[np.imag(poles) >= 0]:
         back = pole.real > 0
         rows = np.stack([-(start + change)[::-1], change[::-1]] if back else [start, change])
@@ -216,9 +216,9 @@ def bounded_response(
         mode, decay = _filtered(_weights(stable)[0, :2] @ rows, stable), powers(stable, len(force))
         if back:
             mode, decay = mode[::-1], decay[::-1]
-        found += (2 if pole.imag else 1) * np.real(_residue(pole, poles) * mode)
+        response += (2 if pole.imag else 1) * np.real(_residue(pole, poles) * mode)
         free += [np.real(decay), np.imag(decay)] if pole.imag else [np.real(decay)]
-    return found, np.stack(free, 1)
+    return response, np.stack(free, 1)
 
 
 def _finer(drive: np.ndarray) -> np.ndarray:

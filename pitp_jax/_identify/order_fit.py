@@ -76,7 +76,7 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     structure, params = candidate.structure, candidate.params
     n, poles = structure.order, poles_of(params, structure)
     solved, spread = solve(params, structure, problem), covariance(params, structure, problem)
-    left = np.concatenate(solved.left) * problem.scale
+    residual = np.concatenate(solved.residuals) * problem.scale
     coefficients, jacobian = _physical(params, float(solved.gains[0]), structure, problem)
     main = spread[: structure.order + 1, : structure.order + 1]
     of_coefficients = jacobian @ main @ jacobian.T
@@ -90,8 +90,8 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         coefficients=coefficients,
         stderr=stderr,
         correlation=of_coefficients / np.maximum(np.outer(stderr, stderr), 1e-300),
-        mae=float(np.abs(left).sum() / problem.samples),
-        rms=float(np.sqrt((left**2).sum() / problem.samples)),
+        mae=float(np.abs(residual).sum() / problem.samples),
+        rms=float(np.sqrt((residual**2).sum() / problem.samples)),
         heldout=100 * candidate.heldout.score,
         natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
         damping=np.array([-r.real / abs(r) for r in upper]),
@@ -141,7 +141,7 @@ def _physical(params, gain: float, structure: Structure, problem: Problem) -> tu
 
 def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> np.ndarray:
     """Standard errors of |p| / 2 pi by differences along the logarithms, in the order of `upper`."""
-    found = []
+    errors = []
     for pole in upper:
         slope = np.zeros(structure.order + 1)
         for j in range(structure.order):
@@ -149,8 +149,8 @@ def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> 
             moved[j] += 1e-5
             other = poles_of(moved, structure)
             slope[j] = (np.abs(other[np.argmin(np.abs(other - pole))]) - abs(pole)) / 1e-5
-        found.append(float(np.sqrt(max(slope @ spread @ slope, 0.0)) / (2 * np.pi)))
-    return np.array(found)
+        errors.append(float(np.sqrt(max(slope @ spread @ slope, 0.0)) / (2 * np.pi)))
+    return np.array(errors)
 
 
 def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
@@ -163,18 +163,18 @@ def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Fl
     by_zero, cost, seen = {b.group: np.zeros(size) for b in problem.beginnings}, 0.0, 0.0
     for k, (weight, b) in enumerate(zip(problem.weight, problem.beginnings, strict=True)):
         jacobian = slopes[k][order, : len(weight)].T
-        left, one = solved.left[k], b.direction * weight
+        residual, one = solved.residuals[k], b.direction * weight
         own = own_columns(params, structure, problem, k)[0] * weight[:, None]
         if own.shape[1]:
             one = one - own @ np.linalg.lstsq(own, one, rcond=1e-10)[0]
         hessian += jacobian.T @ jacobian
         # dp = H^-1 J'w dz: what an error of the zero read at rest moves
         by_zero[b.group] += jacobian.T @ one * (0.0 if b.free else b.stderr / problem.scale)
-        cost += float(left @ left)
+        cost += float(residual @ residual)
         block = np.minimum((seen + np.cumsum(weight) - 1) * _BLOCKS / problem.samples, _BLOCKS - 1).astype(int)
         seen += weight.sum()
         edges = np.flatnonzero(np.diff(block, prepend=-1))  # a block may span two records: sums are added up
-        np.add.at(scores, block[edges], np.add.reduceat(jacobian * left[:, None], edges))
+        np.add.at(scores, block[edges], np.add.reduceat(jacobian * residual[:, None], edges))
     inverted = inverse(hessian)
     moves = scores @ inverted
     sandwich = moves.T @ moves * (_BLOCKS / max(_BLOCKS - size, 1))  # H^-1 (sum g g') H^-1 B / (B - P)

@@ -18,7 +18,7 @@ from jaxtyping import Complex, Float
 
 from .._errors import BadInput
 from .._model.model import Hold
-from .._numerics.levenberg_marquardt import Normal, minimise
+from .._numerics.minimise import Normal, minimise
 from .._record.initial_state import Beginning, from_known
 from .._record.preprocess import force_band
 from .._record.record import Record
@@ -100,18 +100,18 @@ class Solved:
 
     Attributes:
         gains: g, then the fitted zeros; own: per record its c.
-        left: weighted residual of every record; penalty: of its ridge.
+        residuals: weighted, of every record; penalty: of its ridge.
     """
 
     gains: Float[np.ndarray, " gains"]
     own: tuple[np.ndarray, ...]
-    left: tuple[np.ndarray, ...]
+    residuals: tuple[np.ndarray, ...]
     penalty: tuple[np.ndarray, ...]
 
     @property
     def rows(self) -> Float[np.ndarray, " rows"]:
         """All of it in one vector, record by record."""
-        return np.concatenate([part for both in zip(self.left, self.penalty, strict=True) for part in both])
+        return np.concatenate([part for both in zip(self.residuals, self.penalty, strict=True) for part in both])
 
 
 def check_motion(records: Sequence[Record]) -> None:
@@ -152,8 +152,8 @@ def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -
 def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
     """The same, and its derivatives by the parameters, (parameters, T)."""
     how = _how(params, structure, problem, k)
-    found, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
-    return found, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
+    run, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
+    return run, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
 
 
 def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> dict:
@@ -176,7 +176,7 @@ def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: i
 def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int, own: np.ndarray) -> np.ndarray:
     """Derivatives of what record k has of its own, at the sizes `own`, by the parameters, (parameters, T)."""
     time = np.arange(len(problem.drive[k])) * problem.dt
-    found = np.zeros((len(params), len(time)))
+    slopes = np.zeros((len(params), len(time)))
     at, moves = 0, pole_slopes(params[: structure.order])
     for pole, move in zip(poles_of(params, structure), moves, strict=True):
         if pole.imag < 0:
@@ -184,8 +184,8 @@ def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: i
         # a Re e^pt + b Im e^pt = Re((a - jb) e^pt), and d/dp of that is t times as large
         size = own[at] - 1j * own[at + 1] if pole.imag else own[at]
         at += 2 if pole.imag else 1
-        found[: structure.order] += np.real(move[:, None] * (size * time * powers(pole * problem.dt, len(time))))
-    return found
+        slopes[: structure.order] += np.real(move[:, None] * (size * time * powers(pole * problem.dt, len(time))))
+    return slopes
 
 
 def solve(
@@ -204,9 +204,11 @@ def solve(
     whole = np.asarray(whole)
     gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]  # the last row and column are y's
     sizes = [own[:, -1] - own[:, :-1] @ gains for _, own, _ in parts]
-    left = [rows[-1] - np.concatenate([c, gains]) @ rows[:-1] for (rows, _, _), c in zip(parts, sizes, strict=True)]
+    residuals = [
+        rows[-1] - np.concatenate([c, gains]) @ rows[:-1] for (rows, _, _), c in zip(parts, sizes, strict=True)
+    ]
     penalty = [-ridge * c for (_, _, ridge), c in zip(parts, sizes, strict=True)]
-    return Solved(gains, tuple(sizes), tuple(left), tuple(penalty))
+    return Solved(gains, tuple(sizes), tuple(residuals), tuple(penalty))
 
 
 def _linear(
@@ -229,7 +231,7 @@ def jacobians(
     A record's own columns are projected out of them; at the end stand those of the ridge.
     """
     runs = [driven_slopes(params, structure, problem, k) for k in range(len(problem.drive))]
-    solved, found = solve(params, structure, problem, [run for run, _ in runs]), []
+    solved, projected = solve(params, structure, problem, [run for run, _ in runs]), []
     for k, (run, slopes) in enumerate(runs):
         slopes = solved.gains[0] * slopes  # d(g x) / dp at constant g: g's own slope is x itself
         if len(solved.own[k]):
@@ -238,8 +240,8 @@ def jacobians(
         own, rest = rows[:n], rows[n:]
         # P = I - N (N'N + R)^-1 N', applied to the rows and to the ridge's, which stand below them
         factors = (rest @ own.T) @ inverse(own @ own.T + np.diag(ridge))
-        found.append(np.hstack([rest - factors @ own, -np.sqrt(ridge) * factors]) if n else rest)
-    return solved, found
+        projected.append(np.hstack([rest - factors @ own, -np.sqrt(ridge) * factors]) if n else rest)
+    return solved, projected
 
 
 def inverse(gram: np.ndarray) -> np.ndarray:

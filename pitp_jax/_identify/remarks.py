@@ -71,15 +71,15 @@ def _at_fastest(fit: OrderFit, problem: Problem) -> bool:
 
 def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
     """Say that the plant is unstable and what to record instead; None where a pole on the right explains nothing."""
-    left = float(np.sqrt(chosen.cost))
-    better = unstable_pole(left, problem)
+    error = float(np.sqrt(chosen.cost))
+    better = unstable_pole(error, problem)
     if better is None:
         return None
     pole, rms = better
     where = f"{pole.real:.3g} 1/s" if not pole.imag else f"{pole.real:.3g} +- {pole.imag:.3g}j 1/s"
     return (
         f"unstable: a pole at +{where} leaves {100 * rms:.2g} % of these records' motion, the best stable model "
-        f"{100 * left:.2g} %: no free run of this plant stays near it. Record the closed loop instead, its reference "
+        f"{100 * error:.2g} %: no free run of this plant stays near it. Record the closed loop instead, its reference "
         "as the input and the same output, and identify that"
     )
 
@@ -152,7 +152,7 @@ def _slow_parts(chosen: Candidate, problem: Problem, taus: np.ndarray) -> tuple[
         ]  # fmt: skip
         apart = [np.zeros((len(weight), 1)) for _ in problem.weight]
         apart[k] = time[:, None]
-        columns = [solved.left[k], driven(params, structure, problem, k), zeros, *lags, *apart]
+        columns = [solved.residuals[k], driven(params, structure, problem, k), zeros, *lags, *apart]
         wide = np.column_stack(columns)
         # what the record's own initial state takes up tells of no creep
         wide = wide - own @ np.linalg.lstsq(own, wide, rcond=1e-10)[0] if own.size else wide

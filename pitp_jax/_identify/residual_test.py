@@ -59,12 +59,14 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
     long = min(_MEMORY * far, shortest // 2)
     sums = np.zeros((3, 2 * long + 1))
     energy = moved = 0.0
-    for k, left in enumerate(solve(params, structure, problem).left):
+    for k, residual in enumerate(solve(params, structure, problem).residuals):
         drive, weight = problem.drive[k], problem.weight[k]
         force = drive**2 if problem.square else drive
         force = weight * (force - weight @ force / max(weight.sum(), 1.0))
-        sums += np.stack([_correlated(a, b, long) for a, b in ((left, left), (force, left), (force, force))])
-        energy, moved = energy + float(left @ left), moved + float(force @ force)
+        sums += np.stack(
+            [_correlated(a, b, long) for a, b in ((residual, residual), (force, residual), (force, force))]
+        )
+        energy, moved = energy + float(residual @ residual), moved + float(force @ force)
     sums /= np.array([[energy], [np.sqrt(energy * moved)], [moved]]) + 1e-300
     some = np.arange(-_LAGS, _LAGS + 1) * spacing
     z = float(norm.ppf(1 - 0.025 / len(some)))

@@ -48,17 +48,17 @@ def cost_of(params, structure: Structure, problem: Problem) -> float:
 
 def guesses(order: int, problem: Problem) -> list[np.ndarray]:
     """Sets of poles (rad/s) of an order."""
-    found = list(_arx(order, problem))
+    tried = list(_arx(order, problem))
     longest = max(len(d) for d in problem.drive)
     grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
     if order == 1:
-        found += [-grid[k : k + 1] for k in range(_GRID)]
+        tried += [-grid[k : k + 1] for k in range(_GRID)]
     if order == 2:
-        found += [w * np.array([-z + 1j * np.sqrt(1 - z * z), -z - 1j * np.sqrt(1 - z * z)])
+        tried += [w * np.array([-z + 1j * np.sqrt(1 - z * z), -z - 1j * np.sqrt(1 - z * z)])
                   for w in np.geomspace(grid[1], grid[-1], _PAIRS) for z in _DAMPING]  # fmt: skip
     if order >= 2:
-        found += [-np.geomspace(grid[a], grid[b], order) for a, b in ((0, 3), (2, 5), (3, 6), (0, 6))]
-    return found
+        tried += [-np.geomspace(grid[a], grid[b], order) for a, b in ((0, 3), (2, 5), (3, 6), (0, 6))]
+    return tried
 
 
 def one_more(logs: np.ndarray) -> list[np.ndarray]:
@@ -71,9 +71,9 @@ def one_more(logs: np.ndarray) -> list[np.ndarray]:
 def _arx(order: int, problem: Problem) -> Iterator[np.ndarray]:
     for size in _SIZES:
         for late in (0, 2):
-            found = _instrumental(order, problem, size, late)
-            if found is not None:
-                yield found
+            roots = _instrumental(order, problem, size, late)
+            if roots is not None:
+                yield roots
 
 
 def _blocks(values: np.ndarray, size: int) -> np.ndarray:
@@ -92,33 +92,33 @@ def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndar
         series.append((_blocks(force, size), _blocks(filled, size)))
     if max(len(y) for _, y in series) < 8 * order + 16:
         return None
-    theta, found = None, None
+    theta, best = None, None
     for _ in range(_ROUNDS):
         normal, right = np.zeros((2 * order + 1,) * 2), np.zeros(2 * order + 1)
         for force, output in series:
             if len(output) <= 2 * order + 4:
                 continue
-            told, target = _regressors(force, output, order), output[order:]
-            instruments = told
+            regressors, target = _regressors(force, output, order), output[order:]
+            instruments = regressors
             if theta is not None:
                 # the model's own run is as correlated with the regressors, and with no noise of the output
                 run = np.asarray(lfilter(theta[: order + 1], np.append(1.0, theta[order + 1 :]), force - force[0]))
                 instruments = _regressors(force, run, order)
-            normal += (instruments - instruments.mean(0)).T @ (told - told.mean(0))
+            normal += (instruments - instruments.mean(0)).T @ (regressors - regressors.mean(0))
             right += (instruments - instruments.mean(0)).T @ (target - target.mean())
         if not (np.isfinite(normal).all() and np.isfinite(right).all()):
-            return found
+            return best
         theta = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
         roots = np.roots(np.append(1.0, theta[order + 1 :]))
         if not np.isfinite(roots).all() or (np.abs(roots) < 1e-9).any() or len(roots) != order:
-            return found
+            return best
         # reflected at the unit circle: the same size at every frequency, and stable
         roots = np.where(np.abs(roots) >= 1, 0.999 * roots / np.abs(roots) ** 2, roots)
         theta = np.append(theta[: order + 1], np.real(np.poly(roots))[1:])
         slow = np.log(roots.astype(complex)) / (size * problem.dt)
         alternating = np.abs(np.abs(slow.imag) * size * problem.dt - np.pi) < 1e-6  # no real pole makes these
-        found = np.where(alternating, -np.abs(slow), slow)
-    return found
+        best = np.where(alternating, -np.abs(slow), slow)
+    return best
 
 
 def _regressors(force: np.ndarray, output: np.ndarray, order: int) -> np.ndarray:

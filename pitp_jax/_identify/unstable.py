@@ -21,10 +21,10 @@ _GROWS = 3.0  # e-fold over the record, at least: less is a drift, or no damping
 _FRACTION = 0.5  # of what the stable model leaves: free ends alone buy less
 
 
-def unstable_pole(left: float, problem: Problem) -> tuple[complex, float] | None:
-    """The pole on the right (rad/s) of a model that leaves at most half of `left`, and what it leaves; else None.
+def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | None:
+    """The pole on the right (rad/s) of a model that leaves at most half of `stable`, and what it leaves; else None.
 
-    `left`: rms that the stable model leaves, of the output's.
+    `stable`: rms that the stable model leaves, of the output's.
     """
     best = None
     for order in _ORDERS:
@@ -34,7 +34,7 @@ def unstable_pole(left: float, problem: Problem) -> tuple[complex, float] | None
             pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
             # a pole beyond the drive's band is an output ahead of its drive, one that hardly grows a drift
             seen = pole.real * problem.seconds > _GROWS and abs(pole) < problem.omega
-            if seen and rms <= _FRACTION * (left if best is None else best[1]):  # a higher order has to pay as well
+            if seen and rms <= _FRACTION * (stable if best is None else best[1]):  # a higher order has to pay as well
                 best = complex(pole), rms
     return best
 
@@ -58,15 +58,15 @@ def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
 
 def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
     """What is left of every record, over the square root of all samples."""
-    found = []
+    parts = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         force = drive**2 if problem.square else drive
         run, free = bounded_response(_poles(params, pair) * problem.dt, force - force.mean(), "foh")
         rows = weight * np.vstack([run / (np.abs(run).max() + 1e-300), np.ones(len(run)), free.T])
-        found.append(weight * output - inverse(rows @ rows.T) @ (rows @ (weight * output)) @ rows)
-    return np.concatenate(found) / np.sqrt(problem.samples)
+        parts.append(weight * output - inverse(rows @ rows.T) @ (rows @ (weight * output)) @ rows)
+    return np.concatenate(parts) / np.sqrt(problem.samples)
 
 
 def _cost(params: np.ndarray, pair: bool, problem: Problem) -> float:
-    left = _residual(params, pair, problem)
-    return float(left @ left)
+    residual = _residual(params, pair, problem)
+    return float(residual @ residual)

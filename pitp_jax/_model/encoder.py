@@ -335,6 +335,7 @@ class PaperEncoder(AbstractEncoder):
 
     def __init__(self, features: int, tokens: int, *, key: PRNGKeyArray, width=128, depth=2, dropout=0.4):
         build = eqx.filter_vmap(lambda k: _Branches(features, width, depth, dropout, k))
+        # stacked, so that all tokens are one product
         self.networks = build(jax.random.split(key, tokens))
 
     def __call__(self, features, *, key=None):

@@ -18,7 +18,6 @@ import numpy as np
 from .._errors import BadInput
 from .model import Model
 from .origin import Origin
-from .provenance import Provenance
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -41,15 +40,8 @@ class Fitted:
     model: Model
     origin: Origin = field(default_factory=Origin)
 
-    def __init__(
-        self, model: Model, origin: Origin | None = None, *, provenance: Provenance | None = None, **changes: Any
-    ):
-        """Put them side by side; `changes` (fields of the model) are what `dataclasses.replace` brings.
-
-        `provenance` is deprecated: domain and origin in one.
-        """
-        if provenance is not None:
-            origin, changes["domain"] = provenance.origin, provenance.domain
+    def __init__(self, model: Model, origin: Origin | None = None, **changes: Any):
+        """Put them side by side; `changes` (fields of the model) are what `dataclasses.replace` brings."""
         # frozen, as every dataclass here: this is how a frozen one with an initialiser of its own sets its fields
         object.__setattr__(self, "model", replace(model, **changes) if changes else model)
         object.__setattr__(self, "origin", Origin() if origin is None else origin)
@@ -65,11 +57,6 @@ class Fitted:
     def changed(self, factors: np.ndarray) -> "Fitted":
         """Multiply the nominal coefficients by these factors, shape (n + 1,); the origin stays."""
         return Fitted(self.model.changed(factors), self.origin)
-
-    @property
-    def provenance(self) -> Provenance:
-        """Domain and origin in one; deprecated: read `dt`, `domain` or `origin`."""
-        return Provenance(self.model.domain, self.origin)
 
 
 # isinstance(pitp.load(file), pitp.Model), as it always was; equinox forbids `Model.register`, which would be the same,

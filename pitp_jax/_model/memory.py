@@ -145,6 +145,7 @@ class RingingMemory(AbstractMemory):
         (omega, zeta), lags = self.ring, FadingMemory(self.log_tau).rate()
 
         def rates(memory: Rows, x: Array) -> list[Array]:
+            # the mass first, then the lags, as `trajectory` has them
             place, speed, *others = memory
             return [omega * speed, omega * (x - place - 2 * zeta * speed), *lags(others, x)]
 

@@ -23,7 +23,6 @@ from .encoder import AbstractEncoder, ConstantEncoder
 from .input_map import AbstractInputMap
 from .memory import AbstractMemory, NoMemory
 from .positive import positive_factor
-from .provenance import Provenance
 from .rows import Rows
 from .sections import product, sections_of
 
@@ -132,11 +131,6 @@ class Model(eqx.Module):
         """Sampling interval of its records, s."""
         return float(self.domain.dt)
 
-    @property
-    def provenance(self) -> Provenance:
-        """Domain and an empty origin; deprecated: read `dt` or `domain`, and the origin off a `Fitted`."""
-        return Provenance(self.domain)
-
     def tokens(
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
@@ -174,15 +168,11 @@ def linear_model(
     hold: Hold,
     substeps: int,
     domain: Domain | None = None,
-    provenance: Provenance | None = None,
 ) -> Model:
-    """Build a model with constant tokens from coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects.
-
-    `provenance` is deprecated: domain and origin in one, and a `Fitted` comes back.
-    """
+    """Build a model with constant tokens from coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects."""
     coefficients = np.asarray(coefficients, np.float64)
     scaled = coefficients * np.asarray(state_scale) / force_scale
-    model = Model(
+    return Model(
         coefficients=jnp.asarray(scaled, jnp.float32),
         input_map=input_map,
         encoder=ConstantEncoder(len(coefficients) + 1),
@@ -193,4 +183,3 @@ def linear_model(
         substeps=substeps,
         domain=domain or Domain(1.0),
     )
-    return model if provenance is None else provenance.beside(model)

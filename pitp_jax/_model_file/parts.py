@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._effects import CATALOGUE, FOUND_TERM
+from .._effects import CATALOGUE
 from .._effects.effect import Effect
 from .._effects.found_term import NAMES as LISTED
 from .._effects.found_term import term_row
@@ -121,7 +121,7 @@ DRIVES = {
     "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
 }
 EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in CATALOGUE} | {
-    FOUND_TERM.key: Part(
+    term_row(()).key: Part(
         Effect,
         lambda e: {f"function{k}": LISTED.index(name) for k, name in enumerate(e.spec.functions)},
         lambda **k: term_row(tuple(LISTED[int(place)] for place in k.values())).neutral(),

@@ -67,6 +67,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     start = _starts(model, drive[:, 0], dt)
     x = np.concatenate([_readings(model, part, dt, at) for part, at in _batches(drive, start)])[: len(voltages)]
     finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
+    # what was lost or padded tells nothing, and is no nan in the sums behind
     x = np.where(inside & finite[:, None], x, 0.0)
     span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
     tells = finite & (span > _STILL * span.max())
@@ -75,8 +76,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
     information = []
     for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
-        rest = np.asarray(~np.asarray(at)[:, : model.order].any(1), np.float32)
-        runs = Runs(at, jnp.asarray(rest), jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
+        runs = Runs(at, jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
         rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
         information += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
     return Motions(tuple(information[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
@@ -130,6 +130,7 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
     if not len(start):
         raise BadInput("the model has no trained numbers; give one of `pitp fit`")
     dt = records[0].dt
+    # a diverged run says that the model does not hold there, not by how much
     misses = [_miss(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
     if not misses:
         raise BadInput("the model diverges on every record: it is not of this actuator, or needs another training")

@@ -23,5 +23,5 @@ def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Re
     y = np.where(2 * observed >= size, y / np.maximum(observed, 1), np.nan)
     # a mean belongs to the middle of its block
     middle = record.time[0] + record.dt * ((size - 1) / 2 + size * np.arange(count))
-    force = np.asarray(force, np.float64)[: count * size].reshape(count, size).mean(1)
+    force = force[: count * size].reshape(count, size).mean(1)
     return Record(record.name, middle, force, y, source=record.source)

@@ -76,7 +76,7 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
     Raises:
         BadInput: none moves.
     """
-    ranges = [float(np.ptp(r.displacement[r.observed])) for r in records]
+    ranges = [r.span for r in records]
     # Under a constant drive only a motion as large as the others' counts: coloured noise has any range
     moves = [
         w > 0 and (w > _SMALL * max(ranges) or (np.ptp(r.voltage) > 0 and w > _STILL * noise_std(r.displacement)))
@@ -101,7 +101,7 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         values, standard errors: shape (windows, 2), at least one row; nan and inf where no window has the samples.
     """
-    span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
+    span = record.span
     noise = min(noise_std(record.displacement), 0.01 * span)
     values, errors = [], []
     # windows grow by sqrt 2 up to a quarter of the record
@@ -159,7 +159,7 @@ def _sharpest(record: Record) -> tuple[np.ndarray, np.ndarray, float]:
     """(y(0), y'(0)) by the window that knows the velocity best, their errors, and the range of the output."""
     values, errors = first_states(record)
     best = int(np.argmin(errors[:, 1]))
-    return values[best], errors[best], float(np.nanmax(record.displacement) - np.nanmin(record.displacement))
+    return values[best], errors[best], record.span
 
 
 def standing_drive(record: Record) -> tuple[int, float]:
@@ -194,7 +194,7 @@ def settled_samples(record: Record, omega: float) -> int:
     blocks = np.array_split(record.displacement[:count], max(int(count / max(quarter, 6.0)), 2))
     means = np.array([np.mean(b[np.isfinite(b)]) for b in blocks if np.isfinite(b).any()])
     noise = noise_std(record.displacement) / np.sqrt(count / len(blocks))
-    span = np.nanmax(record.displacement) - np.nanmin(record.displacement)
+    span = record.span
     # squared, as the force is; beside a linear drive the bound is the tighter one
     jump = (level / np.abs(record.voltage).max()) ** 2 if level else np.inf
     return count if np.ptp(means) <= 5 * noise + min(_LEVEL, jump / 3) * span else 0
@@ -236,7 +236,7 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
     half; levels within 4 of them and 0.2 % of the range are one zero.
     """
     levels = np.array([rest_level(r) for r in records]).reshape(-1, 2)
-    spans = np.array([np.nanmax(r.displacement) - np.nanmin(r.displacement) for r in records])
+    spans = np.array([r.span for r in records])
     # four errors, but never a large part of the motion
     tolerance = np.minimum(4 * levels[:, 1], 0.015 * spans) + 0.002 * spans
     open_, groups = list(range(len(records))), []

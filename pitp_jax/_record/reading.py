@@ -143,6 +143,7 @@ def attempted(
         quantities: of `time`, `voltage`, `displacement`.
         make: from a file, the label of a part and its columns to a list.
     """
+    # names first: a record's label depends on all the others
     files = files_of(paths)
     made: list = []
     refused: dict[str, BadInput] = {}
@@ -164,6 +165,7 @@ def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, Bad
 
 def _limited(records: list[Record]) -> list[Record]:
     """The records, clipped also where only others of the set tell the sensor's limit."""
+    # only where a record's own runs were certain
     limits = {r.recognised["limit"] for r in records if r.recognised.get("clipped")}
     return [_clipped_at(record, limits) if limits else record for record in records]
 
@@ -225,6 +227,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     (one,) = loaded
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
+    # no voltage belongs to a target: zeros pass in its place
     check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place)
     check_wanted(time, wanted, source, columns, one.place)
     return Target(time, wanted, one.unit("displacement"), os.fspath(path))
@@ -250,6 +253,7 @@ def _unfolded(paths: Sequence[str | os.PathLike]) -> Iterator[str | os.PathLike]
     """Paths with `*` and `?` spelt out, which the shells of Windows leave to the program."""
     for path in paths:
         pattern = isinstance(path, (str, os.PathLike)) and not os.path.exists(path) and str(path)
+        # a file of that very name wins over what its pattern would match
         matches = sorted(glob(pattern)) if pattern and set("*?") & set(pattern) else []
         yield from matches or [path]
 

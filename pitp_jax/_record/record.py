@@ -100,6 +100,11 @@ class Record(Timed):
         return np.isfinite(self.displacement)
 
     @property
+    def span(self) -> float:
+        """Largest less smallest output."""
+        return float(np.ptp(self.displacement[self.observed]))
+
+    @property
     def missing(self) -> int:
         """Number of missing output samples."""
         return int(self.samples - self.observed.sum())

@@ -174,6 +174,7 @@ def multisine(
     time = _clock(duration, rate)
     # lines of the period: the tones come back exactly
     bins = np.arange(int(np.ceil(band[0] * duration - 1e-9)), int(np.floor(band[1] * duration + 1e-9)) + 1)
+    # neither the mean nor the Nyquist line, which has no phase of its own
     bins = bins[(bins > 0) & (bins < len(time) / 2)]
     if len(bins) == 0:
         raise ValueError(f"no multiple of 1/{duration} Hz lies in the band {band} Hz; lengthen it or widen the band")
@@ -234,10 +235,12 @@ def complex_trajectory(
     time = _clock(duration, rate)
     slow, fast = np.random.default_rng(seed).uniform(0.0, 2 * np.pi, (2, 4))
     values = np.zeros_like(time)
+    # weight, frequency and beat of each part; no two frequencies have a common period
     parts = ((1.0, 1.0, 0.11), (0.7, np.sqrt(2.0), 0.17), (0.45, 2.3, 0.23), (0.3, np.pi, 0.29))
     for k, (weight, ratio, beat) in enumerate(parts):
         envelope = 1.0 + 0.5 * np.sin(2 * np.pi * frequency * beat * time + slow[k])
         values += weight * envelope * np.sin(2 * np.pi * frequency * ratio * time + fast[k])
     low, high = values.min(), values.max()
+    # to -1 ... 1, whatever the phases made of the extremes
     values = (2.0 * values - low - high) / (high - low)
     return _finish(time, amplitude * values + offset, rate, rise, rest_s)

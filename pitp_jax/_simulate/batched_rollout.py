@@ -14,7 +14,18 @@ from .._model.encoder import CompactEncoder, ConstantEncoder, plain
 from .._model.model import Model
 from .._model.programs import jit
 from . import ports
-from .decoder import along, held, midpoint, motion_of, moved, rollout_batch, runge_kutta, scaled_force, stage_voltages
+from .decoder import (
+    along,
+    at_rest,
+    held,
+    midpoint,
+    motion_of,
+    moved,
+    rollout_batch,
+    runge_kutta,
+    scaled_force,
+    stage_voltages,
+)
 
 
 @jit
@@ -27,9 +38,8 @@ def fast_rollout(
     """
     if not in_rows(model):
         return rollout_batch(model, voltage, dt, start)
-    rest = ~jnp.any(start[:, : model.order], axis=1)
     # the film's voltage depends on u alone: it is known for the whole record before the scan
-    film = jax.vmap(lambda u, r: model.drive.film(u, dt, r))(voltage, rest)
+    film = jax.vmap(lambda u, r: model.drive.film(u, dt, r))(voltage, at_rest(model, start))
     return rows_rollout(model, film, dt, start)
 
 

@@ -118,7 +118,7 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
     """
     zero, polarity = float(model.output.offset), float(model.output.polarity)
     y, omega = record.displacement[begin : begin + _AHEAD], model.natural_frequency
-    noise, span = noise_std(record.displacement), np.nanmax(record.displacement) - np.nanmin(record.displacement)
+    noise, span = noise_std(record.displacement), record.span
     if not (settled or is_still(record, omega)):
         return Beginning("moving", polarity, zero, float("inf"))
     moved = np.abs(record.voltage[begin : begin + _AHEAD] - record.voltage[0]) > 1e-3 * np.ptp(record.voltage)

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._effects.effect import Instant
 from .._model.fitted import Fitted, model_of
@@ -173,6 +173,11 @@ def rest_state(model: Model | Fitted, age: float | Float[Array, ""] = 0.0) -> Fl
     return settled_state(model, jnp.zeros(model.order, zero.dtype), zero, zero, age)
 
 
+def at_rest(model: Model, start: Float[Array, "*records state"]) -> Bool[Array, "*records"]:
+    """Tell which starts are at rest, x = 0 without motion: their film is uncharged, that of all others settled."""
+    return ~jnp.any(start[..., : model.order], axis=-1)
+
+
 def settled_state(model: Model, state: Float[Array, " order"], level, voltage, age) -> Float[Array, " state"]:
     """Complete S by memory and effects as after a long time at scaled displacement `level` under a voltage."""
     return jnp.concatenate([state, model.memory.initial(level), ports.initial(model, level, voltage, age)])
@@ -200,7 +205,7 @@ def rollout(
         (64, 2)
     """
     model = model_of(model)
-    rest, voltage = ~jnp.any(start[: model.order]), jnp.asarray(voltage, start.dtype)
+    rest, voltage = at_rest(model, start), jnp.asarray(voltage, start.dtype)
     dt = float(dt) if isinstance(dt, np.generic) else dt  # a float64 of numpy's would make one of everything
     voltage = model.drive.film(ports.delayed(model, voltage, dt, rest), dt, rest)
 

@@ -135,6 +135,7 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
     model = model_of(model)
     check_set(records)
     model = at_rate(model, records[0].dt)
+    # beginnings are those of the whole set: a session's clock and reach span all lengths
     runs, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
     # by length: one long record would have all others padded to it
     for places in alike(records):

@@ -8,15 +8,17 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from .._errors import BadInput
 from .guard import check_columns, check_count, check_unfolded, cleaned, file_bytes
 from .options import ReadOptions
 from .table import Column, Table, array_table, sample
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _OWN_TOPICS = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")  # ROS's own: no signal of a machine
 _LONGEST = 256  # entries of an array that are columns; images and scans are longer
@@ -37,6 +39,7 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
     """A Parquet file: its columns, dates as seconds; `unit` in a column's metadata counts."""
     if not file_bytes(path, 4).startswith(b"PAR1"):
         raise BadInput(f"{cleaned(path)}: is not a Parquet file as its suffix says; write it again")
+    import pandas as pd  # here: `pitp info` reads no table, and loads none
     import pyarrow.parquet
 
     with pyarrow.parquet.ParquetFile(path) as file:
@@ -46,7 +49,7 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
     unfolded = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
     check_unfolded(unfolded, path.stat().st_size, cleaned(path))
 
-    def column(name: str) -> pd.Series:
+    def column(name: str):
         return pd.Series(pd.read_parquet(path, columns=[name])[name])
 
     beside = {f.name: (f.metadata or {}).get(b"unit") for f in schema}
@@ -56,8 +59,10 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
     return [[replace(table, texts=lambda k: column(schema.names[k]).astype(str).to_numpy())]]
 
 
-def _plain(column: pd.Series) -> np.ndarray:
+def _plain(column: "pd.Series") -> np.ndarray:
     """Numbers of a column, nan where empty; dates and spans in seconds."""
+    import pandas as pd
+
     if column.dtype.kind in "mM":
         unzoned = column.dt.tz_convert(None) if getattr(column.dt, "tz", None) else column
         begin = pd.Timestamp(0) if column.dtype.kind == "M" else pd.Timedelta(0)
@@ -113,6 +118,8 @@ def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
 
 def _topics(path: Path, rows: dict[str, list[tuple[float, float, dict[str, float]]]]) -> Table:
     """Topics as one table, whose rows are the messages of the last column asked for: the output's."""
+    import pandas as pd
+
     # one clock for all topics: two would shift command against answer
     unset = [topic for topic, each in rows.items() if np.isnan([stamp for _, stamp, _ in each]).any()]
     clocks = {topic: np.array([row[0 if unset else 1] for row in each]) for topic, each in rows.items()}

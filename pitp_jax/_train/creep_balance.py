@@ -122,12 +122,6 @@ def _below(model: Model, rows: np.ndarray, mean: np.ndarray) -> np.ndarray:
     return float(model.scales.rates[0]) * speed < _BELOW * model.natural_frequency * swing
 
 
-def widened(region, rows: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Widen the region by what these rows of features have seen."""
-    low, high = rows.min(0), rows.max(0)
-    return tuple((min(a, float(b)), max(c, float(d))) for (a, c), b, d in zip(region, low, high, strict=True))
-
-
 def _past(memory, series: _Series):
     start = memory.initial(jnp.where(series.rest, 0.0, series.x[0]))
     return series.kept(memory.trajectory(series.x, series.dt, start))

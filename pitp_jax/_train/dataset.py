@@ -9,16 +9,14 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from .._errors import BadInput
 from .._model.model import Model, Scales
-from .._record.derivative import DIFFERENCES
 from .._record.initial_state import starts_at_rest
 from .._record.preprocess import StateRecord, cutoff, force_band, preprocess
 from .._record.record import Record
 from .equation_error import EquationData
-
-SCALINGS = ("rms", "paper")
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class Dataset:
     equation: EquationData
     features: tuple[np.ndarray, ...]
     valid: tuple[np.ndarray, ...]
-    region: tuple[tuple[float, float], ...]
+    region: Float[np.ndarray, "features 2"]
 
 
 def build_dataset(
@@ -51,13 +49,10 @@ def build_dataset(
     """Filter, differentiate, scale and remember; `memory` is made from the filtered motion.
 
     Raises:
-        BadInput: unknown scaling or difference, or no usable sample left after filtering.
+        BadInput: no usable sample left after filtering.
     """
-    for name, asked, known in (("scaling", scaling, SCALINGS), ("difference", difference, DIFFERENCES)):
-        if asked not in known:
-            raise BadInput(f"unknown {name} {asked!r}: use one of {', '.join(known)}")
     dt = records[0].dt
-    forces = [np.asarray(nominal.input_map.force(r.voltage), np.float64) for r in records]
+    forces = [nominal.input_map.force(r.voltage) for r in records]
     # one cutoff for all records: filtered apart, one equation would be fitted to differently smoothed motions
     f_max = force_band(forces, dt)
     cut = cutoff(f_max, dt)
@@ -89,10 +84,14 @@ def build_dataset(
     flat = [jnp.asarray(np.concatenate(part), jnp.float32) for part in zip(*equation, strict=True)]
     # with the memories as they are before any free run: `training._region` counts them again afterwards
     everything = np.concatenate([f[s.valid] for f, s in zip(features, states, strict=True)])
-    region = tuple((float(a), float(b)) for a, b in zip(everything.min(0), everything.max(0), strict=True))
     weight = jnp.asarray(spread_weights(everything[:, : nominal.order]), jnp.float32)
     data = EquationData(*flat, weight=weight)
-    return Dataset(model, data, tuple(features), tuple(s.valid for s in states), region)
+    return Dataset(model, data, tuple(features), tuple(s.valid for s in states), region_of(everything))
+
+
+def region_of(*rows: np.ndarray) -> Float[np.ndarray, "features 2"]:
+    """Find lowest and highest value of every feature over all of these rows of features."""
+    return np.stack([np.min([r.min(0) for r in rows], 0), np.max([r.max(0) for r in rows], 0)], -1).astype(float)
 
 
 def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np.ndarray:

@@ -97,6 +97,7 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
     _enough(members)
     check_set(records)
     records, _ = in_motion(records)
+    # every process splits alike, and takes its own
     keys, processes = jax.random.split(key, members), jax.process_count()
     mine = range(jax.process_index(), members, processes)
     # the same records for all: what differs is the start of the nets and the order of minibatches
@@ -131,6 +132,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     models = [at_rate(model_of(m), records[0].dt) for m in ensemble.models]
     finest = max(m.substeps for m in models)  # one program runs all members: at the steps of the one that needs most
     stack = _stacked([replace(m, substeps=finest) for m in models])
+    # K members know their spread with K - 1 degrees of freedom
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
@@ -141,7 +143,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         # a mean over fewer members from there on would jump: where one is lost, the band ends
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
         x = np.where(lost, np.nan, x) * model.scales.state[0]
-        base = ensemble.error * np.ptp(r.displacement[r.observed])
+        base = ensemble.error * r.span
         spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)  # 1 / K: the mean itself is uncertain
         scored = np.arange(r.samples) >= spent[0][0]
         bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, bool(lost.any()), scored))
@@ -192,4 +194,4 @@ def _run(stack: Model, voltage, dt: float, start):
 def _relative(band: Band, record: Record) -> float:
     keep = band.scored & record.observed
     error = (band.displacement - record.displacement)[keep]
-    return float(np.sqrt(np.mean(error**2)) / np.ptp(record.displacement[record.observed]))
+    return float(np.sqrt(np.mean(error**2)) / record.span)

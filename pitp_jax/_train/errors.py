@@ -111,7 +111,7 @@ class Judge:
 
 def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
     """Build the judge of models trained from this nominal on these records."""
-    noise = [100 * noise_std(r.displacement) / max(float(np.ptp(r.displacement[r.observed])), 1e-30) for r in records]
+    noise = [100 * noise_std(r.displacement) / max(r.span, 1e-30) for r in records]
     return Judge(records, errors(nominal, records), np.array(noise))
 
 

@@ -21,6 +21,7 @@ from .._model.model import Model
 from .._model.programs import jit
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
+from .._simulate.decoder import at_rest
 from .parameters import Numbers
 
 _AT_ONCE = 16  # blocks side by side; what is known of them stays in a core's memory
@@ -33,7 +34,6 @@ class Runs(eqx.Module):
     """
 
     start: Float[Array, "records state"]
-    rest: Float[Array, " records"]
     voltage: Float[Array, "records time"]
     target: Float[Array, "records time"]
     weight: Float[Array, "records time"]
@@ -88,7 +88,7 @@ class _Local:
     def stages(self, runs: Runs, dt: float, both):
         """Compute the film voltages of every run at every stage, under other numbers of drive and effects."""
         cut = self.numbers.drive.size
-        return self.numbers.stages(runs.voltage, runs.rest, dt, both[:cut], both[cut:])
+        return self.numbers.stages(runs.voltage, at_rest(self.numbers.model, runs.start), dt, both[:cut], both[cut:])
 
     def substep(self, state, volts, volts_by):
         """Differentiate one substep: A_t, dg/dl, N_t less the encoder's part, and what the encoder sees; then step.

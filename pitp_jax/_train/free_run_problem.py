@@ -39,7 +39,7 @@ class _OverRuns(eqx.Module):
 
 
 class FreeRuns:
-    """Residuals of batches of runs, and their slopes, as blocks (`geodesic_steps`).
+    """Residuals of batches of runs, and their slopes, as blocks (`minimise.accelerated`).
 
     Args:
         model: whose trained numbers are moved.

@@ -24,7 +24,7 @@ def thinned(records: Sequence[Record], nominal: Model, budget: int) -> Sequence[
     dt = records[0].dt
     if sum(r.samples for r in records) <= budget:
         return records
-    forces = [np.asarray(nominal.input_map.force(r.voltage), np.float64) for r in records]
+    forces = [nominal.input_map.force(r.voltage) for r in records]
     roots = np.roots(nominal.physical_coefficients[::-1])
     ringing = np.abs(roots[np.abs(roots.imag) > np.abs(roots.real)])  # a well damped pole makes no fast motion
     fastest = max(force_band(forces, dt), nominal.natural_frequency / (2 * np.pi), *ringing / (2 * np.pi))

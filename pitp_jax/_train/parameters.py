@@ -95,7 +95,7 @@ class Numbers:
         drive, model = eqx.combine(self._drive(r), self.static.drive), self.with_effects(self.model, a)
 
         def one(u, rest):
-            return stage_voltages(model, drive.film(ports.delayed(model, u, dt, rest > 0), dt, rest > 0))
+            return stage_voltages(model, drive.film(ports.delayed(model, u, dt, rest), dt, rest))
 
         return jax.vmap(one)(voltage, rest)
 

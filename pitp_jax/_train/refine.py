@@ -3,7 +3,7 @@
     minimise  mean over records of  f_k mean_t ( 100 (x(t) - x_measured(t)) / range_k )^2  +  sum_k rho_k (p_k - p_k0)^2
     f_k = (1 + (100 s_min)^2) / (1 + (100 s_k)^2)        s_k: sensor noise over range, s_min the least in the set
 
-Levenberg-Marquardt (`geodesic_steps`), first on windows of six periods from their filtered states, then on longer ones
+Levenberg-Marquardt (`accelerated`), first on windows of six periods from their filtered states, then on longer ones
 where whole records are still far off, then on whole records from their own starts, as predictions run. Every stage
 begins with the logits scaled to where its runs leave least, between the trained ones and the linear nominal: a network
 fitted to the equation error may be unstable, and from runs that left every range no step leads down. Creep that
@@ -27,7 +27,7 @@ from jaxtyping import Float
 
 from .._errors import ComputationFailed
 from .._model.model import Model
-from .._numerics.geodesic_steps import steps
+from .._numerics.minimise import accelerated
 from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import aligned, noise_std
 from .._record.record import Record
@@ -107,7 +107,7 @@ def _problem(model: Model, batches: Sequence[Runs], how: _How) -> FreeRuns:
 def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how: _How) -> Iterator[tuple[Model, dict]]:
     runs = _problem(model, batches, how)
     costs, began = [], time.monotonic()
-    for k, (vector, cost, done) in enumerate(steps(runs.errors, runs.slopes, parameters(model)[0])):
+    for k, (vector, cost, done) in enumerate(accelerated(runs.errors, runs.slopes, parameters(model)[0])):
         if not np.isfinite(cost):
             raise ComputationFailed("the free runs diverged before refinement; check the records for spikes")
         costs.append(cost)
@@ -178,7 +178,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
     weight = [w * s for w, s in zip(each, seen, strict=True)]
     start = jnp.stack([_begun(model, data.features[k][first], records[k].voltage[first]) for k, first in places])
     target = cut([np.where(s, v, 0.0) for v, s in zip(x, seen, strict=True)])
-    return Runs(start, jnp.zeros(len(places), jnp.float32), cut([r.voltage for r in records]), target, cut(weight))
+    return Runs(start, cut([r.voltage for r in records]), target, cut(weight))
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
@@ -258,9 +258,8 @@ def _from_the_start(
         target[k, :n] = np.where(seen, x[:n], 0.0)
         weight[k, :n] = each[k] * seen / max(seen.sum(), 1)
     start = jnp.stack(starts)
-    rest = np.asarray(~start[:, : model.order].any(1), np.float32)
     own = np.array([b.free for _, _, b in begins], np.float32)
-    return Runs(start, *(jnp.asarray(v) for v in (rest, voltage, target, weight, own)))
+    return Runs(start, *(jnp.asarray(v) for v in (voltage, target, weight, own)))
 
 
 def _settled(model: Model, record: Record):

@@ -20,6 +20,7 @@ from .._model.drive import ElectrodeLag
 from .._model.encoder import CompactEncoder, PaperEncoder
 from .._model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model
+from .._record.derivative import DIFFERENCES
 from .._record.long_record import LongRecord
 from .._record.preprocess import StateRecord
 from .dataset import Dataset
@@ -30,7 +31,7 @@ _WORDS = {
     "memory": ("fading", "elapsed", "none"),
     "drive": ("electrode", "direct"),
     "scaling": ("rms", "paper"),
-    "difference": ("stencil", "central"),
+    "difference": tuple(DIFFERENCES),
 }
 
 
@@ -192,7 +193,7 @@ def with_encoder(data: Dataset, settings: Settings, key) -> Model:
     if settings.encoder == "paper":
         encoder = PaperEncoder(n + memories, n + 1, key=key)
     else:
-        low, high = np.asarray(data.region).T
+        low, high = data.region.T
         # a slow memory barely moves in short records: it gets a quarter of x's range at least
         half = np.maximum(high - low, 0.25 * (high[0] - low[0])) / 2
         bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half

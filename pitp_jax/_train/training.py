@@ -34,8 +34,8 @@ from .._record.sets import check_set
 from .._shown import Shown
 from .._simulate.beginnings import with_zero_at_rest
 from .._simulate.prediction import begin
-from .creep_balance import OUTLASTS, SlowBalance, slow_balance, widened
-from .dataset import Dataset, build_dataset
+from .creep_balance import OUTLASTS, SlowBalance, slow_balance
+from .dataset import Dataset, build_dataset, region_of
 from .equation_error import loss
 from .errors import Judge, RecordError, judge, kept
 from .oversampling import thinned
@@ -190,7 +190,7 @@ def _prepared(
     if long and fits and long.seconds > OUTLASTS * seen:
         data = dataset(long)  # again, below, if no window counts: its memories would be longer than anything shows
         if slow := slow_balance(data.model, long, data.region):
-            return replace(data, region=widened(data.region, slow.features(data.model))), slow
+            return replace(data, region=region_of(data.region.T, slow.features(data.model))), slow
     return dataset(None), None
 
 
@@ -205,9 +205,11 @@ def _attempts(
     logits are zero, with the nets ten times as firm each time.
     """
 
+    def report(stage, step, steps, value, best, remaining):
+        progress(Progress(stage, step, steps, None, value, best, remaining))
+
     def refined(model: Model, firm: float = 1.0, **how):
-        firmness = firm * firmness_of(settings, model, len(records))
-        steps, report = settings.refine_steps, partial(_report, progress)
+        firmness, steps = firm * firmness_of(settings, model, len(records)), settings.refine_steps
         return refine(model, data, records, steps, report, firmness=firmness, slow=slow, mesh=mesh, **how)
 
     init, sub = jax.random.split(key)
@@ -251,10 +253,6 @@ def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) ->
     start = replace(model, drive=data.model.drive, memory=data.model.memory)
     bare = with_parts(start, nominal, replace(settings, parts=(), drive="direct"))
     yield replace(bare, encoder=model.encoder.scaled(0.0))
-
-
-def _report(progress, stage, step, steps, value, best, remaining):
-    progress(Progress(stage, step, steps, None, value, best, remaining))
 
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
@@ -324,16 +322,14 @@ def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: 
     return params, state, tuple(parts.mean(0))
 
 
-def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) -> tuple[tuple[float, float], ...]:
+def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) -> np.ndarray:
     """Find lowest and highest value of every feature, with the memories as they were learned."""
-    n, seen = model.order, []
+    n, seen = model.order, [slow.features(model)] if slow else []
     for features, valid in zip(data.features, data.valid, strict=True):
         # free runs moved the time constants, and with them what the memories were
         past = np.asarray(model.memory.trajectory(jnp.asarray(features[:, 0]), dt, jnp.asarray(features[0, n:])))
         seen.append(np.concatenate([features[:, :n], past], -1)[valid])
-    rows = np.concatenate(seen)
-    region = tuple((float(a), float(b)) for a, b in zip(rows.min(0), rows.max(0), strict=True))
-    return widened(region, slow.features(model)) if slow else region
+    return region_of(*seen)
 
 
 def _second_mass_hz(model: Model) -> float | None:

@@ -63,6 +63,17 @@ def test_the_parser_needs_no_jax():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
+@pytest.mark.parametrize(
+    ("command", "idle"),
+    [("info", "pandas scipy.signal scipy.optimize optimistix"), ("predict", "scipy.signal scipy.optimize optimistix")],
+)
+def test_a_command_loads_nothing_that_it_does_not_use(command, idle):
+    """What identifies comes with the commands that fit: it was a third of all that a prediction loaded."""
+    code = f"import sys, pitp_jax._commands.{command}; print([m for m in {idle.split()} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"
+
+
 @pytest.mark.slow
 def test_module_is_the_program_and_a_closed_pipe_is_quiet(bench):
     command = f"set -o pipefail; '{sys.executable}' -m pitp_jax info '{bench / 'nominal'}' | true"

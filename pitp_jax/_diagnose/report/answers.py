@@ -8,7 +8,7 @@ from ..._report.numbers import figure, interval, of_range, percent
 from ..diagnosis import Diagnosis
 from .formatting import gathers, named, plain_words
 from .gap_figure import output_unit, outside_line, refitted, time_spent, worst
-from .which import share_closed, which
+from .which import fraction_closed, which
 
 NEXT_CSV = "next_experiment.csv"
 
@@ -31,7 +31,7 @@ def headline(d: Diagnosis) -> str:
 def verdict_text(d: Diagnosis) -> str:
     """What the verdict means, in one or two sentences."""
     if d.verdict == "no_gap":
-        return f"On {_judged_on(d)}, {_error_left(d)}. There is no effect to add."
+        return f"On {_records_used(d)}, {_error_without(d)}. There is no effect to add."
     if d.effects:
         what = "; ".join(plain_words(name) for name in d.effects)
         more = (
@@ -48,7 +48,7 @@ def verdict_text(d: Diagnosis) -> str:
         )
     if (d.gap.closed_fraction or 0) < _HELPS:
         return (
-            f"No candidate reduces the error on {_judged_on(d)}: either something disturbs the rig "
+            f"No candidate reduces the error on {_records_used(d)}: either something disturbs the rig "
             "from outside, or the cause has a form the catalogue does not hold."
         )
     return f"The best candidate helps, and no name is sure: {'; '.join(d.notes[:1]) or 'see below'}. {_far(d)}"
@@ -97,7 +97,7 @@ def next_step(d: Diagnosis) -> str:
     return f"Next: look at {worst(d).name}, where most of it is, then record a drive of another kind beside it."
 
 
-def _error_left(d: Diagnosis) -> str:
+def _error_without(d: Diagnosis) -> str:
     g = d.gap
     if g.noise_floor is None:
         return f"it is off by {of_range(g.before)} of range"
@@ -108,10 +108,10 @@ def _far(d: Diagnosis) -> str:
     adding = "Adding it" if len(d.effects) == 1 else "Adding them" if d.effects else "The best candidate"
     adding = "Refitting them" if d.effects == ("parameter_change",) else adding
     before, after = of_range(d.gap.before), of_range(d.gap.after)
-    return f"{adding} takes the error on {_judged_on(d)} from {before} to {after} of range."
+    return f"{adding} takes the error on {_records_used(d)} from {before} to {after} of range."
 
 
-def _judged_on(d: Diagnosis) -> str:
+def _records_used(d: Diagnosis) -> str:
     return "recordings the fit never saw" if d.heldout else "the recordings it was fitted on"
 
 
@@ -119,10 +119,10 @@ def _where(d: Diagnosis) -> str:
     if d.verdict == "no_gap":
         return html.card("Where", "Nowhere", tag("p", "What the model leaves over is noise in every recording."))
     share = d.where["records"].get(worst(d).name, 0.0)
-    unit = d.model.provenance.displacement_unit
+    unit = d.model.origin.displacement_unit
     loud = max(d.where["frequency"], key=lambda row: row["share"])
     big = f"{figure(loud['band_hz'][0])} to {figure(loud['band_hz'][1])} Hz"
-    facts = gathers(d.where, time_spent(d), unit, d.model.provenance.voltage_unit)[:2]
+    facts = gathers(d.where, time_spent(d), unit, d.model.origin.voltage_unit)[:2]
     side = "held-out recording" if d.heldout else "recording"
     worst_line = f"Worst {side}: {worst(d).name}, {percent(share)} of the gap."
     return html.card("Where", big, tag("p", d.where["summary"]), html.bullets([*facts, worst_line]))
@@ -139,7 +139,7 @@ def _how_far(d: Diagnosis) -> str:
         ci = ""
         if g.ci95 and g.closed_fraction >= 0.005:
             ci = f" (95 % interval {interval(*g.ci95)})"
-        lines.insert(0, f"{share_closed(g.closed_fraction)} of the closable gap is closed{ci}.".capitalize())
+        lines.insert(0, f"{fraction_closed(g.closed_fraction)} of the closable gap is closed{ci}.".capitalize())
     if d.verdict == "no_gap":
         big = f"{of_range(g.before)} of range"
         lines.insert(0, "Nothing left to close.")

@@ -139,7 +139,7 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         )
     axes = own_axes(axes, len(names), (5.0, 4.0))
     scale, unit = output_unit(diagnosis)
-    factor, command = drive_unit(diagnosis.model.provenance.voltage_unit)
+    factor, command = drive_unit(diagnosis.model.origin.voltage_unit)
     drive = f"voltage ({command})" if command == "V" else f"input ({command})"
     held = set(diagnosis.heldout)
     for ax, name in zip(axes, names, strict=True):
@@ -187,7 +187,7 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
     if diagnosis.next_experiment is None:
         raise ValueError("this diagnosis asks for no further experiment")
     drawn: Axes = own_axes(ax, 1, (5.0, 1.9))[0]
-    voltage, label = volts(diagnosis.next_experiment.voltage, diagnosis.model.provenance.voltage_unit)
+    voltage, label = volts(diagnosis.next_experiment.voltage, diagnosis.model.origin.voltage_unit)
     line(drawn, diagnosis.next_experiment.time, voltage, color=DRIVE, lw=0.9)
     finish(np.array([drawn]), "time (s)", [label])
     return drawn
@@ -217,8 +217,8 @@ def _drawn(draw: Callable[[], Axes]) -> Figure:
         return figure
     except Exception as error:
         figure, reason = Figure(figsize=(5.0, 1.0)), " ".join(str(error).split())[:80]
-        told = f"not drawn: {type(error).__name__}: {reason}".encode("ascii", "replace").decode()
-        figure.text(0.02, 0.5, told, fontsize=_SMALL, parse_math=False)
+        message = f"not drawn: {type(error).__name__}: {reason}".encode("ascii", "replace").decode()
+        figure.text(0.02, 0.5, message, fontsize=_SMALL, parse_math=False)
         return figure
 
 

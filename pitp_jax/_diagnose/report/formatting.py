@@ -36,19 +36,21 @@ def named(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def parameter(name: str, told: dict, length_unit: str) -> tuple[str, str]:
+def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
     """Label and text of one parameter, in units people measure with; a limit as itself.
 
     Args:
         name: of the parameter.
-        told: its value, unit and stderr.
+        number: its value, unit and stderr.
         length_unit: the displacement's unit, of the user's files.
     """
-    value, unit, error = told["value"], told["unit"], told["stderr"]
+    value, unit, error = number["value"], number["unit"], number["stderr"]
     if name.endswith(_FACTOR):
         stem = name.removesuffix(_FACTOR)
         label = f"{_COEFFICIENTS[int(stem[2:])]} ({stem.replace('_', '')})" if stem in ("a_0", "a_1", "a_2") else stem
         return label, f"× {with_error(value, error, '')}"
+    if name == "omega":  # of a mode: an angle's unit has no part in it
+        return "frequency", with_error(value / (2 * np.pi), error and error / (2 * np.pi), "Hz")
     if name in _LIMITS and value and "/" in unit:
         top, bottom = unit.split("/")
         unit = bottom if top == "1" else f"{bottom}/{top}"
@@ -84,7 +86,7 @@ def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) ->
     """
     scale, shown = 1 / OUTPUT_UNITS[unit], shown_unit(unit)
     per_input, input_shown = drive_unit(drive)
-    found = []
+    facts = []
     for axis, text, factor, key in (
         ("displacement", f"of the missing force acts at displacements of {{}} to {{}} {shown}", scale, "range"),
         ("voltage", f"of the missing force acts at {{}} to {{}} {input_shown}", per_input, "range"),
@@ -98,8 +100,8 @@ def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) ->
             words = text.format(figure(factor * low, 2), figure(factor * high, 2))
             rest = "" if axis == "time" else f", where {percent(there)} of the time is spent"
             if share >= _OVER * there:
-                found.append((there / share, f"{percent(share)} {words}{rest}."))
-    return [text for _, text in sorted(found)]
+                facts.append((there / share, f"{percent(share)} {words}{rest}."))
+    return [text for _, text in sorted(facts)]
 
 
 def drive_unit(unit: str) -> tuple[float, str]:

@@ -14,17 +14,17 @@ _CYCLES = 6  # oscillations in the zoom
 
 def output_unit(diagnosis: Diagnosis) -> tuple[float, str]:
     """Factor from m or V to the unit of the user's files, and that unit as printed."""
-    unit = diagnosis.model.provenance.displacement_unit
+    unit = diagnosis.model.origin.displacement_unit
     return 1 / OUTPUT_UNITS[unit], shown_unit(unit)
 
 
 def worst(diagnosis: Diagnosis) -> Trace:
     """The held-out record with the largest gap, relative to its range; a fitted one where none is held out."""
     held = [t for t in diagnosis.traces if t.heldout] or list(diagnosis.traces)
-    return max(held, key=lambda t: np.nan_to_num(left(t)[0]))
+    return max(held, key=lambda t: np.nan_to_num(errors(t)[0]))
 
 
-def left(trace: Trace) -> tuple[float, float]:
+def errors(trace: Trace) -> tuple[float, float]:
     """e_rms in % that nominal and augmented model leave on a record (nan where nothing is measured)."""
     seen = np.isfinite(trace.measured)
     if not seen.any() or not np.ptp(trace.measured[seen]):
@@ -80,7 +80,7 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
     for k, (label, run, color) in enumerate(runs):
         line(axes[0], time, scale * run[part], color=color, lw=1.1, ls="-" if k else "--", label=label)
         line(axes[1], time, scale * run[part] - measured, color=color, lw=0.9)
-    kind = "displacement" if base_unit(diagnosis.model.provenance.displacement_unit) == "m" else "output"
+    kind = "displacement" if base_unit(diagnosis.model.origin.displacement_unit) == "m" else "output"
     finish(axes, "time (s)", [f"{kind} ({unit})", f"error ({unit})"], legend_columns=len(runs) + 1)
     return axes
 
@@ -100,7 +100,7 @@ def outside_line(diagnosis: Diagnosis) -> tuple[float, float] | None:
 
 def time_spent(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
     """Share of time in every bin of the axes of `Diagnosis.where` that traces can be sorted by."""
-    model, found = diagnosis.model, {}
+    model, parts = diagnosis.model, {}
     for axis in ("displacement", "voltage", "time"):
         rows = diagnosis.where[axis]
         total = np.zeros(len(rows))
@@ -109,5 +109,5 @@ def time_spent(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
             if axis != "time" and len(values):
                 edges = [row["range"][0] for row in rows] + [rows[-1]["range"][1]]
                 total += np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0] / len(values)
-        found[axis] = total / total.sum() if total.sum() else np.full(len(rows), 1 / max(len(rows), 1))
-    return found
+        parts[axis] = total / total.sum() if total.sum() else np.full(len(rows), 1 / max(len(rows), 1))
+    return parts

@@ -10,7 +10,7 @@ from ..diagnosis import Diagnosis
 from ..result import Gap, Ranked
 from .answers import NEXT_CSV, budget_bar, cards, headline, next_step, verdict_text
 from .figures import figures
-from .gap_figure import left, output_unit, worst
+from .gap_figure import errors, output_unit, worst
 from .which import parameter_lines
 
 
@@ -114,7 +114,7 @@ def _records(d: Diagnosis) -> list[str]:
     columns = 6 if d.verdict == "no_gap" else 8  # nothing comes after, and shares of noise say nothing
     rows = []
     for t in d.traces:
-        before, after = left(t)
+        before, after = errors(t)
         span = float(np.nanmax(t.measured) - np.nanmin(t.measured)) if np.isfinite(t.measured).any() else float("nan")
         rows.append(
             ("", (

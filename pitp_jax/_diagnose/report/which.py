@@ -26,7 +26,7 @@ def which(d: Diagnosis) -> str:
         return html.card(
             "Which", "None", tag("p", "No effect takes off more than the model's own error allows to see.")
         )
-    nearest = [f"{r.effect}: closes {share_closed(r.closed_fraction)}" for r in d.ranking]
+    nearest = [f"{r.effect}: closes {fraction_closed(r.closed_fraction)}" for r in d.ranking]
     why = tag("p", f"{d.notes[0][:1].upper()}{d.notes[0][1:]}.") if d.notes else ""
     return html.card(
         "Which", "No name is sure", _term(d), why, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST])
@@ -37,9 +37,9 @@ def _term(d: Diagnosis) -> str:
     """The equation found in the data, with its numbers."""
     if d.term is None:
         return ""
-    share = share_closed(d.term.closed_fraction)
+    share = fraction_closed(d.term.closed_fraction)
     line = f"The missing force as an equation found in the data (a description, no cause) closes {share} of the gap:"
-    numbers = [_line(d, name, told) for name, told in d.term.parameters.items()]
+    numbers = [_line(d, name, number) for name, number in d.term.parameters.items()]
     return tag("p", line) + tag("p", d.term.equation) + html.bullets(numbers)
 
 
@@ -50,11 +50,11 @@ def _rivals(d: Diagnosis) -> str:
     others = [r for r in d.ranking if r.effect not in d.effects]
     if not others:
         return "No other effect comes near."
-    left, closed = of_range(others[0].heldout), share_closed(others[0].closed_fraction)
-    return f"Next best: {others[0].effect}, which leaves {left} (closes {closed})."
+    error, closed = of_range(others[0].heldout), fraction_closed(others[0].closed_fraction)
+    return f"Next best: {others[0].effect}, which leaves {error} (closes {closed})."
 
 
-def share_closed(value: float | None) -> str:
+def fraction_closed(value: float | None) -> str:
     """A closed fraction in words."""
     return "nothing" if value is None or value < 0.005 else percent(value)
 
@@ -74,14 +74,14 @@ def _effect(d: Diagnosis, name: str) -> str:
     return tag("p", title) + html.bullets(lines) + sure
 
 
-def _line(d: Diagnosis, name: str, told: dict) -> str:
-    label, text = parameter(name, told, d.model.provenance.displacement_unit)
+def _line(d: Diagnosis, name: str, number: dict) -> str:
+    label, text = parameter(name, number, d.model.origin.displacement_unit)
     return f"{label} = {text}"
 
 
 def parameter_lines(d: Diagnosis, row: Ranked) -> list[str]:
     """A candidate's numbers, one text each."""
-    return [_line(d, name, told) for name, told in row.parameters.items()]
+    return [_line(d, name, number) for name, number in row.parameters.items()]
 
 
 def _shift(d: Diagnosis) -> list[str]:
@@ -89,8 +89,8 @@ def _shift(d: Diagnosis) -> list[str]:
     row = next((r for r in d.ranking if r.effect == "parameter_change"), None)
     order, lines = len(d.shift) - 1, []
     for i, factor in enumerate(d.shift):
-        told = row.parameters.get(f"a_{i} over given") if row else None
-        near = told is not None and np.isclose(told["value"], factor, rtol=1e-2)
-        error = told["stderr"] if told and near else None
+        number = row.parameters.get(f"a_{i} over given") if row else None
+        near = number is not None and np.isclose(number["value"], factor, rtol=1e-2)
+        error = number["stderr"] if number and near else None
         lines.append(f"{coefficient_name(i, order)}: × {with_error(float(factor), error, '')}")
     return lines
