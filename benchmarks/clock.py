@@ -6,6 +6,7 @@ What shares the machine slows every way alike when they take turns, so ratios ho
 process rests: idle threads of one library spin for milliseconds and would be charged to the next.
 """
 
+import resource
 import time
 from collections.abc import Callable
 
@@ -17,6 +18,11 @@ _REST = 0.02  # s
 
 class Skipped(Exception):
     """This row or peer cannot run here; the text says why."""
+
+
+def peak_mb() -> int:
+    """Most memory that this process has held so far, MB."""
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 def once(run: Callable) -> float:

@@ -20,7 +20,7 @@ from pitp_jax._train.dataset import build_dataset
 from pitp_jax._train.parameters import trainable
 from pitp_jax._train.settings import PRESETS, memory_of, with_encoder
 
-from .clock import take_turns
+from .clock import peak_mb, take_turns
 from .sizes import size
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "bench"
@@ -86,15 +86,15 @@ def measure_fit(name: str, seconds: float) -> dict:
     began = time.perf_counter()
     nominal = pitp.identify(sweep).model
     identified = time.perf_counter() - began
+    began = time.perf_counter()
+    model = pitp.train(nominal, train, settings=settings, key=jax.random.key(0)).model
+    taken, used = time.perf_counter() - began, peak_mb()  # before the peer's arrays stand beside it
     ways, why = step_ways(nominal, train, settings)
     found = take_turns({n: run for n, (run, _) in ways.items()}, min(seconds, 5.0))
     steps = {n: found[n]["median_ms"] / count for n, (_, count) in ways.items()}
-    began = time.perf_counter()
-    model = pitp.train(nominal, train, settings=settings, key=jax.random.key(0)).model
-    taken = time.perf_counter() - began
     runs = zip(pitp.predict(model, test), test, strict=True)
     errors = sorted(pitp.e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in runs)
     whole = {key: 1e3 * taken for key in ("median_ms", "p10_ms", "p90_ms")}
     return {**whole, "compile_s": found["pitp_jax"]["compile_s"], "runs": 1, "peer": None, "peer_median_ms": None,
             "ratio": None, "data": kind, "records": len(train), "identify_s": identified, "step_ms": steps,
-            "held_out_median_percent": errors[len(errors) // 2], "peer_skipped": why}  # fmt: skip
+            "peak_mb": used, "held_out_median_percent": errors[len(errors) // 2], "peer_skipped": why}  # fmt: skip

@@ -1,9 +1,10 @@
-"""What a free run and a check cost over samples and order, as a table and a figure; a run resumes from its JSON.
+"""What verbs cost over samples, records and order, as a table and a figure; a run resumes from its JSON.
 
-    python -m benchmarks.growth [--json FILE] [--page docs/how_to/growth.md] [--most 10000000]
+    python -m benchmarks.growth [--json FILE] [--page docs/how_to/growth.md] [--most 10000000] [--only fit,diagnose]
 
-A cell is a process of its own, ended after five minutes. Its figure is the CPU time of a second call, all threads
-together, which other load on the machine does not move; the first call compiles.
+A cell is a process of its own, ended after five minutes. Its figure is CPU time, all threads together, which other load
+on the machine does not move: of a second call of `predict` and `check`, whose first one compiles; of the one call of
+`fit` (default preset) and `diagnose` (one effect, an electrode that charges late), compilation included.
 """
 
 import argparse
@@ -15,31 +16,61 @@ import time
 from pathlib import Path
 
 _LIMIT = 300  # s
-SAMPLES, ORDERS = (10_000, 100_000, 1_000_000, 10_000_000), (1, 2, 3, 4, 5, 6)
-TITLES = {"predict": "`predict`, identified model", "check": "`check`, without a model"}
+SAMPLES = (10_000, 100_000, 1_000_000, 10_000_000)
+ROWS = {
+    **{f"`predict`, identified model, order {n}": ("predict", n, 1) for n in (1, 2, 3, 4, 5, 6)},
+    "`check`, without a model": ("check", 2, 1),
+    "`diagnose`, one record": ("diagnose", 2, 1),
+    **{f"`fit`, one record, order {n}": ("fit", n, 1) for n in (1, 2, 3, 4, 5, 6)},
+    "`fit`, records of 10,000": ("fit", 2, 10_000),
+}
+_DRAWN = {"`predict`, identified model, order 2", "`predict`, identified model, order 6", "`check`, without a model",
+          "`diagnose`, one record", "`fit`, one record, order 2", "`fit`, records of 10,000"}  # fmt: skip
 
 
-def cell(what: str, order: int, samples: int) -> float:
-    """CPU seconds of one call that has been made before."""
+def cell(what: str, order: int, each: int, samples: int) -> float:
+    """CPU seconds of one call on so many samples, in records of `each` (1: in one)."""
+    from dataclasses import replace
+
+    import jax
     import numpy as np
 
     import pitp_jax as pitp
+    from pitp_jax._effects import effect
 
-    from .subjects import DT, nominal, target, voltages
+    from .subjects import DT, nominal, voltages
 
-    model, u = nominal(order), voltages(1, samples)[0].astype(float)
-    noise = 1e-6 * np.random.default_rng(0).standard_normal(samples)
-    records = [pitp.Record("long", np.arange(samples) * DT, u, target(samples) + noise)]
-    run = (lambda: pitp.predict(model, records)) if what == "predict" else (lambda: pitp.check(records))
-    run()
+    model, size = nominal(order), samples if each == 1 else each
+    late, rng = replace(model, effects=(effect("electrode_rc", tau=0.01),)), np.random.default_rng(0)
+    drives = voltages(samples // size, size).astype(float) if each > 1 else _swept(size, DT)[None]
+    bare = [pitp.Record(f"r{k}", np.arange(size) * DT, u, 0 * u) for k, u in enumerate(drives)]
+    motion = [p.displacement + 1e-6 * rng.standard_normal(size) for p in pitp.predict(late, bare)]
+    records = [replace(r, displacement=x) for r, x in zip(bare, motion, strict=True)]
+    run = {
+        "predict": lambda: pitp.predict(model, records),
+        "check": lambda: pitp.check(records),
+        "diagnose": lambda: pitp.diagnose(model, records),
+        "fit": lambda: pitp.train(model, records, key=jax.random.key(0)),
+    }[what]
+    if what in ("predict", "check"):
+        run()
     began = time.process_time()
     run()
     return time.process_time() - began
 
 
-def measured(what: str, order: int, samples: int) -> float | str:
+def _swept(samples: int, dt: float):
+    """A voltage (V) whose frequency goes from 0.5 to 10 Hz and back every 40 s."""
+    import numpy as np
+
+    t = np.arange(samples) * dt
+    hz = 5.25 - 4.75 * np.cos(2 * np.pi * t / 40)
+    return 300 * (1 - np.cos(2 * np.pi * np.cumsum(hz) * dt))
+
+
+def measured(what: str, order: int, each: int, samples: int) -> float | str:
     """The same in a process of its own; "over" five minutes, or "failed"."""
-    command = [sys.executable, "-m", "benchmarks.growth", "--cell", what, str(order), str(samples)]
+    command = [sys.executable, "-m", "benchmarks.growth", "--cell", what, *map(str, (order, each, samples))]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_LIMIT)
     except subprocess.TimeoutExpired:
@@ -54,14 +85,13 @@ def page(found: dict[str, float | str], figure: Path) -> str:
     drawn = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = drawn.subplots()
     lines = ["| | " + " | ".join(f"{n:,}" for n in SAMPLES) + " |", "|---|" + "---|" * len(SAMPLES)]
-    for what, title in TITLES.items():
-        for order in ORDERS if what == "predict" else (2,):
-            row = [found.get(f"{what} {order} {n}") for n in SAMPLES]
-            name = f"{title}, order {order}" if what == "predict" else title
-            told = [f"{v:.2g} s" if isinstance(v, float) else str(v or "-") for v in row]
-            lines.append(f"| {name} | " + " | ".join(told) + " |")
-            points = [(n, v) for n, v in zip(SAMPLES, row, strict=True) if isinstance(v, float)]
-            axes.loglog(*zip(*points, strict=True), marker="o", label=name.replace("`", "")) if points else None
+    for title, key in ROWS.items():
+        row = [found.get(" ".join(map(str, (*key, n)))) for n in SAMPLES]
+        told = [f"{v:.2g} s" if isinstance(v, float) else str(v or "-") for v in row]
+        lines.append(f"| {title} | " + " | ".join(told) + " |")
+        points = [(n, v) for n, v in zip(SAMPLES, row, strict=True) if isinstance(v, float)]
+        if points and title in _DRAWN:
+            axes.loglog(*zip(*points, strict=True), marker="o", label=title.replace("`", ""))
     axes.set(xlabel="samples", ylabel="CPU time, s")
     axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the lines, not over them
     drawn.savefig(figure, metadata={"Date": None})
@@ -76,17 +106,18 @@ def main() -> None:
         "--page", type=Path, help="page with <!-- growth --> and <!-- end -->; the figure goes beside it"
     )
     parser.add_argument("--most", type=int, default=SAMPLES[-1], help="samples of the largest cells")
-    parser.add_argument("--cell", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--only", default="predict,check,diagnose,fit", help="verbs, comma-separated")
+    parser.add_argument("--cell", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.cell:
         print(cell(options.cell[0], *map(int, options.cell[1:])))
         return
     found = json.loads(options.json.read_text()) if options.json.exists() else {}
     for samples in (n for n in SAMPLES if n <= options.most):
-        for what, order in [("check", 2), *(("predict", n) for n in ORDERS)]:
-            key = f"{what} {order} {samples}"
+        for cell_of in (key for key in ROWS.values() if key[0] in options.only.split(",")):
+            key = " ".join(map(str, (*cell_of, samples)))
             if key not in found:
-                found[key] = measured(what, order, samples)
+                found[key] = measured(*cell_of, samples)
                 options.json.write_text(json.dumps(found, indent=1))
                 print(key, found[key], flush=True)
     if options.page:

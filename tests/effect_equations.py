@@ -122,6 +122,13 @@ def _backlash(x, v, u, s, p):
     return (v if (x - s[0]) * np.sign(v) >= p.width / 2 else 0.0,)
 
 
+def _coasting(x, v, u, s, p):
+    """A load within the play: it keeps its speed but for its friction, and a hard, deadened contact at either end."""
+    off = x - s[0]
+    depth = off - np.clip(off, -p.width / 2, p.width / 2)
+    return (s[1], -p.rate * s[1] + (1e8 * depth + 2e4 * (v - s[1]) if depth else 0.0))
+
+
 def _store(x, v, u, s, p):
     return ((p.k * abs(u) - s[0]) / p.tau,)
 
@@ -351,6 +358,10 @@ EQUATIONS = {
     ),
     "backlash: play": Equation(
         ((0.3,),), {2: 1e-2}, begin=lambda x, u, p: (x,), rates=_backlash, sensor=lambda x, s, p: s[0]
+    ),
+    "backlash: coasting": Equation(
+        ((0.3, 2.0),), {2: 1e-2}, begin=lambda x, u, p: (x, 0.0), rates=_coasting, sensor=lambda x, s, p: s[0],
+        stiff=True,
     ),
     "sensor_lag: one lag": Equation(((0.02,),), {2: 5e-4}, **_lags((1.0,), "x")),
     "sensor_lag: two lags": Equation(((0.02,),), {2: 8e-4}, **_lags((0.5, 0.5), "x")),

@@ -67,6 +67,7 @@ NUMBERS = {
     "sensor_nonlinearity: saturating": (0.5,),
     "sensor_nonlinearity: folded": (0.5995,),
     "backlash: play": (0.09992,),
+    "backlash: coasting": (0.09992, 2.0),
     "sensor_lag: one lag": (0.003183,),
     "sensor_lag: two lags": (0.003183,),
     "sensor_lag: second order": (0.007958, 0.8),

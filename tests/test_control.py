@@ -6,8 +6,6 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from exported import COMPILERS, Exported
@@ -78,60 +76,34 @@ def test_a_late_drive_makes_the_loop_slower():
 def withheld():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / "experiments"))
-        yield importlib.import_module("_withheld.plant"), importlib.import_module("_withheld.mechanical")
-
-
-def plant_of(withheld, forms, gain, polarity, offset):
-    """fn(k, u): the reading (m) one sample on, of a withheld plant whose force is gain(k) u^2."""
-    integrator, _ = withheld
-    w = 2 * np.pi * HZ
-    ps, cs = jnp.full(len(forms), 0.1), tuple({} for _ in forms)
-
-    @jax.jit
-    def sample(y, u):
-        def slope(y, u, push, t):
-            return integrator.rate(forms, ps, cs, ZETA, y, u, push, t)
-
-        for _ in range(2):
-            y = integrator._advance(slope, y, w * DT / 2, (u, 0.0, 0.0), (u, 0.0, 0.0))
-        return y
-
-    state = jnp.zeros(2)
-
-    def plant(k, u):
-        nonlocal state
-        state = sample(state, np.sqrt(gain(k)) * u / TOP)
-        return offset + polarity * STROKE * float(state[0])
-
-    return plant
-
-
-def smooth(t):
-    """From 0 to 1, all derivatives up to the 4th continuous."""
-    t = np.clip(t, 0, 1)
-    return t**5 * (126 - 420 * t + 540 * t**2 - 315 * t**3 + 70 * t**4)
+        yield importlib.import_module("closed_loop"), importlib.import_module("_withheld.mechanical")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "polarity"), [("healthy", 1.0), ("stiffening", -1.0)])
 def test_a_limit_hit_is_left_in_four_time_constants(withheld, tmp_path, polarity, kind):
     """A plant 20 % too weak at the limit for 6 s, then 15 % too strong; without anti-windup it takes longer."""
-    forms = () if kind == "healthy" else (withheld[1].STIFFENING[0],)
+    script, mechanical = withheld
+    forms = () if kind == "healthy" else (mechanical.STIFFENING[0],)
     model = actuator(polarity=polarity, offset=5e-3 if polarity < 0 else 0.0)
     made, offset = export(model, tmp_path), float(model.output.offset)
     lag = pitp.pi_gains(model).time_constant
     assert lag <= 2 / (ZETA * 2 * np.pi * HZ) * (1 + 1e-6)
     reaches, turns, count = 1.0, 8.0, int((8 + 9 * lag) / DT)
     t = np.arange(count) * DT
-    rise = 0.9 * STROKE * smooth(t / reaches) - 0.3 * STROKE * smooth((t - turns - 5 * lag) / 0.5)
+    rise = 0.9 * STROKE * script.smooth(t / reaches) - 0.3 * STROKE * script.smooth((t - turns - 5 * lag) / 0.5)
     rows = [rise]
     for _ in range(2):
         rows.append(np.gradient(rows[-1], DT))
     target = polarity * np.stack(rows, 1) + np.array([offset, 0, 0])
 
     def run(bounded):
-        plant = plant_of(withheld, forms, lambda k: 0.8 if k * DT < turns else 1.15, polarity, offset)
-        y, u, flags = made.loop(plant, target, offset, 0.0, bounded=bounded)
+        plant = script.Plant(forms, [0.1] * len(forms), [{}] * len(forms), ZETA, 2 * np.pi * HZ * DT)
+
+        def read(k, u):
+            return offset + polarity * STROKE * plant(u / TOP, 0.8 if k * DT < turns else 1.15)
+
+        y, u, flags = made.loop(read, target, offset, 0.0, bounded=bounded)
         assert u.min() >= 0 and u.max() <= TOP
         assert (flags[int(3 / DT) : int(turns / DT)] & VOLTAGE).all()  # at the limit
         return np.abs(y - target[:, 0]) / STROKE

@@ -180,6 +180,20 @@ def test_the_check_of_an_export_fails_with_a_wrong_inverse_of_a_reversed_sensor(
     assert subprocess.run(["make"], cwd=tmp_path / "c", capture_output=True).returncode != 0
 
 
+# ------------------------------------------------------------------------------------------------ beginnings
+
+
+def test_a_record_cut_at_a_turning_point_is_in_motion():
+    """A sweep begun at 0 V while the actuator stands at its farthest, without a speed: it was called at rest."""
+    rate, t = 500.0, np.arange(700) / 500.0
+    before = TOP / 2 * (1 - np.cos(2 * np.pi * (3.0 * (t - t[-1]) + 0.5)))
+    whole = reading("sweep", np.concatenate([before, sweep(rate, 8.0)]), rate, noise=3e-6)
+    cut = pitp.Record("sweep", whole.time[700:], whole.voltage[700:], whole.displacement[700:])
+    found = pitp.identify([cut], order=2, hold="foh")
+    assert found.beginnings["sweep"].begins == "moving"
+    assert found.model.physical_coefficients[0] == pytest.approx(TOP**2 / STROKE, rel=0.01)
+
+
 # ------------------------------------------------------------------------------------------------ proposals
 
 

@@ -42,7 +42,7 @@ def active(form):
 # what no inverse knows, or no open loop can hold: a friction that falls with speed, a play that has to be crossed at
 # once; and readings below a sensor's fold, which there are none of
 FOLDED = "sensor_nonlinearity: folded"
-HARD = ("coulomb_friction: Stribeck", "backlash: play", FOLDED)
+HARD = ("coulomb_friction: Stribeck", "backlash: play", "backlash: coasting", FOLDED)
 
 
 LIMITS = ("voltage_clip: hard", "slew_limit: rate limit")  # below them nothing happens

@@ -48,7 +48,7 @@ def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
     slots[INDEX["gent"]] = 0.3
     start = Fit(("spring",), ("gent", "a0"), slots, stiff.starts.copy())
     (whole,) = fitter.fit([start.again()], 15)
-    (rows,) = fitter.left_out([whole], 6)
+    (rows,) = fitter.refitted_without([whole], 6)
     (alone,) = fitter.fit([start.again(fold=0)], 15)
     ((_, residuals, _),) = fitter.evaluate([alone], [alone.slots], everything=True)
     for k in stiff.folds[0]:

@@ -78,7 +78,7 @@ STARTS = {
     "play_range": 500.0,
     "drive_bouc": 80.0, "drive_yield": 30.0, "plays": 0.5, "plays_width": 0.1, "drag": 0.002, "dry":
     0.05, "rise": 0.5, "dry_speed": 0.5, "dry_load": 0.1, "rise_speed": 5.0, "slack": 0.0011, "mode_force": 0.2,
-    "mode_gain": 0.3, "mode_w": 55.0, "mode_zeta": 0.05, "backlash": 0.1, "lag": 0.01, "filter": 0.008,
+    "mode_gain": 0.3, "mode_w": 55.0, "mode_zeta": 0.05, "backlash": 0.1, "coast": 5.0, "lag": 0.01, "filter": 0.008,
     "filter_zeta": 0.7, "gain": 0.1, "s2": 0.1, "s3": 0.03, "bend": 0.5,
 }  # fmt: skip
 

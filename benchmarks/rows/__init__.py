@@ -18,6 +18,7 @@ ROWS = {
     "growth": "growth",
     "ensemble": "ensemble",
     "identify": "identify",
+    "identify_search": "identify_search",
     "fit_cone": "fit_cone",
     "fit_roll": "fit_roll",
     "diagnose": "diagnose",

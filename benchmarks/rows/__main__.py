@@ -4,12 +4,11 @@ Alone in its process a row has the first-call time and the peak memory of its ow
 """
 
 import json
-import resource
 import sys
 import time
 import traceback
 
-from ..clock import Skipped
+from ..clock import Skipped, peak_mb
 
 BEGAN = time.perf_counter()
 
@@ -27,7 +26,7 @@ def main(name: str, seconds: float) -> dict:
         return {"skipped": f"failed: {type(error).__name__}: {error}"[:300]}
     from ..machine import facts
 
-    found["peak_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    found.setdefault("peak_mb", peak_mb())
     found["whole_s"] = round(time.perf_counter() - BEGAN, 1)
     return found | {"machine": facts()}
 

@@ -4,7 +4,6 @@ The bar: at most 2 s a million rows in a warm process and 400 MB beyond its star
 20,000 rows. The peer only parses: no dialect, units, clock, spikes or grid.
 """
 
-import resource
 import tempfile
 import time
 from pathlib import Path
@@ -15,7 +14,7 @@ import scipy
 
 import pitp_jax as pitp
 
-from ..clock import row, take_turns
+from ..clock import peak_mb, row, take_turns
 from ..sizes import size
 
 _ROWS, _FILES, _EACH = size((10**6, 100, 20_000), (2000, 3, 2000))
@@ -37,11 +36,6 @@ def written(path: Path, rows: int, seed: int) -> Path:
         block = pd.DataFrame({"Time (s)": t, "Voltage (V)": u, "Laser (mm)": y})
         block.to_csv(path, mode="a", header=first == 0, index=False, float_format="%.7g")
     return path
-
-
-def peak_mb() -> float:
-    """Of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def measure(seconds: float) -> dict:

@@ -4,7 +4,6 @@ Linear time and flat memory show as equal nanoseconds per sample and equal peaks
 compared with those of the whole path at once.
 """
 
-import resource
 import time
 
 import numpy as np
@@ -13,7 +12,7 @@ from pitp_jax import invert_stream
 from pitp_jax._invert.equation import invert_path, scaled_equation
 from pitp_jax._numerics.spline_derivative import fast_derivatives
 
-from ..clock import summary
+from ..clock import peak_mb, summary
 from ..sizes import size
 from ..subjects import DT, default, target
 
@@ -45,8 +44,8 @@ def measure(seconds: float) -> dict:
     for samples in _LENGTHS:
         taken, count = run(model, samples)
         assert count == samples
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        curve.append({"samples": samples, "seconds": taken, "ns_per_sample": 1e9 * taken / samples, "peak_mb": peak})
+        told = {"samples": samples, "seconds": taken, "ns_per_sample": 1e9 * taken / samples, "peak_mb": peak_mb()}
+        curve.append(told)
     path = np.concatenate(list(blocks(_LENGTHS[0])))
     whole = np.asarray(invert_path(model, scaled_equation(model, fast_derivatives(path, DT, 2)), DT)[1])
     streamed = np.concatenate([piece.voltage for piece in invert_stream(model, blocks(_LENGTHS[0]), DT)])

@@ -29,8 +29,10 @@ def first_screen(found: SimToReal) -> str:
 def _headline(found: SimToReal) -> str:
     if found.verdict == "no_gap":
         return "The simulator does what the robot does"
-    names = " and ".join(e.replace("_", " ") for e in found.effects)
-    return f"The simulator lacks {names}" if names else "The simulator and the robot differ, by what cannot be said yet"
+    lacking = [e.replace("_", " ") for e in found.effects if e != "parameter_change"]
+    said = [f"lacks {' and '.join(lacking)}"] if lacking else []
+    said += ["has other numbers"] if len(lacking) < len(found.effects) else []
+    return f"The simulator {', and '.join(said) or 'and the robot differ, by what is not known yet'}"
 
 
 def _first(found: SimToReal) -> list[str]:

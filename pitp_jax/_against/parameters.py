@@ -66,6 +66,7 @@ _NAMES = {
     "backlash width": Names(
         "backlash, whole width", "extra hinge, range +- half", "extra joint, limits +- half", "extra joint, limits"
     ),
+    "backlash rate": Names("rate at which the load slows within it", "extra hinge damping over its inertia"),
     "end_stop place": Names("place of the stops", "joint range", "joint limits", "limit lower/upper"),
     "end_stop place, above": Names("place of the upper stop", "joint range", "joint limits", "limit upper"),
     "end_stop place, below": Names("place of the lower stop, from 0", "joint range", "joint limits", "limit lower"),

@@ -48,7 +48,7 @@ def set_advice(
     if not beside and fitted is None:
         lines.append("no linear model could be fitted quietly: beginnings, zeros and directions are not known")
     if fitted is not None and fitted.input_map == "linear":
-        lines.append("a force proportional to the voltage explains these better than its square: --input-map linear")
+        lines.append("a force proportional to the input explains these better than its square: --input-map linear")
     lines += _zeros(rows, used, fitted)
     if cover is not None:
         lines += cover.advice()
@@ -56,7 +56,7 @@ def set_advice(
         if per < _PER_PERIOD:
             lines.append(
                 f"{per:.1f} samples a period of the resonance at {cover.resonance:.3g} Hz are few: sample at "
-                f"{_PER_PERIOD * cover.resonance:.3g} Hz or more"
+                f"{_PER_PERIOD * cover.resonance:.0f} Hz or more"
             )
     # None: nothing is known of how it begins
     begins = {rows[r.name].begins for r in used} - {None}

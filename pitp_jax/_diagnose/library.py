@@ -147,6 +147,7 @@ def forms(s: Scale) -> list[Form]:
         {"fold": 1.0},
     )
     add("backlash", *({"backlash": f * x} for f in (0.04, 0.2, 0.5)))
+    add("backlash", *({"backlash": 0.1 * x, "coast": f / s.tau} for f in (0.05, 0.5)))
     add("mullins", *({"mullins": c, "mullins_length": 0.5 * x} for c in (0.15,)))
     add("sensor_gain", {"gain": 0.05})
     if s.a2 <= 0:
@@ -235,6 +236,7 @@ ROWS: dict[tuple[str, str], tuple[str, ...]] = {
     ("second_mode", "hung on"): ("mode_force", "mode_w", "mode_zeta"),
     ("second_mode", "between film and sensor"): ("mode_gain", "mode_w", "mode_zeta"),
     ("backlash", "play"): ("backlash",),
+    ("backlash", "coasting"): ("backlash", "coast"),
     ("sensor_lag", "one lag"): ("lag",),
     ("sensor_lag", "second order"): ("filter", "filter_zeta"),
     ("sensor_gain", "share"): ("gain",),

@@ -164,11 +164,12 @@ class Search:
         tried = self._scored([*best.values()] or fits[:1], 4)
         self.linears = sorted(tried, key=lambda h: len(h.fit.free))
         least = min(tried, key=lambda h: h.rms)
-        best = next(h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
-        if self.refit and self.given.rms < best.rms:
-            own = next((h for h in tried if h.fit.free == self.core), best)
+        good = (h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
+        plainest = next(good)
+        if self.refit and self.given.rms < plainest.rms:
+            own = next((h for h in tried if h.fit.free == self.core), plainest)
             return replace(own, residuals=self.given.residuals, evidence=self.given.evidence)
-        return best
+        return plainest
 
     def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
         slots = self.case.nominal.copy()

@@ -45,7 +45,7 @@ SLOTS: dict[str, tuple[float, bool]] = {
     "dry_speed": (0.0, True), "drive_bouc": (0.0, False), "drive_yield": (1.0, True), "rise": (0.0, True),
     "rise_speed": (1.0, True), "dry_load": (0.0, True), "place_damping": (0.0, False), "place_damping2": (0.0, False),
     "field_damping": (0.0, False), "slack": (0.0, True), "mode_gain": (0.0, False), "mode_force": (0.0, True),
-    "mode_w": (1.0, True), "mode_zeta": (0.1, True), "backlash": (0.0, True), "lag": (0.0, True),
+    "mode_w": (1.0, True), "mode_zeta": (0.1, True), "backlash": (0.0, True), "coast": (0.0, True), "lag": (0.0, True),
     "filter": (0.0, True), "filter_zeta": (1.0, True), "gain": (0.0, False), "s2": (0.0, False), "s3": (0.0, False),
     "fold": (0.0, False), "bend": (0.0, True),
 }  # fmt: skip
@@ -62,11 +62,11 @@ _CONSTANTS = (
     "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age reached "
     "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry "
     "dry_speed drive_bouc drive_yield rise rise_speed dry_load place_damping place_damping2 field_damping slack "
-    "mode_gain mode_force mode_w mode_zeta m11 m12 m21 m22 mb1 md1 mb2 md2 backlash o_keep o_ramp lagged n11 n12 "
-    "n21 n22 nb1 nd1 nb2 nd2 filtered gain s2 s3 fold bend "
+    "mode_gain mode_force mode_w mode_zeta m11 m12 m21 m22 mb1 md1 mb2 md2 backlash coast coast_keep coast_way "
+    "o_keep o_ramp lagged n11 n12 n21 n22 nb1 nd1 nb2 nd2 filtered gain s2 s3 fold bend "
 ).split()
 _PLACE = {name: k for k, name in enumerate(_CONSTANTS)}
-_STATES = "x v vm zd rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play lag fy fv".split()
+_STATES = "x v vm zd rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play pv lag fy fv".split()
 _PLAYS, _DRIVE_PLAYS = (0.15, 0.4, 1.0, 2.2), (0.04, 0.125, 0.25, 0.4)
 
 
@@ -247,6 +247,8 @@ class Simulator:
             e, b, d = step_response(np.ones_like(h), 2 * zeta / w, 1 / w**2, h)
             c |= {f"{name}{i + 1}{j + 1}": e[:, i, j] for i in (0, 1) for j in (0, 1)}
             c |= {f"{name}b{i + 1}": b[:, i] for i in (0, 1)} | {f"{name}d{i + 1}": d[:, i] for i in (0, 1)}
+        slowed = np.exp(-np.minimum(s["coast"] * h, 700))
+        c["coast_keep"], c["coast_way"] = slowed, (1 - slowed) / np.maximum(s["coast"], 1e-300)
         c["lagged"], c["filtered"] = s["lag"] > 0, s["filter"] > 0
         c["gamma"] = 1.5 * np.tanh(s["gamma"] / 1.5)  # unbounded it is a saturating spring of any shape
         return np.stack([np.asarray(c[name], float) for name in _CONSTANTS])
@@ -339,6 +341,7 @@ def _begin(square, constants, volts, first, start):
         "q": q,
         "w": zero,
         "mv": zero,
+        "pv": zero,
         "fv": zero,
     }
     settled |= {f"p{k}": volts for k in (1, 2, 3, 4)} | {"most": jnp.maximum(jnp.abs(x), c["reached"])}
@@ -465,7 +468,9 @@ def _advance(square, costly, constants, state, volts, clock):
         n["my"] = c["m11"] * s["my"] + c["m12"] * s["mv"] + c["mb1"] * past + c["md1"] * (x - past)
         n["mv"] = c["m21"] * s["my"] + c["m22"] * s["mv"] + c["mb2"] * past + c["md2"] * (x - past)
         old, new = past + c["mode_gain"] * (s["my"] - past), x + c["mode_gain"] * (n["my"] - x)
-        n["play"] = jnp.clip(s["play"], new - c["backlash"] / 2, new + c["backlash"] / 2)
+        alone = s["play"] + jnp.where(c["coast"] > 0, c["coast_way"] * s["pv"], 0.0)
+        n["play"] = jnp.clip(alone, new - c["backlash"] / 2, new + c["backlash"] / 2)
+        n["pv"] = jnp.where(n["play"] == alone, s["pv"] * c["coast_keep"], (new - old) / h)
         old, new = jnp.clip(s["play"], old - c["backlash"] / 2, old + c["backlash"] / 2), n["play"]
         n["lag"] = jnp.where(c["lagged"] > 0, _follow(c["o_keep"], c["o_ramp"], s["lag"], old, new), new)
         old, new = s["lag"], n["lag"]

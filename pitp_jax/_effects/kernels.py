@@ -3,6 +3,7 @@
     lags         tau_i z_i' = w - z_i, side by side, or each behind the one before         (exact for w linear)
     oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
     play         z stays within w - r <= z <= w + r                                        (exact for w monotonic)
+    coasting     the same, but z'' = -rate z' until it is caught, then z' = w'              (exact but for the instant)
     dahl         dz = dw - |dw| z / r, of w or of its integral                             (exact for w monotonic)
     bouc_wen     dz = dw (1 - c |z / r|^n), c one number on loading and one on unloading   (midpoint rule)
     farthest     z = max |w| so far,                clock   z' = 1                         (exact)
@@ -108,6 +109,18 @@ def play(*ratios: float) -> Kernel:
         lambda p, z, before, after, h: inside(p, z, after),
         lambda p, z, now: inside(p, z, now.x),
     )
+
+
+def coasting() -> Kernel:
+    """Build a play of half the width whose follower keeps its speed until either end catches it: (z, z')."""
+
+    def advance(p, z, before, after, h):
+        slowed = jnp.exp(-p.rate * h)
+        alone = z[0] + z[1] * (1 - slowed) / jnp.maximum(p.rate, 1e-9)
+        caught = jnp.clip(alone, after - p.width / 2, after + p.width / 2)
+        return jnp.stack([caught, jnp.where(caught == alone, z[1] * slowed, (after - before) / h)])
+
+    return Kernel(2, lambda p, w, age: jnp.stack([w, 0.0 * w]), advance)
 
 
 def _travelled(advance: Callable) -> Kernel:

@@ -2,7 +2,7 @@
 
 sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3,  tanh(c x) / c
 sensor_lag            tau y' = x - y, once or twice;   tau^2 y'' + 2 zeta tau y' + y = x
-backlash              y follows x as soon as it is width / 2 away
+backlash              y follows x as soon as it is width / 2 away, or coasts until x catches it: y'' = -rate y'
 second_mode           y = x + gain (z - x),  z'' = omega^2 (x - z) - 2 zeta omega z'
 """
 
@@ -11,11 +11,12 @@ import jax.numpy as jnp
 from .._model.drive import slope
 from .drive import last_lag
 from .inertia import MODE
-from .kernels import lags, lead, oscillator, play
+from .kernels import coasting, lags, lead, oscillator, play
 from .spec import EffectSpec, Parameter
 
 _TURN = 50.0  # samples a play takes to be crossed at the speed from which a motion has one direction
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
+_WIDTH = Parameter("width", "x", length=1, off=0.0, linear=False)
 _SECOND = Parameter("c2", "1/x", length=-1, positive=False, off=0.0)
 _THIRD = Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0)
 
@@ -72,9 +73,17 @@ SENSOR = (
         law=lambda p, x, z: x + 2 * jnp.maximum(p.fold - x, 0.0), inverse=lambda p, y, dt: y,
     ),
     EffectSpec(
-        "backlash", "play", (Parameter("width", "x", length=1, off=0.0, linear=False),),
+        "backlash", "play", (_WIDTH,),
         "There is play between what moves and what is measured.", "x - width/2 <= y <= x + width/2, y moved by x alone",
         "dissipation", "OUT", kernel=play(0.5), inverse=_across,
+        law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
+    ),
+    EffectSpec(
+        "backlash", "coasting", (_WIDTH, Parameter("rate", "1/s")),
+        "There is play between what moves and a load that coasts until it is caught.",
+        "y'' = -rate y' within x - width/2 < y < x + width/2, y' = x' at either end", "dissipation", "OUT",
+        # no closed inverse: the load is thrown to and fro, and the shooting on the rollout is left with half the width
+        kernel=coasting(), inverse=lambda p, y, dt: y,
         law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
     ),
     EffectSpec(

@@ -112,6 +112,11 @@ class _Columns:
         alone = project(self.one, self.free)[1] if begins == "moving" else self.one
         return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
+    def moves(self) -> bool:
+        """Whether a first state explains half of what rest leaves: one cut at a turning point has no speed either."""
+        rest, moving = (min(np.linalg.norm(self.residual(b, d)[0]) for d in (1.0, -1.0)) for b in ("rest", "moving"))
+        return bool(moving < 0.5 * rest)
+
     def score(self, begins: Begins, direction: float) -> float:
         """How badly this explains the record, with its numbers paid for (BIC)."""
         extra = self.free.shape[1] if begins == "moving" else 0
@@ -215,7 +220,7 @@ def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple
         kinds = ("held",) if level else ("rest",)
     elif passing and level and _smooth(record.voltage) and not is_still(record, omega):
         kinds = ("moving",)  # at rest under a drive or settled at it, only a jump gives a speed at once
-    elif passing and not level and is_still(record, omega):
+    elif passing and not level and is_still(record, omega) and not row.moves():
         kinds = ("rest",)  # of motions cut anywhere hardly one has no speed just where its drive passes 0 V
     elif not level:
         kinds = tuple(k for k in kinds if k != "held")  # held at 0 V is rest

@@ -254,14 +254,19 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
     return sorted(groups, key=lambda g: -len(g[0]))
 
 
-def rest_level(record: Record) -> tuple[float, float]:
+def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, float]:
     """First value of a record known to start at rest, and its standard error.
 
     Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window, from 12 samples doubled as often as the
     fit leaves no more than the noise: a sweep's slow beginning gives thousands of samples.
+
+    Args:
+        record: in base units.
+        left: what a model leaves of it, shape (T,), 0 where missing. A level over few samples goes along with slow
+            noise, which they do not show: the error is at least what the same window makes of `left`, rms over places.
     """
     noise, best = noise_std(record.displacement), (float(record.displacement[record.observed][0]), np.inf)
-    window = 12
+    window, weights = 12, np.ones(1)
     while window <= record.samples:
         t, y = np.arange(window) / window, record.displacement[:window]
         keep = np.isfinite(y)
@@ -272,8 +277,11 @@ def rest_level(record: Record) -> tuple[float, float]:
             misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))
             if np.isfinite(best[1]) and misfit > noise * (1 + 1.5 / np.sqrt(2 * keep.sum())):
                 break
-            error = max(misfit, noise) * np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0])
+            inverse = np.linalg.inv(basis.T @ basis)
+            error = max(misfit, noise) * np.sqrt(inverse[0, 0])
             if error < best[1]:
-                best = float(fit[0]), float(error)
+                best, weights = (float(fit[0]), float(error)), inverse[0] @ basis.T
         window *= 2
+    if left is not None:
+        best = best[0], max(best[1], float(np.sqrt(np.mean(np.convolve(left, weights[::-1], "valid") ** 2))))
     return best

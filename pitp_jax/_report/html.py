@@ -37,18 +37,18 @@ a{color:var(--model)}
 .card{background:var(--card);border-radius:.6rem;padding:.8rem 1rem}
 .big{font-size:1.45rem;font-weight:650;line-height:1.2;margin:.1rem 0 .35rem}
 ul{margin:.2rem 0;padding-left:1.1rem}
-.figures{columns:24rem 2;column-gap:2rem}
+.figures{columns:24rem 2;column-gap:2rem;margin-top:1.2rem}
 figure{margin:0 0 1.2rem;break-inside:avoid}figure svg{width:100%;max-width:27rem;height:auto;fill:var(--ink)}
 figcaption{font-size:.88rem;overflow-wrap:anywhere}
 table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums;width:100%}
 th,td{text-align:right;vertical-align:top;padding:.28rem .45rem;border-bottom:1px solid var(--rule)}
-th:first-child,td:first-child,.long{overflow-wrap:anywhere}
+th:first-child,td:first-child,.long{overflow-wrap:anywhere}td:first-child{min-width:8rem}
 th{color:var(--soft);font-weight:600}
 th:first-child,td:first-child,.left,.long{text-align:left}
 .long{min-width:8rem}
 @media(max-width:50rem){table,tbody,tr,td{display:block}
 thead{display:block}thead tr{border:0}th{display:inline-block;border:0;padding:.1rem .6rem .1rem 0}
-tr{padding:.5rem 0;border-bottom:1px solid var(--rule)}.long{min-width:0}
+tr{padding:.5rem 0;border-bottom:1px solid var(--rule)}.long,td:first-child{min-width:0}
 td,td.long,td.left{display:flex;justify-content:space-between;gap:1rem;text-align:right;border:0;padding:.08rem 0}
 td::before{content:attr(data-label);color:var(--soft);text-align:left;flex:none;max-width:45%}
 td:first-child{font-weight:650}}

@@ -62,7 +62,7 @@ def with_error(value: float, stderr: float | None, unit: str) -> str:
 
 def shown_unit(unit: str) -> str:
     """A unit as it is printed."""
-    return unit.replace("um", "µm")
+    return unit.replace("um", "µm").replace("^2", "²").replace("^3", "³")
 
 
 def _power(value: float) -> int:

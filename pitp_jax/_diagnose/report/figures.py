@@ -110,9 +110,10 @@ def _bars(diagnosis: Diagnosis) -> list[tuple]:
     """(label, share, interval, colour), the explanation first where it takes two effects."""
     rows, g = [], diagnosis.gap
     if len(diagnosis.effects) > 1 and g.closed_fraction is not None:
-        rows.append((" + ".join(diagnosis.effects), g.closed_fraction, g.ci95, PREDICTED))
+        rows.append(("all named", g.closed_fraction, g.ci95, PREDICTED))
+    best = {r.effect: r for r in reversed(diagnosis.ranking)}  # of two forms that share a name the better one
     for r in diagnosis.ranking:
-        if r.closed_fraction is None or not np.isfinite(r.closed_fraction):
+        if r is not best[r.effect] or r.closed_fraction is None or not np.isfinite(r.closed_fraction):
             continue
         color = TIED if r.effect in diagnosis.equivalent else MEASURED
         color = PREDICTED if r.effect in diagnosis.effects else color
@@ -169,8 +170,11 @@ def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
     key, factor = {
         "frequency": ("band_hz", 1.0), "time": ("part", 100.0)
     }.get(name, ("range", scale))  # fmt: skip
-    edges = [*(row[key][0] for row in table), table[-1][key][1]] if table else []
-    return [digits(factor * edge, 2) for edge in edges]
+    edges = factor * np.array([*(row[key][0] for row in table), table[-1][key][1]] if table else [])
+    step = float(np.ptp(edges)) / max(len(edges) - 1, 1)
+    # what rounding has left of 0 is 0; every second one where they would touch
+    texts = [digits(0.0 if abs(edge) < 0.02 * step else edge, 2) for edge in edges]
+    return [text if k % 2 == 0 or sum(map(len, texts)) < 30 else "" for k, text in enumerate(texts)]
 
 
 def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:

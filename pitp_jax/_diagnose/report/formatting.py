@@ -17,6 +17,7 @@ PLAIN = {"parameter_change": "the model's own numbers have moved"} | {
 }  # reversed: a name's first form speaks for it
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of what they are called here
 _COEFFICIENTS = ("stiffness", "damping", "inertia")
+_FACTOR = " over given"  # of a number of the nominal that was fitted anew
 _GATHERED, _OVER = 0.6, 2.0  # a share that counts as gathered, and how far it must exceed the time spent there
 
 
@@ -44,13 +45,19 @@ def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
         length_unit: the displacement's unit, of the user's files.
     """
     value, unit, error = number["value"], number["unit"], number["stderr"]
+    if name.endswith(_FACTOR):
+        stem = name.removesuffix(_FACTOR)
+        label = f"{_COEFFICIENTS[int(stem[2:])]} ({stem.replace('_', '')})" if stem in ("a_0", "a_1", "a_2") else stem
+        return label, f"× {with_error(value, error, '')}"
+    if name == "omega":  # of a mode: an angle's unit has no part in it
+        return "frequency", with_error(value / (2 * np.pi), error and error / (2 * np.pi), "Hz")
     if name in _LIMITS and value and "/" in unit:
         top, bottom = unit.split("/")
         unit = bottom if top == "1" else f"{bottom}/{top}"
         name, error, value = _LIMITS[name], error and error / value**2, 1 / value
     factor, unit = _handy(value, unit, length_unit)
     error = None if error is None else error * factor
-    return name, with_error(value * factor, error, "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³"))
+    return name, with_error(value * factor, error, "" if unit == "1" else shown_unit(unit))
 
 
 def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:

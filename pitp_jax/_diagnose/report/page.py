@@ -59,7 +59,7 @@ def _captions(d: Diagnosis) -> dict[str, str]:
         "shares": "Share of the model's error by recording (held-out ones darker), by the error's own frequency, and "
         "by part of a recording.",
         "force": "Share of the missing force (what the equation lacks along the measured motion) by displacement, "
-        "velocity and voltage.",
+        "velocity and input.",
         "ranking": f"Share of the {'held-out ' if d.heldout else ''}gap each effect closes by itself, with its 95 % "
         "interval: 100 % leaves only the model's own error. Blue: named; orange: tied with it.",
     }
