@@ -42,8 +42,8 @@ class Joint:
         delay: s, of the command.
         stop: the joint's range to either side, rad.
         play: dead band between the motor and the link that the encoder reads, rad.
-        tail: a second body on an elastic hinge: its inertia, kg m^2; tail_spring, tail_damper: N m/rad, N m s/rad of the
-            hinge; 0: those of 4 Hz and a damping ratio of 0.03.
+        tail: a second body on an elastic hinge: its inertia, kg m^2.
+        tail_spring, tail_damper: of its hinge, N m/rad, N m s/rad; 0: those of 4 Hz and a damping ratio of 0.03.
         cogging: amplitude of a torque sin(11 q), N m: outside the catalogue.
         sway: amplitude of a torque of its own clock, 0.83 Hz, N m: outside the catalogue.
     """
@@ -184,8 +184,9 @@ def misfit(robot: list[pitp.Record], other: list[pitp.Record]) -> float:
 TYPED = {  # what the table of numbers says, and where it is typed in
     "stiffness": "stiffness", "damping": "damping", "inertia": "armature", "coulomb_friction level": "friction",
     "softening weight": "gravity", "delay time": "delay", "backlash width": "play", "end_stop place": "stop",
-    "end_stop place, above": "stop", "end_stop place, below": "stop", "electrode_rc tau": "lag", "sensor_lag tau": "lag",
-    "voltage_clip inverse": "clip", "second_mode inertia": "tail", "second_mode spring": "tail_spring",
+    "end_stop place, above": "stop", "end_stop place, below": "stop", "electrode_rc tau": "lag",
+    "sensor_lag tau": "lag", "voltage_clip inverse": "clip", "second_mode inertia": "tail",
+    "second_mode spring": "tail_spring",
     "second_mode damper": "tail_damper",
 }  # fmt: skip
 
@@ -238,9 +239,9 @@ def main(argv=None) -> None:
               flush=True)  # fmt: skip
     done = [rows[n] for n in drawn if n in rows]
     closed = sorted(r["left"] for r in done if r["left"] is not None)
-    print(f"{sum(r['fits'] for r in done)} right, {sum(r['wrong'] for r in done)} wrong of {len(done)}; put back, of the"
-          f" gap left: median {100 * np.median(closed or [np.nan]):.0f} %, worst {100 * max(closed, default=np.nan):.0f} %"
-          f" of {len(closed)} named", flush=True)  # fmt: skip
+    middle, worst = 100 * np.median(closed or [np.nan]), 100 * max(closed, default=np.nan)
+    print(f"{sum(r['fits'] for r in done)} right, {sum(r['wrong'] for r in done)} wrong of {len(done)}")
+    print(f"put back, of the gap left: median {middle:.0f} %, worst {worst:.0f} % of {len(closed)} named", flush=True)
 
 
 if __name__ == "__main__":
