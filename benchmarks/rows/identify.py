@@ -40,7 +40,7 @@ def by_projection(record, near: np.ndarray) -> np.ndarray:
     structure = Structure(2)
     params, *_ = least_squares(logs_from_roots(np.roots((near * START)[::-1])), structure, problem)
     solved = solve(params, structure, problem)
-    return record.displacement - problem.scale * solved.left[0]
+    return record.displacement - problem.scale * solved.residuals[0]
 
 
 def by_scipy(record, near: np.ndarray) -> np.ndarray:

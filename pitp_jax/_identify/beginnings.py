@@ -114,7 +114,7 @@ class _Columns:
 
     def moves(self) -> bool:
         """Whether a first state explains half of what rest leaves: one cut at a turning point has no speed either."""
-        rest, moving = (min(np.linalg.norm(self.left(b, d)[0]) for d in (1.0, -1.0)) for b in ("rest", "moving"))
+        rest, moving = (min(np.linalg.norm(self.residual(b, d)[0]) for d in (1.0, -1.0)) for b in ("rest", "moving"))
         return bool(moving < 0.5 * rest)
 
     def score(self, begins: Begins, direction: float) -> float:

@@ -264,11 +264,12 @@ def _coloured(
     """
     apart = int(np.clip(1 / (30 * fit.natural_hz[0] * problem.dt), 1, 4))
     found = []
-    for record, b, left in zip(records, begun, solve(chosen.params, chosen.structure, problem).left, strict=True):
-        slow = noise_std(left[::apart]) > apart**0.25 * noise_std(left)  # white: 1, a random walk: sqrt(apart)
+    residuals = solve(chosen.params, chosen.structure, problem).residuals
+    for record, b, residual in zip(records, begun, residuals, strict=True):
+        slow = noise_std(residual[::apart]) > apart**0.25 * noise_std(residual)  # white: 1, a random walk: sqrt(apart)
         if slow and b.begins == "rest" and not b.free:
             alike = sum(other.group == b.group for other in begun)
-            error = rest_level(record, problem.scale * left)[1] / np.sqrt(alike)
+            error = rest_level(record, problem.scale * residual)[1] / np.sqrt(alike)
             b = replace(b, stderr=max(b.stderr, float(error)))
         found.append(b)
     return found
