@@ -15,7 +15,8 @@ from .._errors import BadInput, ComputationFailed
 from .._identify.beginnings import find_beginnings
 from .._identify.linear_ode import coast, logs_from_roots, respond
 from .._model.input_map import INPUT_MAPS
-from .._numerics.coloured_noise import block_means, project
+from .._numerics.coloured_noise import project
+from .._record.averaged import averaged
 from .._record.initial_state import Beginning, is_still, rest_level, standing_drive, starts_at_rest
 from .._record.preprocess import force_band
 from .._record.record import Record
@@ -148,14 +149,10 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
     dt, total = records[0].dt, sum(r.samples for r in records)
     fine = int(1 / (_PER_PERIOD * force_band(forces, dt) * dt))
     step = max(1, min(max(fine, -(-total // _MOST)), min(r.samples for r in records) // 64))
-    small = []
-    for r, force in zip(records, forces, strict=True):
-        y, seen = block_means(np.where(r.observed, r.displacement, 0.0), r.observed.astype(float), step)
-        f, _ = block_means(force, np.ones(len(force)), step)
-        f[0] = force[0]  # a drive that begins at 0 V is held there too, and at rest
-        time = r.time[0] + step * r.dt * np.arange(len(y))
-        small.append(Record(r.name, time, f, np.where(seen > 0, y, np.nan), source=r.source))
-    return step, small
+    small = [averaged(r, force, step) for r, force in zip(records, forces, strict=True)]
+    # a drive that begins at 0 V is held there too, and at rest
+    firsts = [np.append(force[:1], r.voltage[1:]) for r, force in zip(small, forces, strict=True)]
+    return step, [replace(r, voltage=voltage) for r, voltage in zip(small, firsts, strict=True)]
 
 
 def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:

@@ -24,22 +24,22 @@ def adapt(model, records, out, json_file, reading) -> None:
     """
     check_outputs(out, json_file, inputs=[model, *records])
     loaded, read_in = open_both(model, records, reading)
-    found = run_adaptation(loaded, read_in)
-    with staged(file=out, json_file=json_file, value=found.as_json()) as stage:
-        if found.model is loaded:
+    day = run_adaptation(loaded, read_in)
+    with staged(file=out, json_file=json_file, value=day.as_json()) as stage:
+        if day.model is loaded:
             with open(model, "rb") as given:
                 write_bytes_atomic(stage, given.read())
         else:
-            save(stage, found.model)
-    print_adaptation(found)
+            save(stage, day.model)
+    print_adaptation(day)
 
 
-def print_adaptation(found: Adaptation) -> None:
+def print_adaptation(day: Adaptation) -> None:
     """Verdict, numbers and errors on standard output."""
-    where = ", on the half of the recording not used for the fit" if found.heldout else ""
-    print(f"{found.verdict}: {number(found.before, 3)} % of range before, {number(found.after, 3)} % after{where}")
+    where = ", on the half of the recording not used for the fit" if day.heldout else ""
+    print(f"{day.verdict}: {number(day.before, 3)} % of range before, {number(day.after, 3)} % after{where}")
     rows = []
-    for name, c in found.changed.items():
+    for name, c in day.changed.items():
         now = ""
         if c.seconds is not None and c.seconds_ci95 is not None:
             low, high = (number(1e3 * end, 3) for end in c.seconds_ci95)
@@ -47,5 +47,5 @@ def print_adaptation(found: Adaptation) -> None:
         rows.append((name, number(c.factor, 4), " to ".join(number(end, 4) for end in c.ci95), now))
     if rows:
         print_table(("number", "factor", "95 % interval", ""), rows)
-    if found.advice:
-        print(found.advice)
+    if day.advice:
+        print(day.advice)

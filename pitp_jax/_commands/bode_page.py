@@ -15,42 +15,44 @@ from .._report.numbers import figure, with_error
 from .._table.units import base_unit
 
 
-def bode_page(found: Identification, name: str) -> str:
+def bode_page(fits: Identification, name: str) -> str:
     """A self-contained HTML page on the identification written to `name`."""
-    chosen = found.chosen
+    chosen = fits.chosen
     kind = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
     parts = [
         tag(
             "p",
-            f"Identification of {name} on {len(found.beginnings)} recording{'s'[: len(found.beginnings) != 1]}",
+            f"Identification of {name} on {len(fits.beginnings)} recording{'s'[: len(fits.beginnings) != 1]}",
             "soft",
         ),
         tag("h1", f"Order {chosen.order}, {kind}{delay}"),
-        *[tag("p", remark, "lead") for remark in (_why(found), *found.remarks)],
+        *[tag("p", remark, "lead") for remark in (_why(fits), *fits.remarks)],
         '<div class="figures">',
-        html.picture("bode", _bode(found), "Grey: measured, with two standard errors; lines: the models compared."),
-        html.picture("coherence", _coherence(found), "How much of the output the drive explains, linearly."),
+        html.picture("bode", _bode(fits), "Grey: measured, with two standard errors; lines: the models compared."),
+        html.picture("coherence", _coherence(fits), "How much of the output the drive explains, linearly."),
         html.picture(
-            "residuals", _residuals(found), "Grey: where all lags stay, in 95 % of cases, when nothing is left to find."
+            "residuals",
+            _residuals(fits),
+            "Grey: where all lags stay, in 95 % of cases, when nothing is left to find.",
         ),
         "</div>",
         tag("h2", "Orders compared"),
-        html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in found.orders], {}),
+        html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in fits.orders], {}),
         tag("h2", "Poles of the model"),
         html.table(("pole", "damping"), [("", row) for row in _poles(chosen)], {0: "left"}),
         tag("h2", "What the model leaves"),
-        tag("p", _leaves(found)),
+        tag("p", _leaves(fits)),
     ]
     return html.page(f"Order {chosen.order}", parts)
 
 
-def _why(found: Identification) -> str:
+def _why(fits: Identification) -> str:
     """Say in one sentence why this order."""
-    chosen, known = found.chosen, [o.order for o in found.orders if o.identifiable]
-    if len(found.orders) == 1:
+    chosen, known = fits.chosen, [o.order for o in fits.orders if o.identifiable]
+    if len(fits.orders) == 1:
         return f"Order {chosen.order} was asked for."
-    least = min(found.orders, key=lambda o: o.heldout)
+    least = min(fits.orders, key=lambda o: o.heldout)
     if least is chosen:
         return f"Order {chosen.order} leaves least on blocks of the recordings that it was not fitted to."
     if least.identifiable:
@@ -80,10 +82,10 @@ def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
     return fit.polarity * np.exp(-s * fit.delay) / np.polyval(fit.coefficients[::-1], s)
 
 
-def _bode(found: Identification) -> Figure:
+def _bode(fits: Identification) -> Figure:
     axes = own_axes(None, 2, (5.0, 5.2))
-    seen = found.response.coherent
-    hz, value, stderr = (v[seen] for v in (found.response.hz, found.response.value, found.response.stderr))
+    seen = fits.response.coherent
+    hz, value, stderr = (v[seen] for v in (fits.response.hz, fits.response.value, fits.response.stderr))
     if len(hz):
         grid = np.geomspace(hz.min(), hz.max(), 300)
         size = np.abs(value)
@@ -92,21 +94,21 @@ def _bode(found: Identification) -> Figure:
         )
         axes[0].loglog(hz, size, ".", ms=3, color=MEASURED, label="measured")
         axes[1].semilogx(hz, np.unwrap(np.angle(value)) * 180 / np.pi, ".", ms=3, color=MEASURED)
-        for fit, color in zip(found.orders, CYCLE, strict=False):
+        for fit, color in zip(fits.orders, CYCLE, strict=False):
             model = response_of(fit, grid)
-            width = 1.8 if fit is found.chosen else 0.8
+            width = 1.8 if fit is fits.chosen else 0.8
             axes[0].loglog(grid, np.abs(model), color=color, lw=width, label=f"order {fit.order}")
             axes[1].semilogx(grid, np.unwrap(np.angle(model)) * 180 / np.pi, color=color, lw=width)
-    known = found.model.origin
-    drive = base_unit(known.voltage_unit) + ("²" if found.model.input_map.one_sided else "")
+    known = fits.model.origin
+    drive = base_unit(known.voltage_unit) + ("²" if fits.model.input_map.one_sided else "")
     unit = f"{base_unit(known.displacement_unit)}/{drive}"
     finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"], 2)
     return axes[0].figure  # pyright: ignore[reportReturnType]
 
 
-def _leaves(found: Identification) -> str:
+def _leaves(fits: Identification) -> str:
     """Say in words what the residual tests show."""
-    tested = found.residuals
+    tested = fits.residuals
     own = "is white: no lag shows its own past" if tested.white else "is coloured: it follows from its own past"
     drive = (
         "the drive no longer shows in it"
@@ -116,8 +118,8 @@ def _leaves(found: Identification) -> str:
     return f"What is left {own}; {drive}."
 
 
-def _residuals(found: Identification) -> Figure:
-    axes, tested = own_axes(None, 2, (5.0, 3.6)), found.residuals
+def _residuals(fits: Identification) -> Figure:
+    axes, tested = own_axes(None, 2, (5.0, 3.6)), fits.residuals
     rows = ((tested.own, tested.own_band), (tested.drive, tested.drive_band))
     for ax, (correlation, band) in zip(axes, rows, strict=True):
         ax.axhspan(-band, band, color=MEASURED, alpha=0.4, lw=0)
@@ -127,8 +129,8 @@ def _residuals(found: Identification) -> Figure:
     return axes[0].figure  # pyright: ignore[reportReturnType]
 
 
-def _coherence(found: Identification) -> Figure:
+def _coherence(fits: Identification) -> Figure:
     ax = own_axes(None, 1, (5.0, 2.2))[0]
-    ax.semilogx(found.response.hz, found.response.coherence, ".", ms=3, color=MEASURED)
+    ax.semilogx(fits.response.hz, fits.response.coherence, ".", ms=3, color=MEASURED)
     finish(np.array([ax]), "frequency (Hz)", ["coherence"])
     return ax.figure  # pyright: ignore[reportReturnType]

@@ -37,19 +37,19 @@ def check(records, model, out, json_file, reading) -> None:
         say(line)
     for line in refused.values():
         say(f"warning: not read: {line}")
-    found = checked(read_in, loaded, refused)
-    files = {r.name: f"{r.name.lstrip('/')}.csv" for r in found.understood}
+    result = checked(read_in, loaded, refused)
+    files = {r.name: f"{r.name.lstrip('/')}.csv" for r in result.understood}
     check_outputs(json_file, folder=out, names=[*files.values(), PAGE, SOURCE], inputs=[*records, model])
-    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+    with staged(folder=out, json_file=json_file, value=result.as_json()) as stage:
         if out is not None:
-            _write(found, files, stage)
-    _print(found)
+            _write(result, files, stage)
+    _print(result)
     if out is not None:
         print(f"wrote {Path(out) / PAGE} and every record as it was understood")
 
 
-def _write(found: Check, files: dict[str, str], folder: Path) -> None:
-    for record in found.understood:
+def _write(result: Check, files: dict[str, str], folder: Path) -> None:
+    for record in result.understood:
         path = folder / files[record.name]
         path.parent.mkdir(parents=True, exist_ok=True)
         drive, output = (
@@ -58,23 +58,23 @@ def _write(found: Check, files: dict[str, str], folder: Path) -> None:
         )
         columns = {"time_s": record.time, drive: record.voltage, output: record.displacement}
         write_csv(path, columns)
-    write_text_atomic(folder / PAGE, page(found))
-    said = {os.path.basename(r.source): r.recognised["options"] for r in found.understood if "options" in r.recognised}
+    write_text_atomic(folder / PAGE, page(result))
+    said = {os.path.basename(r.source): r.recognised["options"] for r in result.understood if "options" in r.recognised}
     write_text_atomic(folder / SOURCE, folder_file(said))
 
 
-def _print(found: Check) -> None:
+def _print(result: Check) -> None:
     header = ("record", "drive", "band (Hz)", "begins", "zero", "+-", "unit", "dir", "noise", "missing", "outliers")
     rows = []
-    for name, row in found.records.items():
+    for name, row in result.records.items():
         band = "-" if row.band_hz is None else "-".join(dict.fromkeys(number(f, 3) for f in row.band_hz))
         counts = ("-" if n is None else str(n) for n in (row.missing, row.outliers))
         direction = "-" if row.direction is None else f"{row.direction:+d}"
         figures = (number(row.zero), number(row.zero_stderr, 2), row.unit or "-", direction, number(row.noise, 2))
         rows.append((name, row.excitation or "-", band, row.begins or "-", *figures, *counts))
     print_table(header, rows)
-    for name, lines in found.problems.items():
+    for name, lines in result.problems.items():
         for line in lines:
             print(f"{name}: {line}")
-    for line in found.advice:
+    for line in result.advice:
         print(f"- {line}")

@@ -31,11 +31,11 @@ def compare(a, b, out, json_file, reading) -> None:
         BadInput, ComputationFailed: with nothing written.
     """
     check_outputs(json_file, folder=out, names=[PAGE], inputs=[a, b])
-    found = run_compare(_opened(a, reading), _opened(b, reading), names=_names(a, b))
-    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+    comparison = run_compare(_opened(a, reading), _opened(b, reading), names=_names(a, b))
+    with staged(folder=out, json_file=json_file, value=comparison.as_json()) as stage:
         if out is not None:
-            _write(found, stage)
-    _print(found)
+            _write(comparison, stage)
+    _print(comparison)
     if out is not None:
         print(f"wrote {Path(out) / PAGE}")
 
@@ -53,12 +53,12 @@ def _opened(path: str, reading: dict):
 
 def _diagnosis(path: Path) -> dict:
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
         raise BadInput(f"{path}: is not JSON; give what `pitp diagnose --json` wrote") from None
-    if not isinstance(told, dict) or not {"verdict", "effects", "gap", "ranking"} <= told.keys():
+    if not isinstance(content, dict) or not {"verdict", "effects", "gap", "ranking"} <= content.keys():
         raise BadInput(f"{path}: is not the JSON of a diagnosis; give what `pitp diagnose --json` wrote")
-    return told
+    return content
 
 
 def _names(a: str, b: str) -> tuple[str, str]:
@@ -67,20 +67,20 @@ def _names(a: str, b: str) -> tuple[str, str]:
     return short if short[0] != short[1] and all(short) else (a, b)
 
 
-def _write(found: Comparison, folder: Path) -> None:
-    write_text_atomic(folder / PAGE, page(found))
-    for name, (drawn, columns) in figures(found).items():
+def _write(comparison: Comparison, folder: Path) -> None:
+    write_text_atomic(folder / PAGE, page(comparison))
+    for name, (drawn, columns) in figures(comparison).items():
         write_figure(folder, name, drawn, columns)
 
 
-def _print(found: Comparison) -> None:
-    print(found.headline())
-    for line in found.remarks:
+def _print(comparison: Comparison) -> None:
+    print(comparison.headline())
+    for line in comparison.remarks:
         print(line)
-    rows = [r for r in found.rows if r.differs is not False]
+    rows = [r for r in comparison.rows if r.differs is not False]
     if rows:
         cells = [(r.what, _cell(r.a), _cell(r.b), r.unit, _interval(r), _words(r)) for r in rows]
-        print_table(("quantity", *found.names, "unit", "difference, 95 %", "differs"), cells)
+        print_table(("quantity", *comparison.names, "unit", "difference, 95 %", "differs"), cells)
 
 
 def _cell(value: float | str | None) -> str:

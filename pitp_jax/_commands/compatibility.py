@@ -21,7 +21,7 @@ def check_kind(model: Fitted, path: str, unit: str, source: str) -> None:
         raise BadInput(f"{source}: output in {unit}, but {path} predicts {own}; choose the column with --output-column")
 
 
-def check_suits(model: Fitted, path: str, records: Sequence[Record]) -> None:
+def check_belongs(model: Fitted, path: str, records: Sequence[Record]) -> None:
     """Refuse records of another kind of output; warn about another sampling rate.
 
     Raises:

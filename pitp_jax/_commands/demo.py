@@ -27,10 +27,10 @@ def demo(plant, out, quick, json_file=None) -> None:
         return
     check_outputs(json_file, folder=out, names=files.FILES)
     _check_recordings(Path(out), files.recordings(plant, quick))
-    found = run(plant, quick=quick, say=say, progress=ProgressBar().update)
-    made = tables(found)
+    played = run(plant, quick=quick, say=say, progress=ProgressBar().update)
+    made = tables(played)
     with staged(folder=out, json_file=json_file, value={"tables": [asdict(table) for table in made]}) as stage:
-        files.write(found, stage)
+        files.write(played, stage)
     for table in made:
         print(table.title)
         rows = [[cell if isinstance(cell, str) else number(cell, 3) for cell in row] for row in table.rows]

@@ -61,23 +61,23 @@ def diagnose(
         model, read_in = open_both(nominal, records, reading)
         warn(read_in)
         say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
-        found = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal, **options)
-        augmented = descended(found.model, "diagnose", read_in, model)
+        diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal, **options)
+        augmented = descended(diagnosis.model, "diagnose", read_in, model)
     else:
         read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
         warn(read_in)
-        found = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
-        robot, augmented = found.robot, with_lineage(found)
+        diagnosis = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
+        robot, augmented = diagnosis.robot, with_lineage(diagnosis)
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
     written: set[str] = set()
-    with staged(folder=out, json_file=json_file, value=found.as_json(csv)) as stage:
+    with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
         if out is not None:
-            _write(found, stage, read_in[0].voltage_unit)
-            write_json(stage / JSON, found.as_json(csv))
+            _write(diagnosis, stage, read_in[0].voltage_unit)
+            write_json(stage / JSON, diagnosis.as_json(csv))
             save(stage / MODEL, augmented)
             written = {path.relative_to(stage).as_posix() for path in stage.rglob("*")}
-    _print(found)
+    _print(diagnosis)
     if out is not None:
         _tidy(Path(out), written)
         added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
@@ -103,15 +103,15 @@ def _tidy(folder: Path, written: set[str]) -> None:
         print(f"removed from {folder}, of an earlier diagnosis: {', '.join(old)}")
 
 
-def _write(found: Diagnosis | SimToReal, folder: Path, input_unit: str) -> None:
+def _write(diagnosis: Diagnosis | SimToReal, folder: Path, input_unit: str) -> None:
     """The pages, their figures and the next experiment into an existing folder."""
-    robot = found.robot if isinstance(found, SimToReal) else found
-    write_text_atomic(folder / (REPORT if robot is found else ROBOT), report(robot))
+    robot = diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
+    write_text_atomic(folder / (REPORT if robot is diagnosis else ROBOT), report(robot))
     for name, drawn in figures(robot).items():
         write_figure(folder, name, drawn)
-    if isinstance(found, SimToReal):
-        write_text_atomic(folder / REPORT, page(found))
-        for name, (drawn, columns, _) in figures_beside(found).items():
+    if isinstance(diagnosis, SimToReal):
+        write_text_atomic(folder / REPORT, page(diagnosis))
+        for name, (drawn, columns, _) in figures_beside(diagnosis).items():
             write_figure(folder, name, drawn, columns)
     if robot.next_experiment is not None:
         unit = "V" if input_unit.endswith("V") else input_unit
@@ -119,31 +119,31 @@ def _write(found: Diagnosis | SimToReal, folder: Path, input_unit: str) -> None:
         write_csv(folder / NEXT_CSV, {"time_s": robot.next_experiment.time, column_name("voltage", unit): drive})
 
 
-def _print(found: Diagnosis | SimToReal) -> None:
+def _print(diagnosis: Diagnosis | SimToReal) -> None:
     """The verdict, then the candidates, or the numbers to type into a simulator, clocks and partners."""
-    if not isinstance(found, SimToReal):
-        print(found)
-        _print_ranking(found)
+    if not isinstance(diagnosis, SimToReal):
+        print(diagnosis)
+        _print_ranking(diagnosis)
         return
-    print(found.robot)
+    print(diagnosis.robot)
     rows = [
         (p.words, number(p.simulator), number(p.robot), number(p.difference), number(p.stderr, 2), p.unit, p.mujoco)
-        for p in found.parameters
+        for p in diagnosis.parameters
     ]
     print_table(("quantity", "simulator", "robot", "difference", "+-", "unit", "MuJoCo"), rows)
-    for line in found.pairs.remarks("robot", "simulator"):
+    for line in diagnosis.pairs.remarks("robot", "simulator"):
         print(line)
 
 
-def _print_ranking(found: Diagnosis) -> None:
+def _print_ranking(diagnosis: Diagnosis) -> None:
     """The best candidates, the effects named marked *, those tied with the first =."""
     rows = []
-    for r in found.ranking[:_ROWS]:
-        mark = " *" if r.effect in found.effects else " =" if r.effect in found.equivalent else ""
+    for r in diagnosis.ranking[:_ROWS]:
+        mark = " *" if r.effect in diagnosis.effects else " =" if r.effect in diagnosis.equivalent else ""
         ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)
         closed = None if r.closed_fraction is None else 100 * r.closed_fraction
         rows.append((f"{r.effect}{mark}", r.form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
     print_table(("effect", "form", "fitted (%)", "held out (%)", "closed (%)", "95 % interval"), rows)
-    left = len(found.ranking) - len(rows)
-    if left > 0:
-        print(f"and {left} more, which --json and the report list")
+    more = len(diagnosis.ranking) - len(rows)
+    if more > 0:
+        print(f"and {more} more, which --json and the report list")

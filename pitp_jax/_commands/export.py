@@ -47,8 +47,8 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
     gains = pi_gains(loaded, 1 / rate, time_constant) if to == "c" else None
     if gains is not None:
         print(f"PI on the force: {loop_text(gains)}")
-    told = {"to": to, "folder": str(out), "name": name, "rate_hz": rate, "rate_costs_e_rms_percent": cost}
-    write_json(json_file, told | {"pi": None if gains is None else asdict(gains)})
+    summary = {"to": to, "folder": str(out), "name": name, "rate_hz": rate, "rate_costs_e_rms_percent": cost}
+    write_json(json_file, summary | {"pi": None if gains is None else asdict(gains)})
     if cost is not None:
         own = number(1 / loaded.dt)
         print(f"at this rate instead of the model's {own} Hz it predicts {number(cost, 2)} % of range off (e_rms)")

@@ -17,9 +17,9 @@ from .._simulate.prediction import predict
 from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.settings import preset_of
 from .._train.training import train
-from .compatibility import check_suits
+from .compatibility import check_belongs
 from .console import ProgressBar, number, say
-from .fit_errors import errors_told, print_errors, suspects
+from .fit_errors import errors_json, print_errors, suspects
 from .outputs import REPORT, check_outputs, staged, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
@@ -60,7 +60,7 @@ def fit(
     given = start
     if start is None:
         start = identified(read_in)
-    check_suits(start, nominal or "the identified model", read_in)
+    check_belongs(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}
     done = train(start, read_in, **how, progress=ProgressBar().update)
@@ -69,13 +69,13 @@ def fit(
         _report(done.model, read_in, report, out)
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
-    told = describe(done.model)
+    summary = describe(done.model)
     seconds, names = number(done.notes.get("seconds"), 3), done.notes.get("records", [r.name for r in read_in])
-    print(f"trained a model of order {told['order']} on {listed(names)} in {seconds} s")
+    print(f"trained a model of order {summary['order']} on {listed(names)} in {seconds} s")
     for line in done.notes.get("left_out", ()):
         print(line)
     print_history(done.history)
-    for effect in told["effects"]:
+    for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
     held_out = ()
     if cross_validate:
@@ -84,8 +84,8 @@ def fit(
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
-    told = {**errors_told(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback}
-    write_json(json_file, told)
+    summary = {**errors_json(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback}
+    write_json(json_file, summary)
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
 
 
@@ -116,6 +116,6 @@ def _identified(records, order, input_map) -> Fitted:
         say(f"identifying on the sweeps among {len(records)} records: {listed([r.name for r in sweeps])}")
     else:
         say(f"no record is a sweep: identifying on all, {listed([r.name for r in records])}")
-    found = identify(sweeps or records, order=order, input_map=input_map, progress=say)
-    say(f"identified order {found.model.order}")
-    return found.model
+    identified = identify(sweeps or records, order=order, input_map=input_map, progress=say)
+    say(f"identified order {identified.model.order}")
+    return identified.model

@@ -27,7 +27,7 @@ def suspects(held_out: Sequence[HeldOut]) -> list[str]:
     ]
 
 
-def errors_told(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> dict:
+def errors_json(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> dict:
     """The same for machines."""
     predicted = {h.name: {"left_out_e_rms_percent": h.predicted, "problem": h.problem or None} for h in held_out}
     rows = {

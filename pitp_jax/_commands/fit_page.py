@@ -133,8 +133,8 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
     pairs = sum(float(e[1:] @ e[:-1]) for e in errors)
     kept = max((1 - pairs / (error @ error)) / (1 + pairs / (error @ error)), 1 / len(error))
     scatter = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * np.mean(error**2) / kept
-    found = sorted(zip(np.exp(np.asarray(memory.log_tau, float)), np.sqrt(np.diag(scatter)), strict=True))
-    return [with_error(t, t * e, "s") if e < _KNOWN else f"{figure(t, 2)} s, not determined" for t, e in found]
+    times = sorted(zip(np.exp(np.asarray(memory.log_tau, float)), np.sqrt(np.diag(scatter)), strict=True))
+    return [with_error(t, t * e, "s") if e < _KNOWN else f"{figure(t, 2)} s, not determined" for t, e in times]
 
 
 def _run(record: Record, run: Prediction) -> Figure:

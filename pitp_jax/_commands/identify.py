@@ -35,44 +35,51 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     read_in = read_records(records, reading, square=input_map == "square")
     warn(read_in)
     apart = read_records(validate, reading, square=input_map == "square") if validate else []
-    found = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
-    told = describe(found.model)
-    scores = {r.name: score(r, p) for r, p in zip(apart, predict(found.model, apart), strict=True)} if apart else {}
-    orders, beginnings = [vars(fit) for fit in found.orders], {name: vars(b) for name, b in found.beginnings.items()}
-    value = {**told, "orders": orders, "rest": found.rest, "beginnings": beginnings,
-             "remarks": list(found.remarks), "validation": scores}  # fmt: skip
+    identified = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
+    summary = describe(identified.model)
+    scores = (
+        {r.name: score(r, p) for r, p in zip(apart, predict(identified.model, apart), strict=True)} if apart else {}
+    )
+    orders, beginnings = (
+        [vars(fit) for fit in identified.orders],
+        {name: vars(b) for name, b in identified.beginnings.items()},
+    )
+    value = {**summary, "orders": orders, "rest": identified.rest, "beginnings": beginnings,
+             "remarks": list(identified.remarks), "validation": scores}  # fmt: skip
     with staged(file=out, json_file=json_file, value=value) as stage:
-        save(stage, found.model)
+        save(stage, identified.model)
     if report is not None:
         from .bode_page import bode_page  # with it comes matplotlib: half a second
 
         with staged(folder=report) as stage:
-            write_text_atomic(stage / REPORT, bode_page(found, out))
+            write_text_atomic(stage / REPORT, bode_page(identified, out))
     unit = read_in[0].displacement_unit
-    print_orders(found, unit)
-    print_model(told)
-    if found.chosen.delay:
-        print(f"delay: {number(1e3 * found.chosen.delay, 3)} +- {number(1e3 * found.chosen.delay_stderr, 2)} ms")
-    print_beginnings(found.beginnings, unit)
-    for remark in found.remarks:
+    print_orders(identified, unit)
+    print_model(summary)
+    if identified.chosen.delay:
+        print(
+            f"delay: {number(1e3 * identified.chosen.delay, 3)} +- {number(1e3 * identified.chosen.delay_stderr, 2)} ms"
+        )
+    print_beginnings(identified.beginnings, unit)
+    for remark in identified.remarks:
         print(remark)
     if scores:
         rows = [(name, number(s["e_rms_percent"], 3), number(s["nrmse_percent"], 3)) for name, s in scores.items()]
         print_table(("validated on", "e_rms (% of range)", "nrmse (% of std)"), rows)
 
 
-def print_orders(found: Identification, unit: str) -> None:
+def print_orders(identified: Identification, unit: str) -> None:
     """The compared orders, the chosen one marked."""
     rows = [
         (
-            f"{fit.order}{' *' if fit.order == found.chosen.order else ''}",
+            f"{fit.order}{' *' if fit.order == identified.chosen.order else ''}",
             number(from_base(fit.mae, unit)),
             number(from_base(fit.rms, unit)),
             number(fit.heldout, 3),
             ", ".join(number(f, 3) for f in fit.natural_hz),
             "yes" if fit.identifiable else "no",
         )
-        for fit in found.orders
+        for fit in identified.orders
     ]
     print_table(
         ("order", f"mae ({unit})", f"rms ({unit})", "held out (% of std)", "natural (Hz)", "identifiable"), rows

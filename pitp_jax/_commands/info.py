@@ -23,10 +23,10 @@ def info(model, others, json_file) -> None:
     if others:
         raise BadInput(f"info describes one model; to see what differs: pitp compare {model} {others[0]}")
     check_outputs(json_file, inputs=[model])
-    told = traced(load(model))
-    write_json(json_file, told)
-    print_model(told)
-    print_lineage(told)
+    summary = traced(load(model))
+    write_json(json_file, summary)
+    print_model(summary)
+    print_lineage(summary)
 
 
 def traced(model: Fitted) -> dict:
@@ -40,13 +40,13 @@ def traced(model: Fitted) -> dict:
     }
 
 
-def print_lineage(told: dict) -> None:
+def print_lineage(summary: dict) -> None:
     """Every step with the sums of what it saw."""
-    for entry in told["adapted"]:
+    for entry in summary["adapted"]:
         for name, c in entry["changed"].items():
             print(f"adapted: {name} times {number(c['factor'])} ({' to '.join(map(number, c['ci95']))})")
-    print(f"this model: sha256 {told['digest']}")
-    for entry in told["lineage"]:
+    print(f"this model: sha256 {summary['digest']}")
+    for entry in summary["lineage"]:
         versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())
         parent = f" from {entry['parent']}" if entry.get("parent") else ""
         print(f"{entry.get('step', '?')}{parent} with {versions}")

@@ -52,40 +52,42 @@ def invert(
         if wanted.displacement_unit in ("V", "mV"):
             raise BadInput(f"{target}: --max-displacement is in mm, and this output is in {wanted.displacement_unit}")
         limits["max_displacement"] = 1e-3 * max_displacement
-    found = at_faster_rate(feedforward(loaded, at_slower_rate(wanted, rate), **limits), rate)
-    for warning in found.warnings:
+    planned = at_faster_rate(feedforward(loaded, at_slower_rate(wanted, rate), **limits), rate)
+    for warning in planned.warnings:
         say(f"warning: {' '.join(warning.split())}")
     result = {
-        "samples": len(found.time),
-        "infeasible": int(found.infeasible.sum()),
-        "saturated": int(found.saturated.sum()),
-        "target_start_s": float(found.time[np.flatnonzero(found.target)[0]] - found.time[0]),
-        "target_end_s": float(found.time[np.flatnonzero(found.target)[-1]] - found.time[0]),
-        "outside_training_share": float(found.outside_training_share),
-        "self_check_e_rms_percent": float(found.self_check_e_rms_percent),
+        "samples": len(planned.time),
+        "infeasible": int(planned.infeasible.sum()),
+        "saturated": int(planned.saturated.sum()),
+        "target_start_s": float(planned.time[np.flatnonzero(planned.target)[0]] - planned.time[0]),
+        "target_end_s": float(planned.time[np.flatnonzero(planned.target)[-1]] - planned.time[0]),
+        "outside_training_share": float(planned.outside_training_share),
+        "self_check_e_rms_percent": float(planned.self_check_e_rms_percent),
     }
     columns = {
-        "time_s": found.time - found.time[0],
-        f"voltage_{unit}": found.voltage * (_UNITS[unit] / input_scale),
-        f"target_{length}": from_base(found.wanted, length),
-        "infeasible": found.infeasible,
-        "saturated": found.saturated,
+        "time_s": planned.time - planned.time[0],
+        f"voltage_{unit}": planned.voltage * (_UNITS[unit] / input_scale),
+        f"target_{length}": from_base(planned.wanted, length),
+        "infeasible": planned.infeasible,
+        "saturated": planned.saturated,
     }
     with staged(file=out, json_file=json_file, value=result) as stage:
         write_csv(stage, columns)
-    _summarise(found, out, input_scale)
+    _summarise(planned, out, input_scale)
 
 
-def _summarise(found: Feedforward, out: str, input_scale: float) -> None:
-    low, high = float(found.voltage.min()), float(found.voltage.max())
+def _summarise(planned: Feedforward, out: str, input_scale: float) -> None:
+    low, high = float(planned.voltage.min()), float(planned.voltage.max())
     scaled = "" if input_scale == 1 else f" (divided by {number(input_scale)} in the file)"
-    print(f"{len(found.time)} samples of voltage, {number(low)} to {number(high)} V{scaled}, in {out}")
-    own = float(found.time[np.argmax(found.target)])
-    print(f"its clock starts at 0; the target begins at {own - found.time[0]:.6g} s there, at {own:.6g} s of its own")
-    print(f"infeasible {int(found.infeasible.sum())}, saturated {int(found.saturated.sum())} samples")
-    if found.self_check_e_rms_percent >= _ROUNDING:  # below, it says that the inversion inverts, not how far it tracks
+    print(f"{len(planned.time)} samples of voltage, {number(low)} to {number(high)} V{scaled}, in {out}")
+    own = float(planned.time[np.argmax(planned.target)])
+    print(f"its clock starts at 0; the target begins at {own - planned.time[0]:.6g} s there, at {own:.6g} s of its own")
+    print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
+    if (
+        planned.self_check_e_rms_percent >= _ROUNDING
+    ):  # below, it says that the inversion inverts, not how far it tracks
         print(
             f"self-check (the model's own rollout, not a prediction of tracking): e_rms "
-            f"{number(float(found.self_check_e_rms_percent), 3)} %, by eq. 13 cut at the limits "
-            f"{number(float(found.equation_e_rms_percent), 3)} %"
+            f"{number(float(planned.self_check_e_rms_percent), 3)} %, by eq. 13 cut at the limits "
+            f"{number(float(planned.equation_e_rms_percent), 3)} %"
         )

@@ -10,7 +10,7 @@ from .._plan.planning import REACHED, Plan
 from .._plan.planning import plan as make_plan
 from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
-from .compatibility import check_suits
+from .compatibility import check_belongs
 from .console import number, print_table
 from .outputs import check_outputs, staged, write_json
 from .recordings import is_square, read_records
@@ -42,34 +42,34 @@ def plan(paths, out, choose_from, max_displacement, band, reading, json_file=Non
     others = read(choose_from, **reading) if choose_from else ()
     for taken in (read_in, others):
         if taken and model is not None:
-            check_suits(model, str(given), taken)
-    found = make_plan(
+            check_belongs(model, str(given), taken)
+    planned = make_plan(
         model, read_in, choose_from=others, band=band and tuple(band),
         max_displacement=None if max_displacement is None else 1e-3 * max_displacement, **limits,
     )  # fmt: skip
-    files = [f"{r.name.replace('/', '_')}.csv" for r in found.recordings]
+    files = [f"{r.name.replace('/', '_')}.csv" for r in planned.recordings]
     check_outputs(json_file, folder=out, names=[PAGE, JSON, *files], inputs=[*paths, choose_from])
-    told = found.as_json() | {"files": files}
-    with staged(folder=out, json_file=json_file, value=told) as stage:
-        for file, r in zip(files, found.recordings, strict=True):
+    summary = planned.as_json() | {"files": files}
+    with staged(folder=out, json_file=json_file, value=summary) as stage:
+        for file, r in zip(files, planned.recordings, strict=True):
             write_csv(stage / file, {"time_s": r.time, "voltage_V": r.voltage})
-        write_text_atomic(stage / PAGE, page(found, given or ""))
-        write_json(stage / JSON, told)
-    _print(found, given is not None)
+        write_text_atomic(stage / PAGE, page(planned, given or ""))
+        write_json(stage / JSON, summary)
+    _print(planned, given is not None)
     print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
 
 
-def _print(found: Plan, modelled: bool) -> None:
-    print(headline(found, modelled))
+def _print(planned: Plan, modelled: bool) -> None:
+    print(headline(planned, modelled))
     rows = [
         (r.name, number(r.seconds), number(float(np.abs(r.voltage).max())), number(r.slew), number(1e3 * r.stroke, 3),
          number(1e3 * r.stroke_half_damped, 3), "" if np.isinf(r.go_on) else number(1e3 * r.go_on, 3), r.purpose)
-        for r in found.recordings
+        for r in planned.recordings
     ]  # fmt: skip
     if rows:
         strokes = ("stroke (mm)", "with half the damping", "play if the stroke is below")
         print_table(("recording", "seconds", "max |V|", "max V/s", *strokes, "what it is for"), rows)
-    if any(np.isfinite(r.go_on) for r in found.recordings):
+    if any(np.isfinite(r.go_on) for r in planned.recordings):
         print(REACHED)
-    for note in found.notes:
+    for note in planned.notes:
         print(f"note: {note}")

@@ -121,12 +121,12 @@ def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> di
     A zero may be off by 4 standard errors and 0.2 % of the record's range; one that was not read says nothing.
     """
     known = [p.zero for p in predictions if math.isfinite(p.zero_stderr)]
-    middle, found = float(np.median(known)) if known else 0.0, {}
+    middle, begun = float(np.median(known)) if known else 0.0, {}
     for record, p in zip(records, predictions, strict=True):
         may = 4 * p.zero_stderr + 0.002 * record.span
         apart = math.isfinite(may) and abs(p.zero - middle) > may
-        found[p.name] = Beginning(p.begins, p.direction, p.zero, p.zero_stderr, int(apart))
-    return found
+        begun[p.name] = Beginning(p.begins, p.direction, p.zero, p.zero_stderr, int(apart))
+    return begun
 
 
 def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:

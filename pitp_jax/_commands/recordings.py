@@ -9,7 +9,7 @@ from .._record.plausible import monitor_warning
 from .._record.reading import read
 from .._record.record import Record
 from .._record.remarks import Remark, by_kind
-from .compatibility import check_suits
+from .compatibility import check_belongs
 from .console import say
 
 
@@ -46,7 +46,7 @@ def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted
     """
     loaded = load(model)
     read_in = read_records(records, reading, square=is_square(loaded))
-    check_suits(loaded, model, read_in)
+    check_belongs(loaded, model, read_in)
     return loaded, read_in
 
 

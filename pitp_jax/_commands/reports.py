@@ -8,30 +8,30 @@ from .._table.units import from_base
 from .console import number, print_table
 
 
-def print_model(told: dict) -> None:
+def print_model(summary: dict) -> None:
     """The description of a model on standard output."""
-    print(f"{told['kind']} model of order {told['order']}, input map {told['input_map']}")
-    for effect in told["effects"]:
+    print(f"{summary['kind']} model of order {summary['order']}, input map {summary['input_map']}")
+    for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
-    rows = zip(told["coefficients"], told["coefficients_stderr"], told["coefficients_unit"], strict=True)
+    rows = zip(summary["coefficients"], summary["coefficients_stderr"], summary["coefficients_unit"], strict=True)
     table = [(f"a{i}", number(a, 6), number(e, 2), unit) for i, (a, e, unit) in enumerate(rows)]
     print_table(("coefficient", "value", "std. error", "unit"), table)
-    for mode in told["modes"]:
+    for mode in summary["modes"]:
         kind = "mode" if mode["oscillates"] else "real pole"
         print(f"{kind} at {number(mode['natural_hz'])} Hz, damping {number(mode['damping'], 3)}")
-    low, high = told["voltage_range"]
-    print(f"hold {told['hold']}, {told['substeps']} RK4 step(s) per sample of {number(told['dt'])} s")
-    reversed_ = ", against the motion" if told["polarity"] < 0 else ""
-    print(f"at 0 V the sensor reads {number(told['offset'])} {told['output_unit']}{reversed_}")
-    print(f"voltage seen: {number(low)} to {number(high)} V, up to {number(told['max_slew'])} V/s")
-    if told["identified_on"]:
-        print(f"identified on {listed(told['identified_on'])}")
-    if told["training"]:
-        _print_training(told)
+    low, high = summary["voltage_range"]
+    print(f"hold {summary['hold']}, {summary['substeps']} RK4 step(s) per sample of {number(summary['dt'])} s")
+    reversed_ = ", against the motion" if summary["polarity"] < 0 else ""
+    print(f"at 0 V the sensor reads {number(summary['offset'])} {summary['output_unit']}{reversed_}")
+    print(f"voltage seen: {number(low)} to {number(high)} V, up to {number(summary['max_slew'])} V/s")
+    if summary["identified_on"]:
+        print(f"identified on {listed(summary['identified_on'])}")
+    if summary["training"]:
+        _print_training(summary)
 
 
-def _print_training(told: dict) -> None:
-    training = told["training"]
+def _print_training(summary: dict) -> None:
+    training = summary["training"]
     cut = ", interrupted" if training.get("interrupted") else ""
     long = training.get("creep_held_to_s")
     held = f", creep also fitted to {number(long, 3)} s of the nominal's own record" if long else ""
@@ -39,8 +39,8 @@ def _print_training(told: dict) -> None:
     mass = f", and a second mass at {number(hertz, 3)} Hz" if hertz else ""
     print(
         f"trained on {listed(training.get('records', []))} ({training.get('samples', '?')} samples) in "
-        f"{number(training.get('seconds'), 3)} s{cut}{held}; encoder {told['encoder']}, "
-        f"{told['memory_states']} memory states{mass}"
+        f"{number(training.get('seconds'), 3)} s{cut}{held}; encoder {summary['encoder']}, "
+        f"{summary['memory_states']} memory states{mass}"
     )
     print_history(training.get("history", []))
 

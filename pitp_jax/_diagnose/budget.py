@@ -20,13 +20,13 @@ class Budget:
     began: float = field(default_factory=time.monotonic)
 
     @property
-    def left(self) -> float:
+    def remaining(self) -> float:
         """Seconds, below zero where it ran over."""
         return self.seconds - (time.monotonic() - self.began)
 
     def allows(self, what: str, needed: float = 0.0) -> bool:
         """Whether so many seconds are left for `what`, which else is noted as not tried."""
-        if self.left > needed:
+        if self.remaining > needed:
             return True
         self.skipped += [what] if what not in self.skipped else []
         return False

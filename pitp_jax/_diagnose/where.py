@@ -136,10 +136,13 @@ def _frequency(seen: Seen, errors) -> list[dict]:
         # white noise, in the density of a one-sided spectrum
         floor = 2 * s.noise**2
         energy = energy + np.histogram(frequency, edges, weights=(power - floor) / (len(e) * s.span**2))[0]
-    return [
-        {"band_hz": [float(a), float(b)], "share": float(v)}
-        for a, b, v in zip(edges[:-1], edges[1:], _shares(energy), strict=True)
-    ]
+    return _binned("band_hz", edges, energy)
+
+
+def _binned(key: str, edges: np.ndarray, energy) -> list[dict]:
+    """Bins between edges, each with its share of the energy."""
+    rows = zip(edges[:-1], edges[1:], _shares(energy), strict=True)
+    return [{key: [float(a), float(b)], "share": float(v)} for a, b, v in rows]
 
 
 def _harmonics(seen: Seen, errors) -> dict:
@@ -179,7 +182,7 @@ def _time(seen: Seen, errors) -> list[dict]:
     for s, e in zip(seen.motions, errors, strict=True):
         parts = np.array_split(s.weight * (e**2 - s.noise**2), _BINS)
         energy += [p.sum() for p in parts]
-    return [{"part": [k / _BINS, (k + 1) / _BINS], "share": float(v)} for k, v in enumerate(_shares(energy))]
+    return _binned("part", np.arange(_BINS + 1) / _BINS, energy)
 
 
 def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
@@ -193,10 +196,7 @@ def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
     for m, v in zip(seen.motions, values, strict=True):
         inside = np.clip(v, low, high)
         energy += np.histogram(inside, edges, weights=(m.weight > 0) * (m.force**2 - quiet) / len(v))[0]
-    return [
-        {"range": [float(a * scale), float(b * scale)], "share": float(v)}
-        for a, b, v in zip(edges[:-1], edges[1:], _shares(energy), strict=True)
-    ]
+    return _binned("range", edges * scale, energy)
 
 
 def _cells(seen: Seen, quiet: float) -> list[dict]:

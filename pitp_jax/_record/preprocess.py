@@ -21,7 +21,7 @@ from .._errors import BadInput
 from .derivative import DIFFERENCES, MIN_LENGTH
 from .record import Record
 
-ENERGY_SHARE = 0.99
+ENERGY_FRACTION = 0.99
 BUTTERWORTH_ORDER = 4
 # Samples within 12 / (2 pi f_c) of an end are left out. For motion that fills the band, the rest is within
 # 1 % of the RMS of x''' (0.02 % of x); a sine far below f_c keeps some per cent of its small x'''.
@@ -52,7 +52,7 @@ class StateRecord:
     dt: float
 
 
-def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_SHARE) -> float:
+def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FRACTION) -> float:
     """Frequency in Hz below which a share of the force's energy about its mean lies, pooled over records.
 
     Args:

@@ -177,12 +177,12 @@ def _clipped_at(record: Record, limits: set[float]) -> Record:
     count, seen = int(bad.sum()), record.recognised
     note = f"{from_base(value, record.displacement_unit):.4g} {record.displacement_unit}, as others of the set"
     remark = Remark("clipped", record.name, count, note)
-    told = {
+    changes = {
         "clipped": seen["clipped"] + count,
         "remarks": [*seen["remarks"], f"{record.name}: {remark}"],
         "findings": [*seen["findings"], remark],
     }
-    return replace(record, displacement=np.where(bad, np.nan, record.displacement), recognised={**seen, **told})
+    return replace(record, displacement=np.where(bad, np.nan, record.displacement), recognised={**seen, **changes})
 
 
 def _unique(records: list[Record]) -> list[Record]:

@@ -56,11 +56,11 @@ def describe(model: Fitted) -> dict:
 
 def _described(model: Fitted, effect) -> dict:
     """Name, form and numbers in physical units."""
-    told = {p.name: physical(model, p, float(v)) for p, v in effect.numbers()}
+    numbers = {p.name: physical(model, p, float(v)) for p, v in effect.numbers()}
     return {
         "effect": effect.name,
         "form": effect.form,
-        "parameters": {name: {"value": value, "unit": unit} for name, (value, unit) in told.items()},
+        "parameters": {name: {"value": value, "unit": unit} for name, (value, unit) in numbers.items()},
     }
 
 

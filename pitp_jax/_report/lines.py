@@ -41,8 +41,8 @@ def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     neighbours is a ripple within an oscillation.
     """
     edges = _edges(values, bins)
-    troughs, found = scipy.signal.find_peaks(-values, prominence=0)
-    depth = found["prominences"]
+    troughs, peaks = scipy.signal.find_peaks(-values, prominence=0)
+    depth = peaks["prominences"]
     troughs = troughs[depth >= 0.5 * scipy.ndimage.maximum_filter1d(depth, 5)] if len(troughs) else troughs
     troughs = np.concatenate([[0], troughs, [len(values)]])
     first = troughs[np.searchsorted(troughs, edges[:-1], side="right") - 1]

@@ -34,7 +34,7 @@ from .._record.initial_state import (
 )
 from .._record.record import Record
 from . import ports
-from .decoder import rest_state, rollout_batch, settled_state, step
+from .decoder import rest_state, rollout_batch, step, still_state
 
 _AHEAD = 2048  # samples, of which beginning and direction are read
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # scaled displacements among which an equilibrium is sought
@@ -56,7 +56,7 @@ def held_states(
         stages = jnp.full((2 * model.substeps + 1,), volts)
 
         def state(x):
-            return settled_state(model, jnp.zeros(model.order, x.dtype).at[0].set(x), x, volts, age)
+            return still_state(model, x, volts, age)
 
         def change(x):
             return (step(model, state(x), stages, dt) - state(x))[model.order - 1]
@@ -169,12 +169,12 @@ def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> 
     if not known:
         return [replace(b, free=True) for b in begun]
     zero, stderr = known[len(known) // 2]
-    found = []
+    zeroed = []
     for record, b in zip(records, begun, strict=True):
         level = first_level(record)
         same = b.begins == "held" and 0.5 < (level - zero) / ((level - b.zero) or np.inf) < 2.0
-        found.append(replace(b, zero=zero, stderr=stderr) if same else replace(b, free=b.begins != "rest"))
-    return found
+        zeroed.append(replace(b, zero=zero, stderr=stderr) if same else replace(b, free=b.begins != "rest"))
+    return zeroed
 
 
 def first_level(record: Record) -> float:

@@ -170,12 +170,17 @@ def rest_state(model: Model | Fitted, age: float | Float[Array, ""] = 0.0) -> Fl
     """
     model = model_of(model)
     zero = jnp.zeros((), model.coefficients.dtype)
-    return settled_state(model, jnp.zeros(model.order, zero.dtype), zero, zero, age)
+    return still_state(model, zero, zero, age)
 
 
 def at_rest(model: Model, start: Float[Array, "*records state"]) -> Bool[Array, "*records"]:
     """Tell which starts are at rest, x = 0 without motion: their film is uncharged, that of all others settled."""
     return ~jnp.any(start[..., : model.order], axis=-1)
+
+
+def still_state(model: Model, x, voltage, age) -> Float[Array, " state"]:
+    """Build the state of an actuator that has stood at scaled displacement x under a voltage."""
+    return settled_state(model, jnp.zeros(model.order, x.dtype).at[0].set(x), x, voltage, age)
 
 
 def settled_state(model: Model, state: Float[Array, " order"], level, voltage, age) -> Float[Array, " state"]:

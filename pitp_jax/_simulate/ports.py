@@ -102,15 +102,15 @@ def moved(model: "Model", parts: list, x, after, h) -> list:
 
     Sensors are a chain: each effect follows the reading of the one before it (a gain, then a lag: the lag of the gain).
     """
-    found, y = [], (x, after)
+    ahead, y = [], (x, after)
     for effect, states in zip(model.effects, parts, strict=True):
         if effect.port in ("IN", "SQ"):
-            found.append(states)
+            ahead.append(states)
             continue
-        found.append(effect.advance(states, *(y if effect.port == "OUT" else (x, after)), h))
+        ahead.append(effect.advance(states, *(y if effect.port == "OUT" else (x, after)), h))
         if effect.port == "OUT":
-            y = effect.apply(y[0], states), effect.apply(y[1], found[-1])
-    return found
+            y = effect.apply(y[0], states), effect.apply(y[1], ahead[-1])
+    return ahead
 
 
 def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:

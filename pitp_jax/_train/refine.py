@@ -34,7 +34,7 @@ from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
 from .._simulate.beginnings import first_level, with_zero_at_rest
-from .._simulate.decoder import settled_state
+from .._simulate.decoder import still_state
 from .._simulate.prediction import begin
 from .creep_balance import SlowBalance
 from .dataset import Dataset
@@ -265,5 +265,4 @@ def _from_the_start(
 def _settled(model: Model, record: Record):
     """Compute the state of a record that stood long where it begins, under its first voltage."""
     x = jnp.asarray(model.output.to_model(first_level(record)) / model.scales.state[0], model.coefficients.dtype)
-    state = jnp.zeros(model.order, x.dtype).at[0].set(x)
-    return settled_state(model, state, x, jnp.asarray(record.voltage[0], x.dtype), 0.0)
+    return still_state(model, x, jnp.asarray(record.voltage[0], x.dtype), 0.0)

@@ -152,12 +152,12 @@ def firmness_of(settings: Settings, model: Model, records: int) -> float:
     """Choose the prior weight of the nets of spring and damping: more without a square, most with `few` records."""
     if settings.firmness is not None:
         return settings.firmness
-    if _frugal(model):
+    if _small_encoder(model):
         return 0.06 / records  # the error is a mean over records: fewer of them say less, and hold a net less
     return 1e-4 if model.input_map.one_sided else 1e-3
 
 
-def _frugal(model: Model) -> bool:
+def _small_encoder(model: Model) -> bool:
     return isinstance(model.encoder, CompactEncoder) and model.encoder.frugal
 
 
