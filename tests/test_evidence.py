@@ -38,7 +38,7 @@ def test_what_one_record_knows_is_not_sure():
 
 
 def test_what_one_stretch_knows_is_not_sure():
-    """One of thirty stretches of a record is explained, the others a little less: (1 - 1/30)^30 of the draws lack it."""
+    """One of thirty stretches is explained, the others a little less: (1 - 1/30)^30 of the draws lack it."""
     base = noise((3000,), (1.0,))[0]
     helped = np.where(np.arange(3000) < 100, 0.1, 1.001) * base
     p = probability(evidence([helped], FLOORS[:1]), evidence([base], FLOORS[:1]))
