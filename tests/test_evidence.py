@@ -37,6 +37,14 @@ def test_what_one_record_knows_is_not_sure():
     assert probability(evidence(everywhere, FLOORS), evidence(base, FLOORS), 0.9) == 1.0
 
 
+def test_what_one_stretch_knows_is_not_sure():
+    """One of thirty stretches is explained, the others a little less: (1 - 1/30)^30 of the draws lack it."""
+    base = noise((3000,), (1.0,))[0]
+    helped = np.where(np.arange(3000) < 100, 0.1, 1.001) * base
+    p = probability(evidence([helped], FLOORS[:1]), evidence([base], FLOORS[:1]))
+    assert p == pytest.approx(1 - (1 - 1 / 30) ** 30, abs=0.03)
+
+
 def test_records_of_unequal_length_are_compared():
     """Numbers of blocks differ from record to record."""
     sizes = (400, 5000, 90)

@@ -10,7 +10,7 @@ from played import SAMPLES, TIME, nominal_of, play
 import pitp_jax as pitp
 from pitp_jax._diagnose.data import build_case
 from pitp_jax._diagnose.next_experiment import excitations, separate
-from pitp_jax._diagnose.search import Search
+from pitp_jax._diagnose.search import PARAMETERS, Search
 from pitp_jax._diagnose.select_records import usable
 from pitp_jax._diagnose.simulator import INDEX
 from pitp_jax._effects import CATALOGUE
@@ -91,6 +91,21 @@ def test_the_next_experiment_moves_no_further_than_what_was_played(nominal):
     record = pitp.Record("next", found.time, found.voltage, 0 * found.time)
     reach = max(np.nanmax(s.output) for s in case.series) * nominal.scales.state[0]
     assert np.nanmax(pitp.predict(nominal, [record])[0].displacement) < 1.06 * reach
+
+
+@pytest.mark.slow
+def test_a_set_without_moved_numbers_moves_none_and_a_holds_delay_is_none(nominal):
+    """A set kept them free and was as good without `parameters`: a second mode was said where 98 % were parameters."""
+    case = build_case(nominal, play(nominal, noise=0.0))
+    slots = case.nominal.copy()
+    slots[INDEX["delay"]] = 0.5 * case.dt
+    search = Search(replace(case, nominal=slots), False)
+    assert "delay" in search.core and search.linear.fit.free == search.movable == ("a0", "a1", "a2")
+    assert search.linear.fit.value("delay") == 0.5 * case.dt
+    fit = search.linear.fit.again(names=(PARAMETERS, "drag"), free=("a0", "a1", "a2", "drag"), unit=np.zeros(0))
+    fit.slots[INDEX["drag"]] = 1e-3
+    search._again(replace(search.linear, fit=replace(fit, unit=np.ones(4))), frozenset(["drag"]))
+    assert search.every[frozenset(["drag"])].fit.free == ("drag",)
 
 
 def test_a_rig_of_negative_voltage_is_inverted(nominal):

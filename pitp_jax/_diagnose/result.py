@@ -172,7 +172,7 @@ def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, err
 def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
     """The linear model's numbers over those given."""
     nominal, rows = search.case.nominal, {}
-    for k in search.core:
+    for k in search.movable:
         if k in fit.free:
             value = fit.value(k) / nominal[INDEX[k]]
             key = f"{k[0]}_{k[1]} over given" if k in ("a0", "a1", "a2") else f"{k} over given"

@@ -102,6 +102,9 @@ class Search:
         self.every: dict[frozenset, Hypothesis] = {}
         # of the nominal's linear part what is there at all
         self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
+        # a delay shorter than a thinned step is the hold's: a longer one is a name, and no number that has moved
+        short = not refit and case.nominal[INDEX["delay"]] < case.dt
+        self.movable = tuple(k for k in self.core if not (short and k == "delay"))
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
         self.given = self._scored([given])[0]
@@ -153,7 +156,7 @@ class Search:
         make a refit worse out of fold than the nominal as it was given, effects start from its own structure and
         are measured against it: a name that only mends the refit is none.
         """
-        fits = [self._structure(self.core, {})]
+        fits = [self._structure(self.movable, {})]
         if self.refit:
             fits += self._structures()
         self.fitter.fit(fits, 25)
@@ -174,7 +177,7 @@ class Search:
     def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
         slots = self.case.nominal.copy()
         for k in ("delay", "lag", "filter", "a2"):
-            slots[INDEX[k]] *= k in free
+            slots[INDEX[k]] *= k in free or (not self.refit and k in self.core)
         for k, v in values.items():
             slots[INDEX[k]] = v
         return Fit((), free, slots, self.case.starts.copy())
@@ -291,7 +294,7 @@ class Search:
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
         if form.name == PARAMETERS:
-            free = tuple(dict.fromkeys((*self.core, *front.free)))
+            free = tuple(dict.fromkeys((*self.movable, *front.free)))
             return front.anew(names=(*front.names, PARAMETERS), free=free, slots=slots)
         for k, v in form.start.items():
             slots[INDEX[k]] = v
@@ -349,8 +352,9 @@ class Search:
         keep = [f for f in self.library if f.name in key]
         slots = self.base.fit.slots.copy()
         free = list(self.base.fit.free)
+        moved = PARAMETERS in key or self.refit  # else the set without them would move them unnamed
         for k in fit.free:
-            if k in self.core or any(k in f.start for f in keep):
+            if (moved and k in self.movable) or any(k in f.start for f in keep):
                 slots[INDEX[k]] = fit.slots[INDEX[k]]
                 free.append(k)
         for k in ("fold", "reach"):
@@ -379,10 +383,9 @@ class Search:
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
         """The best of a level, or one as good that has moved coefficients for a name, or one number for all of them."""
         best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
-        if best.names == (PARAMETERS,):
-            return self._plainer(level, best, lambda h: h.names[0] in LONE)
         if PARAMETERS in best.names:
-            return best
+            others = {*best.names} - {PARAMETERS}
+            return self._plainer(level, best, lambda h: others <= {*h.names} and bool({*h.names} & {*LONE} - others))
         # fewer numbers win a tie: they had less room to fit by chance
         few = [h for h in level if len(h.fit.free) < len(best.fit.free)]
         as_good = [h for h in few if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]

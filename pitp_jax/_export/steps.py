@@ -26,7 +26,7 @@ from .._model.drive import DirectDrive
 from .._model.model import Model
 from .._numerics.intersample import weights
 from .._simulate import ports
-from .._simulate.decoder import settled_state, stage_fractions, step
+from .._simulate.decoder import stage_fractions, step, still_state
 from .._simulate.prediction import at_rate
 
 _HUGE = 1e3  # of the training force: what stands for a force no field makes, as in `_invert.equation`
@@ -63,9 +63,8 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
 
     def start(y, u):
         x = model.output.to_model(y) / scale
-        still = jnp.zeros(model.order, x.dtype).at[0].set(x)
         lines = [jnp.full(samples_of(e, dt), u) for e in delays]
-        return settled_state(model, still, x, u, 0.0), jnp.full(len(taps), u), u, lines
+        return still_state(model, x, u, 0.0), jnp.full(len(taps), u), u, lines
 
     def run(carry, values):
         state, films, before, lines = carry

@@ -18,7 +18,7 @@ from .._model.model import Model
 from .._record.reading import Target
 from .._shown import Shown
 from .._simulate.batched_rollout import fast_rollout
-from .._simulate.decoder import rest_state, settled_state
+from .._simulate.decoder import rest_state, still_state
 from .._simulate.prediction import at_rate, outside_fraction, outside_words
 from .advice import on_reach, on_smoothing, on_start, on_stroke, on_target
 from .course import Course
@@ -156,8 +156,7 @@ def standing(model: Model, voltage: float, dt: float):
     level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
     level /= float(model.scales.state[0])
     # the nominal's own level to begin with; encoder and effects move it from there, so it is run until it stands
-    still = jnp.zeros(model.order, kind).at[0].set(level)
-    begun = settled_state(model, still, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
+    begun = still_state(model, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
     count = int(np.clip(settling(model)[0] / dt, 64, _WAITS))
     state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]
     return state, float(state[0]) * float(model.scales.state[0])
