@@ -78,8 +78,8 @@ def diagnosed(noise: str, start: str, rng: np.random.Generator) -> dict:
     """The same of the one effect's number over its truth; None where it is not what was said."""
     name = EFFECTS[rng.integers(len(EFFECTS))]
     if name == "added_mass":
-        truth = rng.uniform(0.15, 0.4)
-        how = {"by": (1.0, 1.0, 1 + truth)}
+        truth = rng.uniform(1.15, 1.4)  # told is a_2 over the nominal's
+        how = {"by": (1.0, 1.0, truth)}
     elif name == "voltage_clip":
         truth = rng.uniform(0.75, 0.9) * TOP
         how = {"level": truth}
