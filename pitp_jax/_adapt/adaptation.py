@@ -114,7 +114,10 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     problem, whole = Problem(here, factors, seen, level), np.ones_like(seen.half)
     given = problem.at(np.zeros(len(factors.names)), whole)
     full = problem.fit(np.eye(len(factors.names)), whole, factors.prior, first=problem.guess())
-    spread = covariance(full.residual, full.jacobian, _model_error(full, seen, level))
+    own = level if np.isinf(fitted.origin.misfit) else level * np.sqrt(1 - 1 / fitted.origin.misfit**2)
+    spread = covariance(full.residual, full.jacobian, _model_error(full, seen, own))
+    known = fitted.origin.covariance  # of the logarithms of the coefficients, which stand first
+    spread[: len(known), : len(known)] += known
     names = select(full.z, spread, factors)
     if not names:
         return _verdict(fitted, None, {}, e_rms(given, whole, seen), None, False, level)
@@ -152,11 +155,11 @@ _ADVICE = (
 )
 
 
-def _model_error(fit: Fit, seen: Session, level: float) -> float:
-    """Compute what a fit leaves beside noise, % of range; a fraction of the model's own level at least."""
+def _model_error(fit: Fit, seen: Session, own: float) -> float:
+    """Compute what a fit leaves beside noise, % of range; a fraction of what the model left of its records at least."""
     square = e_rms(fit, np.ones_like(seen.half), seen) ** 2 - float(np.mean(seen.noise**2))
     # a short record may be met by chance: its numbers are then no surer than the model was
-    return max(square, (_SURE * level) ** 2) ** 0.5
+    return max(square, (_SURE * own) ** 2) ** 0.5
 
 
 def _moves(seen: Session, half: np.ndarray) -> bool:

@@ -14,9 +14,10 @@ from .result import SimToReal
 _DRAWN = 12  # recordings
 
 
-def page(found: SimToReal) -> str:
-    """A self-contained HTML page."""
-    pictures = [html.picture(name, drawn, caption) for name, (drawn, _, caption) in figures(found).items()]
+def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray], str]] | None = None) -> str:
+    """A self-contained HTML page; `drawn`: its `figures`, which the page makes small; None draws them."""
+    shown = figures(found) if drawn is None else drawn
+    pictures = [html.picture(name, each, caption) for name, (each, _, caption) in shown.items()]
     parts = [*_first(found), tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>']
     return html.page(_headline(found), parts)
 

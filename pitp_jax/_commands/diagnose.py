@@ -106,13 +106,15 @@ def _tidy(folder: Path, written: set[str]) -> None:
 def _write(diagnosis: Diagnosis | SimToReal, folder: Path, input_unit: str) -> None:
     """The pages, their figures and the next experiment into an existing folder."""
     robot = diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
-    write_text_atomic(folder / (REPORT if robot is diagnosis else ROBOT), report(robot))
-    for name, drawn in figures(robot).items():
-        write_figure(folder, name, drawn)
+    drawn = figures(robot)  # written first: a page makes them small
+    for name, drawing in drawn.items():
+        write_figure(folder, name, drawing)
+    write_text_atomic(folder / (REPORT if robot is diagnosis else ROBOT), report(robot, drawn))
     if isinstance(diagnosis, SimToReal):
-        write_text_atomic(folder / REPORT, page(diagnosis))
-        for name, (drawn, columns, _) in figures_beside(diagnosis).items():
-            write_figure(folder, name, drawn, columns)
+        beside = figures_beside(diagnosis)
+        for name, (drawing, columns, _) in beside.items():
+            write_figure(folder, name, drawing, columns)
+        write_text_atomic(folder / REPORT, page(diagnosis, beside))
     if robot.next_experiment is not None:
         unit = "V" if input_unit.endswith("V") else input_unit
         drive = from_base(robot.next_experiment.voltage, unit)

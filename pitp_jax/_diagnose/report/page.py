@@ -1,6 +1,7 @@
 """The report: one page whose first screen answers where the gap lies, which effect causes it, how far it shrinks."""
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ..._report import html
 from ..._report.html import tag
@@ -14,12 +15,14 @@ from .gap_figure import errors, output_unit, worst
 from .which import parameter_lines
 
 
-def report(diagnosis: Diagnosis) -> str:
+def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
     """A self-contained HTML page: verdict, where, which, how far; then figures, tables, and how to read them.
 
     Args:
         diagnosis: what `diagnose` found.
+        drawn: its `figures`, which the page makes small; None draws them.
     """
+    drawn = figures(diagnosis) if drawn is None else drawn
     parts = [
         tag("p", "Diagnosis: a model beside recordings of the real actuator", "soft"),
         tag("h1", headline(diagnosis), diagnosis.verdict),
@@ -27,8 +30,8 @@ def report(diagnosis: Diagnosis) -> str:
         tag("p", next_step(diagnosis), "lead"),
         budget_bar(diagnosis),
         f'<div class="cards">{"".join(cards(diagnosis))}</div>',
-        *_pictures(diagnosis),
-        *_next(diagnosis),
+        *_pictures(diagnosis, drawn),
+        *_next(diagnosis, drawn),
         tag("h2", "All candidates"),
         *_ranking(diagnosis),
         tag("h2", "Recordings"),
@@ -38,9 +41,8 @@ def report(diagnosis: Diagnosis) -> str:
     return html.page(headline(diagnosis), parts)
 
 
-def _pictures(d: Diagnosis) -> list[str]:
+def _pictures(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
     """The figures but the next experiment's, under their headings."""
-    drawn = figures(d)
     shown = {name: html.picture(name, drawn[name], caption) for name, caption in _captions(d).items() if name in drawn}
     rooms = {"The gap at a glance": ("gap", "ranking"), "Where it lies": ("where", "shares", "force")}
     parts = []
@@ -65,7 +67,7 @@ def _captions(d: Diagnosis) -> dict[str, str]:
     }
 
 
-def _next(d: Diagnosis) -> list[str]:
+def _next(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
     e = d.next_experiment
     if e is None:
         return []
@@ -75,8 +77,8 @@ def _next(d: Diagnosis) -> list[str]:
         f"To tell {a} from {b}, play this: {e.excitation}, for {seconds} s, within the voltages and slews already "
         f"played ({NEXT_CSV}). The two predict outputs that differ by {figure(e.difference, 2)} times the noise."
     )
-    drawn = html.picture("next", figures(d)["next_experiment"], f"Voltage to play: {e.excitation}.")
-    return [tag("h2", "The next experiment"), tag("p", text), f'<div class="figures">{drawn}</div>']
+    shown = html.picture("next", drawn["next_experiment"], f"To play: {e.excitation}.")
+    return [tag("h2", "The next experiment"), tag("p", text), f'<div class="figures">{shown}</div>']
 
 
 def _ranking(d: Diagnosis) -> list[str]:
