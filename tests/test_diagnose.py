@@ -10,6 +10,7 @@ from played import nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
+from pitp_jax._diagnose import diagnosis
 from pitp_jax._effects import CATALOGUE, lookup
 from pitp_jax._effects.found_term import term_row
 from pitp_jax._model.fitted import Fitted
@@ -163,3 +164,15 @@ def test_out_of_time_the_best_so_far_is_told(nominal):
     found = pitp.diagnose(nominal, play(planted), exclude=others, seconds=1e-3)
     assert found.ranking and np.isfinite(found.gap.after) and found.gap.after <= found.gap.before
     assert any(note.startswith("stopped after 0.001 s") for note in found.notes)
+
+
+@pytest.mark.slow
+def test_a_name_whose_model_is_not_handed_back_is_not_said(nominal, monkeypatch):
+    """The search is sure of the lag; in free runs of the package no model is better than another."""
+    planted = replace(nominal, effects=(effect("electrode_rc", "one lag", 0.02),))
+    others = sorted({c.name for c in CATALOGUE} - {"electrode_rc", "voltage_clip"})
+    assert pitp.diagnose(nominal, play(planted), exclude=others).effects == ("electrode_rc",)
+    monkeypatch.setattr(diagnosis, "_package_error", lambda model, records: 1.0)
+    found = pitp.diagnose(nominal, play(planted), exclude=others)
+    assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
+    assert any("free runs" in note for note in found.notes)

@@ -91,6 +91,18 @@ def test_a_record_that_begins_in_motion_has_its_first_state_fitted(nominal):
         assert np.sqrt(np.nanmean(r**2)) < 5e-3 * s.span
 
 
+def test_the_start_of_a_single_record_is_no_part_of_what_its_first_block_is_judged_on(nominal):
+    """Cut in motion; left out of the fit, the first block tells the start all the same, which dies out within it."""
+    (sweep, *_) = play(nominal)
+    cut = replace(sweep, time=sweep.time[333:], voltage=sweep.voltage[333:], displacement=sweep.displacement[333:])
+    case = build_case(nominal, [replace(cut, name="alone")])
+    assert case.blocks and case.series[0].begins == "moving"
+    fitter = Fitter(case)
+    (plain,) = fitter.fit([Fit((), (), case.nominal.copy(), case.starts.copy())], 0)
+    ((rows,),) = fitter.refitted_without([plain], 0)
+    np.testing.assert_allclose(rows, plain.residuals[0], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("roots", "core", "lag", "filtered"),
     [

@@ -10,7 +10,7 @@ from pitp_jax._diagnose import verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit
-from pitp_jax._diagnose.library import Scale, named
+from pitp_jax._diagnose.library import Scale, _no_faster, named
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax._diagnose.simulator import INDEX, OFF
 from pitp_jax._diagnose.verdict import decide
@@ -177,3 +177,18 @@ def test_the_nominals_own_error_is_no_gap():
     search = searched(hypothesis(("delay",), 0.3), own=0.9)
     assert decide(search, 0.9, 0.0, 6).verdict == "no_gap"
     assert decide(searched(hypothesis(("delay",), 0.3)), 0.8, 0.0, 6).verdict == "explained"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ((2.0, 1e-9, 0.0), (2.0, 2.0 / 500, 0.0)),  # one pole to 500 1/s
+        ((2.0, 0.1, 1e-9), (2.0, 0.1 * (1 + 20 / 500), 0.1 / 500)),  # one at 20 1/s stays, the other to 500 1/s
+        ((0.0, 0.1, 1e-9), (0.0, 0.1, 0.1 / 500)),  # without a spring
+        ((2.0, 0.0, 1e-9), (2.0, 0.0, 2.0 / 500**2)),  # a pair on the axis
+        ((2.0, 0.1, 1e-3), (2.0, 0.1, 1e-3)),  # poles that the samples show stay
+    ],
+)
+def test_poles_that_no_sample_shows_are_moved_to_where_a_rollout_follows_them(before, after):
+    """a_0 + a_1 s + a_2 s^2 = a_0 (1 - s / p)(1 - s / q) with p, q no faster than 500 1/s."""
+    np.testing.assert_allclose(_no_faster(np.array(before), 500.0), after, rtol=1e-5, atol=1e-12)

@@ -64,7 +64,8 @@ def test_many_long_names_are_cut_under_their_bars(explained):
     names = [f"monday/sine_{k:05.1f}Hz_2600V" for k in range(20)]
     many = replace(explained, where=where() | {"records": dict.fromkeys(names, 0.05)})
     ax = figures.shares(many)[0]
-    assert max(len(t.get_text()) for t in ax.get_xticklabels()) == 18
+    labels = [t.get_text() for t in ax.get_xticklabels()]
+    assert max(map(len, labels)) <= 18 and len({*labels}) == 20
 
 
 def test_maps_and_bars_show_the_shares(tied):
@@ -125,3 +126,12 @@ def test_a_figure_that_fails_costs_itself_alone(explained, monkeypatch):
     assert "no such" in drawn["where"].texts[0].get_text()
     assert len(drawn["shares"].axes) == 3
     assert "<svg" in report(explained)
+
+
+def test_records_that_begin_alike_are_told_apart(explained):
+    """Names with a date before them were cut to the same letters."""
+    names = [f"2026-11-25_recording_of_the_robot_{k}" for k in ("chirp", "steps", "sine")]
+    values = explained.where["records"].values()
+    found = replace(explained, where=explained.where | {"records": dict(zip(names, values, strict=True))})
+    (ax,) = figures.shares(found, names=("records",))
+    assert [text.get_text() for text in ax.get_xticklabels()] == ["…chirp", "…steps", "…sine"]

@@ -46,6 +46,8 @@ from .term import Term, term_of
 from .verdict import Decision, decide
 from .where import locate, motions
 
+_NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -176,6 +178,8 @@ def diagnose(
     progress("which of them is sure")
     decision = decide(search, own, noise, distinct)
     handed, made, parts = hand_back(search, decision, model, records)
+    if decision.said and handed is not decision.chosen:
+        decision = replace(decision, verdict="unknown", said=(), tied={}, reason=_NO_BETTER)
     # told in % of range, as the gap is
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)

@@ -151,15 +151,17 @@ class Fitter:
     def _seen(self, fold: int | None) -> list[int]:
         return [k for k, m in enumerate(self._masks[fold]) if m.any()]
 
-    def _residual(self, slots, starts, record: int, run, fold: int | None):
-        """Projected residual, moved start."""
-        s, seen = self.case.series[record], self._masks[fold][record]
+    def _residual(self, slots, starts, record: int, run):
+        """Projected residual, moved start.
+
+        A record's own zero and start are taken from all of it, whichever samples a fit may see: without a block at its
+        beginning a start that decays was extrapolated backwards, to twice the range of a plant of minutes.
+        """
+        s = self.case.series[record]
         if not np.isfinite(run).all():
             return None, starts[record]
-        if not seen.any():
-            seen = s.counts.astype(float)
         columns, begins = basis(self.case, slots, record)
-        residual, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, seen)
+        residual, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, s.counts.astype(float))
         moved = starts[record] - begins.T @ c[:, 0]
         return np.where(s.counts, residual[:, 0], np.nan), moved
 
@@ -176,7 +178,7 @@ class Fitter:
             residuals: list = [None] * len(self.case.series)
             starts = fit.starts.copy()
             for (_, k), run in zip(owners[place : place + count], runs[place : place + count], strict=True):
-                residuals[k], starts[k] = self._residual(p, fit.starts, k, run, fit.fold)
+                residuals[k], starts[k] = self._residual(p, fit.starts, k, run)
             place += count
             results.append((self._cost(residuals, fit.fold), residuals, starts))
         return results
@@ -215,7 +217,7 @@ class Fitter:
                 place += len(step) + 1
                 slopes = np.nan_to_num((block[:, :-1] - block[:, -1:]) / step, posinf=0.0, neginf=0.0)
                 columns, _ = basis(self.case, fit.slots, k)
-                fit.jacobian[k] = _projected(slopes, columns, self._masks[fit.fold][k])[0]
+                fit.jacobian[k] = _projected(slopes, columns, self.case.series[k].counts.astype(float))[0]
 
     def normal(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         """H and g."""
@@ -308,8 +310,6 @@ class Fitter:
                 one = f.again(fold=fold, damping=1e-3)
                 # as good on the other folds as the fit to all: from there a few steps are enough
                 one.cost = self._cost(one.residuals, fold)
-                if self.case.blocks and f.free:  # the zero is fitted without the block
-                    one.jacobian = None
                 tasks.append(one)
         self.fit(tasks, iterations)
         done = self.evaluate(tasks, [t.slots for t in tasks], everything=True)

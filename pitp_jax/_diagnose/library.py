@@ -387,6 +387,7 @@ def model_of(
     slots = slots.copy()
     for k in ("delay", "lag", "filter"):  # what a fit has pushed to nothing is not there
         slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
+    slots[places] = _no_faster(slots[places], 2 / model.dt)
     change = slots.copy()
     same = (slots[places] > 0) == (case_nominal[places] > 0)
     if model.order <= 2 and same.all():
@@ -420,6 +421,23 @@ def model_of(
     )  # fmt: skip
     whole = replace(plain, effects=tuple(e for e, _ in effects_of(change, plain, omega)[0]))
     return cast(Model, Fitted(whole, fitted_of(model).origin)), added, missing
+
+
+def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
+    """Coefficients with poles beyond `most` (1/s) moved in to it, the slow end of the response as it was.
+
+    The search steps a linear plant exactly, whatever its poles; the rollout does not, and samples do not show poles
+    that fast: a damper whose own lag was fitted to nothing ran away there.
+    """
+    order = int(np.flatnonzero(a)[-1])
+    poles = np.roots(a[order::-1])
+    if order == 0 or np.abs(poles).max() <= most:
+        return a
+    slower = np.poly(poles * np.minimum(1.0, most / np.maximum(np.abs(poles), 1e-300))).real[::-1]
+    slowest = int(np.flatnonzero(a)[0])
+    moved = np.zeros_like(a)
+    moved[: order + 1] = slower * a[slowest] / slower[slowest]
+    return moved
 
 
 _BEHIND = {("delay", "pure"), ("sensor_lag", "one lag"), ("sensor_lag", "second order")}

@@ -31,7 +31,7 @@ class Decision:
         chosen: the last set that pays; the base where none does.
         said: catalogue names, most important first; empty unless explained or partly.
         tied: per name said, what it cannot be told from.
-        probabilities: per name of the set, P that it is needed.
+        probabilities: per name of the set that closes LISTED of it, P that it is needed.
         fractions: per name of the set, of the energy the set closes.
         bar: the reference on the base; above: on the chosen set.
         more: P that the reference closes more on top of the set.
@@ -80,6 +80,10 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     p, rivals, taken = {}, {}, _fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     for name, label in zip(chosen.names, chosen.labels, strict=True):
+        if (
+            fractions[label] < rules.LISTED
+        ):  # never said: a third of a joint's diagnosis went into searches without these
+            continue
         # searched anew without the name: what stands in its place need not have been tried yet
         rivals[name] = _rival(search, chosen, {name})
         p[label] = _needed(chosen, rivals[name])

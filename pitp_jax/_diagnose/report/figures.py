@@ -4,6 +4,7 @@ Nothing is only in a figure: `Diagnosis.as_json` and the report's tables hold th
 user's files; no pyplot, no global style; colours from Okabe and Ito (`_report.lines`).
 """
 
+import os
 from collections.abc import Callable
 from typing import cast
 
@@ -155,7 +156,8 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         finish(np.array([ax]), _AXES[name].format(unit=unit, drive=drive), ["share (%)"])
         crowded = sum(map(len, labels)) > 60
         tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
-        short = [label if len(label) <= _LABEL else f"{label[: _LABEL - 1]}…" for label in labels]
+        alike = len(os.path.commonprefix(labels)) if len(labels) > 1 else 0  # a date before every name says nothing
+        short = [label if len(label) <= _LABEL else f"…{label[alike:]}"[:_LABEL] for label in labels]
         size = 6.5 if crowded else 7.5
         between = 0.0 if name == "records" else 0.5  # a bin has its edges written, a record its name
         ax.set_xticks(
@@ -174,7 +176,7 @@ def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
     step = float(np.ptp(edges)) / max(len(edges) - 1, 1)
     # what rounding has left of 0 is 0; every second one where they would touch
     texts = [digits(0.0 if abs(edge) < 0.02 * step else edge, 2) for edge in edges]
-    return [text if k % 2 == 0 or sum(map(len, texts)) < 30 else "" for k, text in enumerate(texts)]
+    return [text if k % 2 == 0 or sum(map(len, texts)) < 26 else "" for k, text in enumerate(texts)]
 
 
 def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
