@@ -49,9 +49,14 @@ class Composite:
 
     def runs(self, form=None, values=()) -> list[np.ndarray]:
         """Scaled readings under every drive."""
+        return [self.run(k, form, values) for k in range(len(self.case.series))]
+
+    def run(self, drive: int, form=None, values=()) -> np.ndarray:
+        """Scaled readings under one drive."""
         theta = np.array(self._neutral)
         if form is not None:
             first = self._sizes[self.forms.index(form)]
             theta[first : first + len(values)] = values
-        drives = [(jnp.asarray(s.voltage, jnp.float32), jnp.asarray(s.age, jnp.float32)) for s in self.case.series]
-        return [np.asarray(self._run(jnp.asarray(theta), *d), float) for d in drives]
+        s = self.case.series[drive]
+        volts, age = jnp.asarray(s.voltage, jnp.float32), jnp.asarray(s.age, jnp.float32)
+        return np.asarray(self._run(jnp.asarray(theta), volts, age), float)

@@ -288,6 +288,12 @@ def test_the_command_refuses_with_nothing_written(tmp_path, capsys):
     assert "tenth of Nyquist" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
-def test_the_page_says_when_to_stop(following):
-    stopped = type(following)((), following.limits, following.expected[:1], True)
-    assert "Stop" in page(stopped, "model") and "expected to be off" in page(following, "model")
+def test_the_page_says_when_to_stop():
+    first = pitp.plan(**RIG)
+    assert "Stop" in page(type(first)((), first.limits, (0.02,), True), "model")
+    assert "Stop" not in page(first, "model")
+
+
+@pytest.mark.slow
+def test_the_page_tells_the_error_that_is_expected(following):
+    assert "expected to be off" in page(following, "model")
