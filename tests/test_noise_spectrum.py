@@ -16,7 +16,7 @@ def density(colour, beside=0.0):
     """Mean over draws of every band's level."""
     draws = (np.random.default_rng(k).standard_normal(SAMPLES) for k in range(DRAWS))
     seen = np.ones(SAMPLES, bool)
-    return np.mean([band_levels(lfilter([1.0], colour, e) + beside, seen, DT, EDGES) for e in draws], 0)
+    return np.mean([band_levels(np.asarray(lfilter([1.0], colour, e)) + beside, seen, DT, EDGES) for e in draws], 0)
 
 
 def test_bands_cover_all_frequencies_with_two_dozen_bins_each():
