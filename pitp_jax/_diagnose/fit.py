@@ -64,7 +64,7 @@ class Fit:
         return replace(self, **(fresh | changes))
 
     def anew(self, **changes) -> "Fit":
-        """A copy with other numbers free, which has not been run yet."""
+        """Copy it with other numbers free; the copy has not been run."""
         return self.again(**({"unit": np.zeros(0), "jacobian": None, "cost": np.inf} | changes))
 
     def value(self, name: str) -> float:

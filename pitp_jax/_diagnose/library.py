@@ -424,7 +424,7 @@ def model_of(
 
 
 def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
-    """Coefficients with poles beyond `most` (1/s) moved in to it, the slow end of the response as it was.
+    """Move the poles beyond `most` (1/s) in to it and leave the slow end of the response as it was.
 
     The search steps a linear plant exactly, whatever its poles; the rollout does not, and samples do not show poles
     that fast: a damper whose own lag was fitted to nothing ran away there.

@@ -170,7 +170,7 @@ class Search:
         good = (h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
         plainest = next(good)
         if self.refit and self.given.rms < plainest.rms:
-            own = next((h for h in tried if h.fit.free == self.core), plainest)
+            own = next((h for h in tried if h.fit.free == self.movable), plainest)
             return replace(own, residuals=self.given.residuals, evidence=self.given.evidence)
         return plainest
 
@@ -298,10 +298,8 @@ class Search:
             return front.anew(names=(*front.names, PARAMETERS), free=free, slots=slots)
         for k, v in form.start.items():
             slots[INDEX[k]] = v
-        # so that the start is as stiff as the base, and no detour of the core's numbers
-        stiff = 1 + slots[INDEX["bouc"]] * (
-            "bouc" in form.start
-        )  # what adds stiffness begins with as much less of the core
+        # what adds stiffness begins with as much less of the core, so that the start is as stiff as the base
+        stiff = 1 + slots[INDEX["bouc"]] if "bouc" in form.start else 1.0
         free = tuple(dict.fromkeys((*front.free, *(k for k in form.start if k not in ("fold", "reach")))))
         if stiff > 1.05 and "a0" in free:
             for k in ("a0", "a1", "a2"):
