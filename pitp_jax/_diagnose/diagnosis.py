@@ -46,6 +46,7 @@ from .term import Term, term_of
 from .verdict import Decision, decide
 from .where import locate, motions
 
+_DOUBLED = 4  # times that the steps a sample of a model handed back are doubled, until its free run stays finite
 _NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
 
 
@@ -180,6 +181,7 @@ def diagnose(
     handed, made, parts = hand_back(search, decision, model, records)
     if decision.said and handed is not decision.chosen:
         decision = replace(decision, verdict="unknown", said=(), tied={}, reason=_NO_BETTER)
+        handed, made, parts = hand_back(search, decision, model, records)
     # told in % of range, as the gap is
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)
@@ -303,7 +305,7 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         if missing:
             continue
         made = replace(made, domain=made.domain.driven_by(records))
-        after = _package_error(made, records)
+        made, after = _stable(made, records)
         if np.isfinite(after) and after < before:
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
@@ -314,6 +316,17 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
 
 def _error(h: Hypothesis) -> float:
     return h.evidence.bare.rms
+
+
+def _stable(made: Model, records: Sequence[Record]) -> tuple[Model, float]:
+    """The model with as many steps a sample as its effects need, and its error: their poles are in no coefficient."""
+    error = _package_error(made, records)
+    for _ in range(_DOUBLED):
+        if np.isfinite(error):
+            break
+        made = replace(made, substeps=2 * made.substeps)
+        error = _package_error(made, records)
+    return made, error
 
 
 def _package_error(model: Model, records: Sequence[Record]) -> float:

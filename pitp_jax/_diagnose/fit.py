@@ -21,6 +21,7 @@ from .simulator import HIGHEST, INDEX, LOGARITHM
 _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
 _LONGEST = 1.5  # largest change of a logarithm in one step, or of a number in units of itself and its start
+_REFUSED = 8  # steps refused until the damping stands at its end
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
 PREVIEW = -1  # the fold of first steps: some records only
 
@@ -38,6 +39,7 @@ class Fit:
         fold: left out of the fit; None: nothing.
         residuals: per record y - y_measured less its own zero and start, nan where nothing counts; None: not run.
         cost: L over the samples it may see.
+        taken: steps that lowered it.
     """
 
     names: tuple[str, ...]
@@ -51,6 +53,7 @@ class Fit:
     cost: float = np.inf
     damping: float = 1e-2
     slow: int = 0
+    taken: int = 0
     done: bool = False
 
     def __post_init__(self):
@@ -60,7 +63,8 @@ class Fit:
 
     def again(self, **changes) -> "Fit":
         """A copy to go on with."""
-        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "done": False}
+        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "taken": 0}
+        fresh["done"] = False
         return replace(self, **(fresh | changes))
 
     def anew(self, **changes) -> "Fit":
@@ -232,7 +236,10 @@ class Fitter:
         return h, g
 
     def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
-        """Every fit some steps further down; what has converged stays."""
+        """Every fit some steps further down; what has converged stays.
+
+        A step that is refused counts for none: a fold's fit that had not moved had seen what it was judged on.
+        """
         fresh = [f for f in fits if not np.isfinite(f.cost)]
         for _ in range(2):  # the second with the first states that the first has found
             for f, (cost, residuals, starts) in zip(fresh, self.evaluate(fresh, [f.slots for f in fresh]), strict=True):
@@ -241,8 +248,8 @@ class Fitter:
             fresh = [f for f in fresh if np.isfinite(f.cost) and any(s.begins != "rest" for s in self.case.series)]
         for f in fits:
             f.done = f.done or not np.isfinite(f.cost) or not f.free
-        for _ in range(iterations):
-            active = [f for f in fits if not f.done]
+        for _ in range(iterations + _REFUSED):
+            active = [f for f in fits if not f.done and f.taken < iterations]
             if not active:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
@@ -292,7 +299,7 @@ class Fitter:
         total = sum((self._masks[fit.fold][k] > 0).sum() for k in self._seen(fit.fold))
         gain = (fit.cost - cost) / total if np.isfinite(cost) else -1.0
         if gain > 0:
-            fit.slow = fit.slow + 1 if gain < _SLOW else 0
+            fit.slow, fit.taken = fit.slow + 1 if gain < _SLOW else 0, fit.taken + 1
             fit.slots, fit.cost, fit.residuals, fit.starts = slots, cost, residuals, starts
             # trusted more: the quadratic held
             fit.damping, fit.jacobian = max(fit.damping / 6, 1e-7), None
@@ -308,7 +315,7 @@ class Fitter:
         for f in fits:
             for fold in range(len(self.case.folds)):
                 one = f.again(fold=fold, damping=1e-3)
-                # as good on the other folds as the fit to all: from there a few steps are enough
+                # near its own optimum already: steps until they gain nothing
                 one.cost = self._cost(one.residuals, fold)
                 tasks.append(one)
         self.fit(tasks, iterations)

@@ -19,7 +19,7 @@ from .library import Form, Scale, forms, named
 from .simulator import INDEX, OFF
 
 BEAM, DEPTH, NAMES = 2, 4, 8  # fronts, names of a set, names that are fitted beside each front
-_STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 2
+_STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
@@ -139,9 +139,9 @@ class Search:
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
-    def _scored(self, fits: Sequence[Fit], steps: int = _FOLD_STEPS) -> list[Hypothesis]:
+    def _scored(self, fits: Sequence[Fit]) -> list[Hypothesis]:
         hypotheses = []
-        for fit, rows in zip(fits, self.fitter.refitted_without(fits, steps), strict=True):
+        for fit, rows in zip(fits, self.fitter.refitted_without(fits, _FOLD_STEPS), strict=True):
             labels = tuple(
                 "parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names
             )
@@ -164,7 +164,7 @@ class Search:
         best: dict[tuple[str, ...], Fit] = {}
         for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
             best.setdefault(f.free, f)
-        tried = self._scored([*best.values()] or fits[:1], 4)
+        tried = self._scored([*best.values()] or fits[:1])
         self.linears = sorted(tried, key=lambda h: len(h.fit.free))
         least = min(tried, key=lambda h: h.rms)
         good = (h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
