@@ -133,7 +133,9 @@ def forms(s: Scale) -> list[Form]:
     add("stretch_coupling", *({"stretch": c / x} for c in (0.1, -0.1)), {"stretch_exp": -1 / x})
     add("dielectric_saturation", *({"saturation": f / pull} for f in (0.1, 0.6)))
     add("second_mode", *({"mode_gain": 0.3, "mode_w": f / s.tau, "mode_zeta": 0.05} for f in (0.6, 1.6, 3.5)))
-    add("second_mode", *({"mode_force": 0.2, "mode_w": f / s.tau, "mode_zeta": 0.05} for f in (0.6, 1.6, 3.5)))
+    # a second mass hangs on a first: on none, it is a core of another order
+    hung = ({"mode_force": 0.2, "mode_w": f / s.tau, "mode_zeta": 0.05} for f in (0.6, 1.6, 3.5))
+    add("second_mode", *hung, second=True)
     if s.session > 1.5 * s.duration:
         add("stiffness_drift", *({"drift": c, "drift_time": 0.3 * s.session} for c in (0.1, -0.1)))
     add("sensor_lag", *({"lag": f * s.tau} for f in (0.2, 1.0)))

@@ -166,7 +166,7 @@ class Search:
             best.setdefault(f.free, f)
         tried = self._scored([*best.values()] or fits[:1])
         self.linears = sorted(tried, key=lambda h: len(h.fit.free))
-        least = min(tried, key=lambda h: h.rms)
+        self.least = least = min(tried, key=lambda h: h.rms)
         good = (h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
         plainest = next(good)
         if self.refit and self.given.rms < plainest.rms:
@@ -310,7 +310,9 @@ class Search:
 
     def run(self) -> None:
         """Fill `every` level by level."""
+        # in a refit also beside the structure that foresees most: friction in a gear without a mass is told by nothing
         fronts, levels = [self.base], [self.base]
+        fronts += [self.least] if self.refit and self.least.fit.free != self.base.fit.free else []
         for depth in range(1, DEPTH + 1):
             self.progress(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
@@ -349,10 +351,12 @@ class Search:
         fit = whole.fit
         keep = [f for f in self.library if f.name in key]
         slots = self.base.fit.slots.copy()
-        free = list(self.base.fit.free)
+        free = []
         moved = PARAMETERS in key or self.refit  # else the set without them would move them unnamed
+        others = [f for f in self.library if f.name in fit.names]
         for k in fit.free:
-            if (moved and k in self.movable) or any(k in f.start for f in keep):
+            linear = not any(k in f.start for f in others)
+            if (moved and linear) or any(k in f.start for f in keep):
                 slots[INDEX[k]] = fit.slots[INDEX[k]]
                 free.append(k)
         for k in ("fold", "reach"):
