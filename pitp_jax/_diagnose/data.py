@@ -27,7 +27,7 @@ PERIOD, COARSEST, BUDGET = 40.0, 16.0, 12_000  # samples a period of the fastest
 _ENOUGH = 5_000  # samples from which no further record is needed to tell a promising start
 STEPS = 24  # steps a period of the nominal's own mode, at least
 _FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
-_BLOCKS = 4  # folds of a single record
+_FEWEST_FOLDS = 4  # of fewer records each is cut into blocks
 _MOST_FOLDS = 6
 
 
@@ -66,7 +66,7 @@ class Case:
         nominal: slots of the nominal, shape (slots,).
         starts: (x, v) at the first samples, shape (records, 2).
         thinned: samples of a record per thinned sample.
-        folds: records left out together; blocks of the one record where there is one.
+        folds: records left out together; of fewer than four records a block of one, so that there are four at least.
     """
 
     model: Model
@@ -83,21 +83,22 @@ class Case:
         return self.simulator.drives[0].dt
 
     @property
-    def blocks(self) -> bool:
-        """Whether folds are blocks of one record."""
-        return len(self.series) == 1
+    def blocks(self) -> int:
+        """Blocks that every record is cut into; 1: records are left out whole."""
+        return -(-_FEWEST_FOLDS // len(self.series))
 
     def masks(self, fold: int | None) -> list[np.ndarray]:
         """Weights 0 or 1 of the samples that a fit without a fold may see; all that count for None."""
-        if fold is None:
-            return [s.counts.astype(float) for s in self.series]
-        if not self.blocks:
-            return [s.counts.astype(float) * (k not in self.folds[fold]) for k, s in enumerate(self.series)]
-        (s,) = self.series
-        size, seen = len(s.output), s.counts.astype(float)
-        margin = size // 100
-        seen[max(fold * size // _BLOCKS - margin, 0) : (fold + 1) * size // _BLOCKS + margin] = 0.0
-        return [seen]
+        rows = [s.counts.astype(float) for s in self.series]
+        for k in self.folds[fold] if fold is not None else ():
+            rows[k][self._left_out(fold, k, len(rows[k]) // 100)] = 0.0
+        return rows
+
+    def _left_out(self, fold: int, record: int, margin: int = 0) -> slice:
+        """Samples of a record that a fold leaves out."""
+        size, block = len(self.series[record].output), fold % self.blocks
+        first, last = block * size // self.blocks, (block + 1) * size // self.blocks
+        return slice(max(first - margin, 0), last + margin)
 
     def screened(self) -> list[np.ndarray]:
         """Samples that the first steps of a fit may see: of the records with the widest motion, `_ENOUGH` in all."""
@@ -111,11 +112,11 @@ class Case:
 
     def tested(self, fold: int) -> list[np.ndarray]:
         """Samples that a fold is judged on."""
-        if not self.blocks:
-            return [s.counts & (k in self.folds[fold]) for k, s in enumerate(self.series)]
-        (s,) = self.series
-        size, place = len(s.output), np.arange(len(s.output))
-        return [s.counts & (place >= fold * size // _BLOCKS) & (place < (fold + 1) * size // _BLOCKS)]
+        rows = [np.zeros(len(s.output), bool) for s in self.series]
+        for k in self.folds[fold]:
+            place = self._left_out(fold, k)
+            rows[k][place] = self.series[k].counts[place]
+        return rows
 
 
 def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) -> Case:
@@ -232,9 +233,9 @@ def _thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> i
 
 
 def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
-    """Records left out one by one, or in at most six groups of neighbours in range."""
-    if len(series) == 1:
-        return tuple((k,) for k in range(_BLOCKS))
+    """Records left out one by one, in at most six groups of neighbours in range; of few records block by block."""
+    if len(series) < _FEWEST_FOLDS:
+        return tuple((k,) for k in range(len(series)) for _ in range(-(-_FEWEST_FOLDS // len(series))))
     # every group then has small and large motions
     order = np.argsort([s.span for s in series], kind="stable")
     groups = min(len(series), _MOST_FOLDS)

@@ -61,7 +61,8 @@ class Diagnosis:
         added: what the augmented model has beyond the nominal, with form and parameters.
         budget, gap, ranking, where, next_experiment: as docs/contract.md names them.
         probability: per name, P that the best set without it leaves more.
-        fitted, heldout: record names; every record is predicted by a fit that did not see it, where there are several.
+        fitted, heldout: record names; every record is predicted by a fit that did not see it, where there are four or
+            more; of fewer every part.
         folds: records left out together.
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
         traces: every record beside the nominal and the model that is handed back.
@@ -205,7 +206,7 @@ def diagnose(
         where=locate(seen, search.base.residuals),
         next_experiment=experiment,
         fitted=tuple(s.record.name for s in case.series),
-        heldout=tuple(s.record.name for s in case.series) if not case.blocks else (),
+        heldout=tuple(s.record.name for s in case.series) if case.blocks == 1 else (),
         shift=shift,
         traces=traces_of(model, made[0], records),
         model=fitted_of(made[0]),
@@ -213,7 +214,7 @@ def diagnose(
         term=term,
         budget=budget_of(search, decision, raw),
         probability=decision.probabilities,
-        folds=tuple(tuple(case.series[k].record.name for k in f) for f in case.folds) if not case.blocks else (),
+        folds=tuple(tuple(case.series[k].record.name for k in f) for f in case.folds) if case.blocks == 1 else (),
         handed_back=parts,
     )
 

@@ -126,6 +126,6 @@ def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndar
                     # clipped beside what was seen in the fit: outside a product of three grows without end
                     z = (columns[k] - columns[k][tested].mean(0)) / size
                     e = h.residuals[k] - np.clip(z, 1.5 * low - 1e-9, 1.5 * high + 1e-9) @ w
-                    rows[i][k][tested] = e[tested] - (0.0 if case.blocks else np.nanmean(e[tested]))
+                    rows[i][k][tested] = e[tested] - (0.0 if case.blocks > 1 else np.nanmean(e[tested]))
     least = np.sqrt(h.evidence.least)
     return [evidence(r, np.sqrt(floors), least) for r in rows]
