@@ -3,7 +3,9 @@
     score   S = sum_r n_r log MSE_r / sum_r n_r          (the Gaussian log score with one variance per record)
     P       share of draws in which S_a + log q < S_b: records are drawn first, then blocks within, the same for all
 
-One large record decides pooled squares, and blocks alone gave 0.99 to second effects that one record knows.
+One large record decides pooled squares, and blocks alone gave 0.99 to second effects that one record knows. Of fewer
+than four records their parts are drawn, those that a fold leaves out: of two records, one is all there is in every
+fourth draw.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,6 +23,7 @@ class Evidence:
     Attributes:
         squares, sizes: sum of squares and samples of every block.
         records: which record it is of.
+        units: what is drawn with it: a record, or a part of one.
         floor: mean square of every record that is added to all of them: below it an error is no evidence.
         least: mean square that is the least of every record: the square of what the nominal leaves where nothing is
             wrong, which no name may claim to explain.
@@ -29,6 +32,7 @@ class Evidence:
     squares: np.ndarray
     sizes: np.ndarray
     records: np.ndarray
+    units: np.ndarray
     floor: np.ndarray
     least: float = 0.0
 
@@ -58,43 +62,64 @@ class Evidence:
         return float(np.exp(self.score / 2))
 
 
-def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float = 0.0) -> Evidence:
-    """Blocks of the samples that are there: about thirty in all, at least six a record; `floors`, `least` as errors."""
+def evidence(
+    residuals: Sequence[np.ndarray], floors: np.ndarray, least: float = 0.0, parts: int = 1
+) -> Evidence:
+    """Blocks of the samples that are there: about thirty in all, at least six a record.
+
+    Args:
+        residuals: per record, nan where nothing counts.
+        floors, least: as errors.
+        parts: of every record, drawn apart.
+    """
     total = sum(int(np.isfinite(r).sum()) for r in residuals)
-    squares, sizes, records = [], [], []
+    squares, sizes, records, units = [], [], [], []
     for k, r in enumerate(residuals):
-        seen = r[np.isfinite(r)]
-        if not len(seen):
-            continue
-        # blocks, not samples: neighbours on one smooth run are no independent witnesses
-        for block in np.array_split(seen, max(_FEWEST, round(_BLOCKS * len(seen) / total))):
-            squares.append(float(np.sum(block**2)))
-            sizes.append(len(block))
-            records.append(k)
-    return Evidence(np.array(squares), np.array(sizes), np.array(records), np.array(floors) ** 2 + 1e-300, least**2)
+        for n, part in enumerate(np.array_split(r, parts)):
+            seen = part[np.isfinite(part)]
+            # blocks, not samples: neighbours on one smooth run are no independent witnesses
+            count = max(_FEWEST, round(_BLOCKS * len(seen) / total)) if len(seen) else 0
+            for block in np.array_split(seen, count) if count else ():
+                squares.append(float(np.sum(block**2)))
+                sizes.append(len(block))
+                records.append(k)
+                units.append(k * parts + n)
+    blocks = [np.array(row) for row in (squares, sizes, records, units)]
+    return Evidence(*blocks, np.array(floors) ** 2 + 1e-300, least**2)
 
 
-def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Draw records, then blocks within each: (record, times drawn (count,), its blocks (count, blocks)) in turn."""
-    rng, there = np.random.default_rng(seed), np.unique(first.records)
-    # how often each record is drawn; with one record only its blocks can vary
+def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """Draw units, then blocks within each.
+
+    Yields:
+        record, times that it was drawn (count,), its blocks, and how often each of them was (count, blocks).
+    """
+    rng, there = np.random.default_rng(seed), np.unique(first.units)
+    # how often each unit is drawn; with one only its blocks can vary
     times = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), count)
-    for j, r in enumerate(there):
+    often = np.zeros((count, len(first.units)))
+    weight = np.zeros_like(often)
+    for j, u in enumerate(there):
+        place = np.flatnonzero(first.units == u)
+        pick = rng.integers(0, len(place), (count, len(place)))
+        often[:, place] = times[:, j, None] * (pick[:, :, None] == np.arange(len(place))).sum(1)
+        weight[:, place] = times[:, j, None] * first.sizes[place]
+    for r in np.unique(first.records):
         place = np.flatnonzero(first.records == r)
-        yield int(r), times[:, j], place[rng.integers(0, len(place), (count, len(place)))]
+        yield int(r), weight[:, place].sum(1) / first.sizes[place].sum(), place, often[:, place]
 
 
 def draws(sets: Sequence[Evidence]) -> np.ndarray:
     """Score every set in every draw, shape (sets, draws); all sets are drawn alike."""
     first = sets[0]
     scores, weight = np.zeros((len(sets), _DRAWS)), np.zeros(_DRAWS)
-    for r, times, pick in resampled(first, _DRAWS, seed=0):
+    for r, times, place, often in resampled(first, _DRAWS, seed=0):
         # a record counts by its samples, as in the score itself; the same blocks for all sets: what they share cancels
-        size = times * first.sizes[first.records == r].sum()
+        size = times * first.sizes[place].sum()
         weight += size
-        count = first.sizes[pick].sum(1)
+        count = np.maximum(often @ first.sizes[place], 1)
         for k, s in enumerate(sets):
-            scores[k] += size * np.log(np.maximum(s.squares[pick].sum(1) / count + s.floor[r], s.least))
+            scores[k] += size * np.log(np.maximum(often @ s.squares[place] / count + s.floor[r], s.least))
     return scores / weight
 
 

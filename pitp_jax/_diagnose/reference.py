@@ -128,4 +128,4 @@ def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndar
                     e = h.residuals[k] - np.clip(z, 1.5 * low - 1e-9, 1.5 * high + 1e-9) @ w
                     rows[i][k][tested] = e[tested] - (0.0 if case.blocks > 1 else np.nanmean(e[tested]))
     least = np.sqrt(h.evidence.least)
-    return [evidence(r, np.sqrt(floors), least) for r in rows]
+    return [evidence(r, np.sqrt(floors), least, case.blocks) for r in rows]

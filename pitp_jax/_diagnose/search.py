@@ -135,7 +135,7 @@ class Search:
 
     def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
         """Evidence of out-of-fold residuals."""
-        return evidence(rows, np.sqrt(self.floors), rules.OWN * self.misfit)
+        return evidence(rows, np.sqrt(self.floors), rules.OWN * self.misfit, self.case.blocks)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 

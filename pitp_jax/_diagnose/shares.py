@@ -23,12 +23,12 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
     first = sets[0]
     number = len(np.unique(first.records))
     energy = np.zeros((len(sets), 1 + _DRAWS))
-    for r, times, pick in resampled(first, _DRAWS, seed=1):
-        drawn = np.vstack([np.flatnonzero(first.records == r), pick])
-        weight = np.concatenate([[1], times]) / number
-        count = first.sizes[drawn].sum(1)
+    for r, times, place, often in resampled(first, _DRAWS, seed=1):
+        drawn = np.vstack([np.ones(len(place)), often])
+        weight = np.concatenate([[1.0], times]) / number
+        count = np.maximum(drawn @ first.sizes[place], 1)
         for k, s in enumerate(sets):
-            energy[k] += weight * s.squares[drawn].sum(1) / count / spans[r] ** 2
+            energy[k] += weight * (drawn @ s.squares[place]) / count / spans[r] ** 2
     return energy
 
 
