@@ -4,8 +4,8 @@ drag              f = c x' |x'|  or  c x' |x' / v|^p
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
                   or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see)
 
-Friction is resolved: f is what brings x' to rest within the step, no more than F_c (order 2); at other orders it is
-regularised at a hundredth of the usual speed.
+Friction is resolved: f is what brings x' to rest within the step, no more than F_c (orders 1 and 2); above, and along a
+motion of order 1 that is given, it is regularised at a hundredth of the usual speed.
 """
 
 import jax.numpy as jnp
@@ -24,16 +24,21 @@ def dry(now: Instant, level):
         # rest: the force that would bring x' to zero by the end of the step
         rest = now.tokens[2] * (now.state[1] / (now.h * now.rates[1]) + now.highest)
         return jnp.clip(rest, -level, level)
-    # at other orders x' is not the force's to stop within a step
+    if now.order == 1 and now.last is None:  # without a mass whatever else pulls is what moves it
+        return jnp.clip(now.tokens[1] * now.highest, -level, level)
+    # x' is not the force's to stop within a step
     return level * jnp.tanh(100.0 * now.v)
 
 
 def _smooth(p, now: Instant):
     """Compute F_c tanh(x' / v_s) at the step's end, so that v_s may be small; as it stands along a given motion."""
-    if now.order != 2 or now.last is not None:
+    if now.order > 2 or now.last is not None:
         return p.level * jnp.tanh(now.v / p.speed)
-    reply = now.h * now.rates[1] / now.tokens[2]  # of x' to a force over the step
-    free = now.state[1] + now.h * now.rates[1] * now.highest
+    # x' without the friction, and its answer to a force over the step
+    if now.order == 1:
+        reply, free = 1 / now.tokens[1], now.highest
+    else:
+        reply, free = now.h * now.rates[1] / now.tokens[2], now.state[1] + now.h * now.rates[1] * now.highest
     most, knee = reply * p.level, p.speed + reply * p.level
     # the answer for tanh cut to a ramp, then two Newton steps of  v + most tanh(v / v_s) = free
     v = jnp.where(jnp.abs(free) < knee, free * p.speed / knee, free - jnp.sign(free) * most)
@@ -45,7 +50,7 @@ def _smooth(p, now: Instant):
 
 def _stribeck(p, now: Instant):
     # at the speed the step begins with: half a step on, the friction itself would decide on its level
-    speed = now.state[1] / p.speed if now.order > 1 else 0.0
+    speed = (now.state[1] if now.order > 1 else now.v) / p.speed
     return dry(now, p.level * (1 + p.rise * jnp.exp(-(speed**2))))
 
 
