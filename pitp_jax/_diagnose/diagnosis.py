@@ -48,6 +48,7 @@ from .where import locate, motions
 
 _DOUBLED = 4  # times that the steps a sample of a model handed back are doubled, until its free run stays finite
 _NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
+_DISAGREE = "the set that pays mends the small records and worsens the large ones, so no name is said"
 
 
 @dataclass(frozen=True)
@@ -180,8 +181,13 @@ def diagnose(
     progress("which of them is sure")
     decision = decide(search, own, noise, distinct)
     handed, made, parts = hand_back(search, decision, model, records)
-    if decision.said and handed is not decision.chosen:
-        decision = replace(decision, verdict="unknown", said=(), tied={}, reason=_NO_BETTER)
+    why = ""
+    if handed is not decision.chosen:
+        why = _NO_BETTER
+    elif percent(search, handed) > (1 - rules.GAIN) * percent(search, search.base):
+        why = _DISAGREE
+    if decision.said and why:
+        decision = replace(decision, verdict="unknown", said=(), tied={}, reason=why)
         handed, made, parts = hand_back(search, decision, model, records)
     # told in % of range, as the gap is
     low = _floor(search, own)

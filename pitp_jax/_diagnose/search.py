@@ -166,7 +166,7 @@ class Search:
             best.setdefault(f.free, f)
         tried = self._scored([*best.values()] or fits[:1])
         self.linears = sorted(tried, key=lambda h: len(h.fit.free))
-        self.least = least = min(tried, key=lambda h: h.rms)
+        least = min(tried, key=lambda h: h.rms)
         good = (h for h in self.linears if h is least or probability(least.evidence, h.evidence, 0.95) < rules.SURE)
         plainest = next(good)
         if self.refit and self.given.rms < plainest.rms:
@@ -310,9 +310,9 @@ class Search:
 
     def run(self) -> None:
         """Fill `every` level by level."""
-        # in a refit also beside the structure that foresees most: friction in a gear without a mass is told by nothing
+        # in a refit beside every linear structure: friction in a gear is told by none that lacks its mass or its delay
         fronts, levels = [self.base], [self.base]
-        fronts += [self.least] if self.refit and self.least.fit.free != self.base.fit.free else []
+        fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
         for depth in range(1, DEPTH + 1):
             self.progress(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
