@@ -100,6 +100,12 @@ class Case:
         first, last = block * size // self.blocks, (block + 1) * size // self.blocks
         return slice(max(first - margin, 0), last + margin)
 
+    def alone(self, record: int) -> "Case":
+        """One record by itself."""
+        series = (self.series[record],)
+        simulator = replace(self.simulator, drives=(self.simulator.drives[record],))
+        return replace(self, series=series, simulator=simulator, starts=self.starts[[record]], folds=_folds(series))
+
     def screened(self) -> list[np.ndarray]:
         """Samples that the first steps of a fit may see: of the records with the widest motion, `_ENOUGH` in all."""
         rows = [s.counts.astype(float) for s in self.series]

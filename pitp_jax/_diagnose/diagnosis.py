@@ -18,6 +18,7 @@ from .._record.initial_state import noise_std
 from .._record.record import Record
 from .._record.sets import clock_start
 from .._simulate.prediction import predict
+from .._simulate.voltage_only import rollout
 from . import rules
 from .budget import Budget
 from .data import Case, build_case, excitations
@@ -293,7 +294,7 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
     Returns:
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
-    given, error = search.given.evidence.bare, _error
+    given, error, alone = search.given.evidence.bare, _error, decision.alone
     # sets with no name said may still predict better than the one that was judged
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
@@ -307,13 +308,16 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
     for h in tried:
         if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
             continue
+        # numbers shared by machines that differ foresee none of them
+        if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
+            continue
         # in the package's own parts; what none of them can carry is not handed back
         made, added, missing = model_of(search.case.nominal, h.fit.slots, model, omega)
         if missing:
             continue
         made = replace(made, domain=made.domain.driven_by(records))
         made, after = _stable(made, records)
-        if np.isfinite(after) and after < before:
+        if after < before and _bounded(made, records):
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
             parts += ["parameters"] if set(h.fit.free) & {"a0", "a1", "a2"} else []
@@ -334,6 +338,13 @@ def _stable(made: Model, records: Sequence[Record]) -> tuple[Model, float]:
         made = replace(made, substeps=2 * made.substeps)
         error = _package_error(made, records)
     return made, error
+
+
+def _bounded(made: Model, records: Sequence[Record]) -> bool:
+    """Whether no drive of the records runs away at the widest of their voltages, from rest."""
+    top = max(float(np.abs(r.voltage).max()) for r in records)
+    played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
+    return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
 
 
 def _package_error(model: Model, records: Sequence[Record]) -> float:

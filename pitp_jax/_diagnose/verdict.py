@@ -21,6 +21,8 @@ from .library import FREE, TWINS
 from .reference import reference
 from .search import LONE, PARAMETERS, Hypothesis, Search
 
+_DIFFERS = "the machine differs from record to record: a linear model of each by itself leaves less than any set"
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -36,6 +38,8 @@ class Decision:
         bar: the reference on the base; above: on the chosen set.
         more: P that the reference closes more on top of the set.
         reason: why nothing is said, in words.
+        rivals: names that no verdict could tell apart.
+        alone: what a linear model of every record by itself leaves, of few records.
     """
 
     verdict: str
@@ -49,6 +53,7 @@ class Decision:
     more: float
     reason: str = ""
     rivals: tuple[str, ...] = field(default=())
+    alone: Evidence | None = None
 
 
 def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
@@ -62,11 +67,13 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     # what a flexible model adds counts where it is worth GAIN of the gap's energy, not of what little is left
     worth = 1 - rules.GAIN * (base.rms / chosen.rms) ** 2
     more = probability(above, chosen.evidence, np.sqrt(worth)) if worth > 0 else 0.0
+    alone = search.each_alone()
     settled = chosen.rms <= rules.OWN * max(own, noise)
 
     def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
         return Decision(
-            verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason, tuple(rivals)
+            verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason,
+            tuple(rivals), alone,
         )
 
     if search.given.rms <= rules.OWN * own:
@@ -93,6 +100,8 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
         return answer("unknown", reason="a flexible model without names explains as much", **seen)
+    if alone is not None and not settled and probability(alone, chosen.evidence, 1 - rules.GAIN) >= rules.SURE:
+        return answer("unknown", reason=_DIFFERS, **seen)
     if FREE in chosen.names:
         return answer("unknown", reason="a force that has no name is part of it", **seen)
     deeper = [h for h in search.every.values() if len(h.names) > len(chosen.names) and h.rms < rules.HALF * chosen.rms]
