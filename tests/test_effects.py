@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from beside import Composite, beside
 from effect_numbers import NUMBERS
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import pitp_jax as pitp
 from pitp_jax._effects import CATALOGUE, effect
@@ -72,6 +74,36 @@ def test_what_a_form_makes_of_a_slow_signal_is_undone_without_shooting(case, for
     passed = np.asarray(made) != 0  # what does not get through a dead zone cannot be known
     assert passed.mean() > 0.5 and np.abs(back - signal)[passed].max() < 2e-5 * np.ptp(signal)
     assert (np.abs(made - signal).max() > 1e-3 * np.ptp(signal)) == (form.key not in LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("key", "numbers", "level"),
+    [
+        ("coulomb_friction: Coulomb", (0.1,), lambda x, v: 0.1),
+        ("coulomb_friction: loaded by the spring", (0.05, 0.1), lambda x, v: 0.05 + 0.1 * abs(x)),
+        ("coulomb_friction: smooth", (0.1, 0.2), lambda x, v: 0.1 * np.tanh(v / 0.2)),
+    ],
+)
+def test_dry_friction_without_a_mass_stops_the_motion(linear, key, numbers, level):
+    """a_1 x' = F - a_0 x - f: what else pulls is what friction answers to; beside SciPy at tight tolerance."""
+    form = next(f for f in CATALOGUE if f.key == key)
+    bare = linear(1, HZ, 1.0, dt=DT)
+    volts = 600 + 350 * np.sin(2 * np.pi * 1.3 * TIME)
+    a0, a1 = np.asarray(bare.coefficients, float)[:2]
+    rate = float(bare.scales.rates[0])
+
+    def speed(t, x):
+        """Scaled x' over its scale: its level is the whole force, or it is what leaves the balance."""
+        pull = np.interp(t, TIME, volts) ** 2 / float(bare.scales.force) - a0 * x[0]
+        if "smooth" in key:
+            return [rate * brentq(lambda v: a1 * v + level(x[0], v) - pull, -abs(pull) / a1 - 1, abs(pull) / a1 + 1)]
+        return [rate * np.sign(pull) * max(abs(pull) - level(a0 * x[0], 0.0), 0.0) / a1]
+
+    truth = solve_ivp(speed, (0, TIME[-1]), [0.0], t_eval=TIME, rtol=1e-8, atol=1e-10, max_step=DT).y[0]
+    found = rollout(replace(bare, effects=(form(*numbers),)), jnp.asarray(volts, jnp.float32), DT, rest_state(bare))
+    found = np.asarray(found)[:, 0]
+    plain = np.asarray(rollout(bare, jnp.asarray(volts, jnp.float32), DT, rest_state(bare)))[:, 0]
+    assert np.abs(found - truth).max() < 3e-3 * np.ptp(truth) < 0.1 * np.abs(plain - truth).max()
 
 
 @pytest.fixture(scope="module")

@@ -66,3 +66,13 @@ def test_equals_are_even():
         a, b = (evidence(noise((500, 500, 500), (1.0, 1.0, 1.0), 2 * seed + k), FLOORS) for k in (0, 1))
         found.append(probability(a, b))
     assert 0.3 < np.mean(found) < 0.7 and np.std(found) > 0.15
+
+
+def test_of_two_records_parts_are_drawn():
+    """A set that mends one of two records: drawn whole, that record is missing in every fourth draw."""
+    base = noise((600, 600), (1.0, 1.0))
+    mended = [base[0], 0.2 * base[1]]
+    whole, parts = ([evidence(rows, FLOORS[:2], parts=n) for rows in (mended, base)] for n in (1, 2))
+    assert probability(*whole, 0.9) == pytest.approx(0.75, abs=0.03)
+    assert probability(*parts, 0.9) == pytest.approx(15 / 16, abs=0.03)
+    assert parts[0].score == pytest.approx(whole[0].score)

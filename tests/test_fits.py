@@ -9,6 +9,7 @@ from played import nominal_of, play
 
 import pitp_jax as pitp
 from pitp_jax._diagnose.data import build_case, excitations
+from pitp_jax._diagnose.evidence import probability
 from pitp_jax._diagnose.fit import Fit, Fitter
 from pitp_jax._diagnose.library import sections
 from pitp_jax._diagnose.search import Search
@@ -66,6 +67,40 @@ def test_a_refused_step_does_not_leave_a_fold_where_it_has_seen_what_it_is_judge
     for rows, other, seen in zip(found, wanted, whole.residuals, strict=True):
         apart = np.nanmax(np.abs(rows - other))
         assert apart < 0.2 * np.nanmax(np.abs(other - seen))
+
+
+def test_every_sample_is_judged_once_by_a_fit_that_has_not_seen_it(nominal):
+    played = play(nominal)
+    for records in (1, 2, 3, 4):
+        case = build_case(nominal, played[:records])
+        judged = [np.zeros(len(s.output), int) for s in case.series]
+        for fold in range(len(case.folds)):
+            for count, tested, seen in zip(judged, case.tested(fold), case.masks(fold), strict=True):
+                count += tested
+                assert not (tested & (seen > 0)).any()
+        assert len(case.folds) >= 4 and all((n == s.counts).all() for n, s in zip(judged, case.series, strict=True))
+
+
+@pytest.mark.slow
+def test_numbers_that_differ_from_record_to_record_are_told_by_a_model_of_each(nominal):
+    """Springs of 1.4 and 0.7: no numbers shared by two records leave what those of each do."""
+    played = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.4, 0.7))]
+    search = Search(build_case(nominal, played), refit=False)
+    alone = search.each_alone()
+    assert alone is not None and probability(alone.bare, search.linear.evidence.bare, 0.5) >= 0.9
+    same = Search(build_case(nominal, play(nominal)[:2]), refit=False)
+    alone = same.each_alone()
+    assert alone is not None and probability(alone.bare, same.linear.evidence.bare, 0.98) < 0.9
+
+
+@pytest.mark.slow
+def test_coefficients_that_have_not_moved_are_the_nominals(nominal):
+    search = Search(build_case(nominal, play(nominal.changed(np.array([1.3, 1.0, 1.0])))), refit=False)
+    assert set(search.linear.fit.free) == {"a0", "a1", "a2"}
+    search.fewer_moved()
+    (moved,) = search.level(1)
+    assert moved.fit.free == ("a0",)
+    assert moved.fit.value("a0") == pytest.approx(1.3 * search.case.nominal[INDEX["a0"]], rel=1e-2)
 
 
 @pytest.mark.slow
