@@ -183,7 +183,7 @@ def diagnose(
     decision = decide(search, own, noise, distinct)
     handed, made, parts = hand_back(search, decision, model, records)
     why = ""
-    if handed is not decision.chosen:
+    if not set(decision.said) <= set(handed.labels):
         why = _NO_BETTER
     elif percent(search, handed) > (1 - rules.GAIN) * percent(search, search.base):
         why = _DISAGREE
@@ -295,12 +295,12 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
     given, error, alone = search.given.evidence.bare, _error, decision.alone
-    # sets with no name said may still predict better than the one that was judged
+    # a set that is not judged may predict better than the one that was
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
-    if not decision.said:
-        chosen = decision.chosen.evidence.bare
-        sure = [h for h in deeper if probability(h.evidence.bare, chosen) >= rules.SURE]
+    if decision.verdict != "explained":
+        chosen, said = decision.chosen.evidence.bare, set(decision.said)
+        sure = [h for h in deeper if said <= set(h.labels) and probability(h.evidence.bare, chosen) >= rules.SURE]
         tried = [*sure[:3], *tried]
     tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
     before = _package_error(model, records)
