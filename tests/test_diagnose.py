@@ -176,3 +176,25 @@ def test_a_name_whose_model_is_not_handed_back_is_not_said(nominal, monkeypatch)
     found = pitp.diagnose(nominal, play(planted), exclude=others)
     assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
     assert any("free runs" in note for note in found.notes)
+
+
+def test_a_model_that_runs_away_within_its_voltages_is_not_handed_back(nominal):
+    """A spring that softens without end holds under the weak drive and gives way under the widest voltage."""
+    softer = replace(nominal, effects=(term_row(("x^3",))(-0.6),))
+    sine, *_ = play(nominal)[2:]
+    weak = replace(sine, name="weak", voltage=0.5 * sine.voltage)
+    held, far = (np.isfinite(pitp.rollout(softer, r.voltage, r.dt, begins="rest")).all() for r in (weak, sine))
+    assert held and not far
+    assert diagnosis._bounded(nominal, [weak, sine]) and not diagnosis._bounded(softer, [weak, sine])
+    assert diagnosis._bounded(softer, [weak])
+
+
+@pytest.mark.slow
+def test_a_model_takes_the_steps_that_its_effects_need(nominal):
+    """A stop of a thousand springs in mid-motion: a mode of 160 Hz, of which a step of 4 ms makes four radians."""
+    stiff = replace(nominal, effects=(effect("end_stop", "above", 1e3, 0.3),))
+    records = play(replace(stiff, substeps=16))[2:4]
+    assert stiff.substeps == 1 and not np.isfinite(diagnosis._package_error(stiff, records))
+    before = diagnosis._package_error(nominal, records)
+    found, error = diagnosis._stable(stiff, records, before)
+    assert found.substeps > 1 and error < 0.1 * before

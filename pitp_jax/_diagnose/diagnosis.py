@@ -47,7 +47,7 @@ from .term import Term, term_of
 from .verdict import Decision, decide
 from .where import locate, motions
 
-_DOUBLED = 4  # times that the steps a sample of a model handed back are doubled, until its free run stays finite
+_DOUBLED = 4  # times at most that the steps a sample of a model handed back are doubled
 _NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
 _DISAGREE = "the set that pays mends the small records and worsens the large ones, so no name is said"
 
@@ -316,7 +316,7 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         if missing:
             continue
         made = replace(made, domain=made.domain.driven_by(records))
-        made, after = _stable(made, records)
+        made, after = _stable(made, records, before)
         if after < before and _bounded(made, records):
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
@@ -329,14 +329,20 @@ def _error(h: Hypothesis) -> float:
     return h.evidence.bare.rms
 
 
-def _stable(made: Model, records: Sequence[Record]) -> tuple[Model, float]:
-    """The model with as many steps a sample as its effects need, and its error: their poles are in no coefficient."""
+def _stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
+    """The model with as many steps a sample as its effects need, and its error: their poles are in no coefficient.
+
+    Where it leaves `most` or more its steps are doubled until that gains nothing.
+    """
     error = _package_error(made, records)
     for _ in range(_DOUBLED):
-        if np.isfinite(error):
+        if error < most:
             break
-        made = replace(made, substeps=2 * made.substeps)
-        error = _package_error(made, records)
+        finer = replace(made, substeps=2 * made.substeps)
+        before, error = error, _package_error(finer, records)
+        if np.isfinite(before) and error > (1 - rules.GAIN) * before:
+            return made, before
+        made = finer
     return made, error
 
 
