@@ -9,8 +9,9 @@ cost a run a number and need no program of their own. A run that diverges is a r
 """
 
 import cmath
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -84,13 +85,15 @@ def coordinates(fit: Fit) -> np.ndarray:
     return np.where(log, np.log(np.maximum(values, 1e-300)), values)
 
 
-def at(fit: Fit, z: np.ndarray) -> np.ndarray:
-    """Slots at other free coordinates."""
+def at(fit: Fit, z: np.ndarray, lowest: Mapping[str, float] = MappingProxyType({})) -> np.ndarray:
+    """Slots at other free coordinates, none below its `lowest`."""
     slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
     log = LOGARITHM[places]
     slots[places] = np.where(log, np.exp(np.clip(z, -70, 70)), z)
     for name, most in HIGHEST.items():
         slots[INDEX[name]] = min(slots[INDEX[name]], most)
+    for name in lowest.keys() & set(fit.free):
+        slots[INDEX[name]] = max(slots[INDEX[name]], lowest[name])
     return slots
 
 
@@ -142,6 +145,7 @@ class Fitter:
     def __init__(self, case: Case):
         self.case = case
         self.runs = 0
+        self.lowest: dict[str, float] = {}  # what a slot may not fall below
         self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {PREVIEW: case.screened()}
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
@@ -210,7 +214,7 @@ class Fitter:
                 for i in range(len(z)):
                     moved = z.copy()
                     moved[i] += step[i]
-                    jobs.append((at(fit, moved), k, fit.starts[k]))
+                    jobs.append((at(fit, moved, self.lowest), k, fit.starts[k]))
                 # the unmoved run beside them, in the same block: rounding of another program would not cancel
                 jobs.append((fit.slots, k, fit.starts[k]))
         runs, place = self._simulate(jobs), 0
@@ -253,7 +257,7 @@ class Fitter:
             if not active:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
-            trials = [at(f, coordinates(f) + self._move(f)) for f in active]
+            trials = [at(f, coordinates(f) + self._move(f), self.lowest) for f in active]
             for f, p, (cost, residuals, starts) in zip(active, trials, self.evaluate(active, trials), strict=True):
                 self._judge(f, p, cost, residuals, starts)
         return list(fits)

@@ -114,6 +114,8 @@ class Search:
         self.base = base
         self.scale = scale_of(case, base.fit)
         self.every[frozenset()] = base
+        # a memory of the drive that is faster than the plant is a filter of it, no charge
+        self.fitter.lowest = {"charge_tau": self.scale.tau}
         self.library = [
             f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)
         ]
