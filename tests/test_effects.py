@@ -1,6 +1,7 @@
 """Every form of every effect: it vanishes, it acts, it stays bounded, it is found again, it inverts, it is saved."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -96,7 +97,9 @@ def test_dry_friction_without_a_mass_stops_the_motion(linear, key, numbers, leve
         """Scaled x' over its scale: its level is the whole force, or it is what leaves the balance."""
         pull = np.interp(t, TIME, volts) ** 2 / float(bare.scales.force) - a0 * x[0]
         if "smooth" in key:
-            return [rate * brentq(lambda v: a1 * v + level(x[0], v) - pull, -abs(pull) / a1 - 1, abs(pull) / a1 + 1)]
+            widest = abs(pull) / a1 + 1
+            root: Any = brentq(lambda v: a1 * v + level(x[0], v) - pull, -widest, widest)
+            return [rate * root]
         return [rate * np.sign(pull) * max(abs(pull) - level(a0 * x[0], 0.0), 0.0) / a1]
 
     truth = solve_ivp(speed, (0, TIME[-1]), [0.0], t_eval=TIME, rtol=1e-8, atol=1e-10, max_step=DT).y[0]

@@ -72,7 +72,7 @@ def test_of_two_records_parts_are_drawn():
     """A set that mends one of two records: drawn whole, that record is missing in every fourth draw."""
     base = noise((600, 600), (1.0, 1.0))
     mended = [base[0], 0.2 * base[1]]
-    whole, parts = ([evidence(rows, FLOORS[:2], parts=n) for rows in (mended, base)] for n in (1, 2))
-    assert probability(*whole, 0.9) == pytest.approx(0.75, abs=0.03)
-    assert probability(*parts, 0.9) == pytest.approx(15 / 16, abs=0.03)
-    assert parts[0].score == pytest.approx(whole[0].score)
+    for parts, sure in ((1, 3 / 4), (2, 15 / 16)):
+        after, before = (evidence(rows, FLOORS[:2], parts=parts) for rows in (mended, base))
+        assert probability(after, before, 0.9) == pytest.approx(sure, abs=0.03)
+        assert after.score == pytest.approx(2 * np.log(0.2) / 2, abs=0.1)

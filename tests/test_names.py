@@ -78,7 +78,7 @@ def searched(*sets, own=0.0, refit=False):
     search.base = search.given = search.linear = base
     search.linears, search.refit, search.own = [base], refit, own
     search.budget, search.progress = Budget(0.0), lambda line: None
-    search.case, search.floors = cast(Any, SimpleNamespace()), np.full(RECORDS, 1e-9)
+    search.case, search.floors = cast(Any, SimpleNamespace(blocks=1)), np.full(RECORDS, 1e-9)
     search.every = {frozenset(h.names): h for h in (base, *sets)}
     return search
 

@@ -90,8 +90,9 @@ class Case:
     def masks(self, fold: int | None) -> list[np.ndarray]:
         """Weights 0 or 1 of the samples that a fit without a fold may see; all that count for None."""
         rows = [s.counts.astype(float) for s in self.series]
-        for k in self.folds[fold] if fold is not None else ():
-            rows[k][self._left_out(fold, k, len(rows[k]) // 100)] = 0.0
+        if fold is not None:
+            for k in self.folds[fold]:
+                rows[k][self._left_out(fold, k, len(rows[k]) // 100)] = 0.0
         return rows
 
     def _left_out(self, fold: int, record: int, margin: int = 0) -> slice:

@@ -62,9 +62,7 @@ class Evidence:
         return float(np.exp(self.score / 2))
 
 
-def evidence(
-    residuals: Sequence[np.ndarray], floors: np.ndarray, least: float = 0.0, parts: int = 1
-) -> Evidence:
+def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float = 0.0, parts: int = 1) -> Evidence:
     """Blocks of the samples that are there: about thirty in all, at least six a record.
 
     Args:
@@ -84,8 +82,8 @@ def evidence(
                 sizes.append(len(block))
                 records.append(k)
                 units.append(k * parts + n)
-    blocks = [np.array(row) for row in (squares, sizes, records, units)]
-    return Evidence(*blocks, np.array(floors) ** 2 + 1e-300, least**2)
+    squares, sizes, records, units = map(np.array, (squares, sizes, records, units))
+    return Evidence(squares, sizes, records, units, np.array(floors) ** 2 + 1e-300, least**2)
 
 
 def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:

@@ -72,8 +72,18 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
 
     def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
         return Decision(
-            verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason,
-            tuple(rivals), alone,
+            verdict,
+            chosen,
+            tuple(said),
+            tied or {},
+            p or {},
+            fractions or {},
+            bar,
+            above,
+            more,
+            reason,
+            tuple(rivals),
+            alone,
         )
 
     if search.given.rms <= rules.OWN * own:
