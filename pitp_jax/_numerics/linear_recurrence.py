@@ -20,7 +20,7 @@ def scalar_recurrence(keep: Float[Array, ""], drive: Float[Array, " steps"], sta
     return jnp.append(start, powers * start + sums)
 
 
-# called record by record outside any program, the scans inside would be compiled anew every time
+# outside any program the scans inside would compile anew for every record
 _compiled = partial(jax.jit, static_argnames="dt")
 
 

@@ -6,8 +6,7 @@
     Z_{t+k} = phi Z_t + sum_j A_{t+k-1} ... A_{j+1} N_j,    phi = A_{t+k-1} ... A_t
 
 p, q, r, a: `parameters`. The states are a plain free run's, so everything but Z is known side by side, and Z takes one
-small product a block. Those of single instants are written as sums, which join the kernels around them
-(docs/decisions/free_runs.md).
+small product a block (docs/decisions/free_runs.md).
 """
 
 from functools import partial
@@ -78,9 +77,9 @@ def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -
     return rows - runs.own_zero[:, None, None] * c * zero
 
 
-def _product(a: Float[Array, "i j"], b: Float[Array, "j k"]) -> Float[Array, "i k"]:
-    """Multiply two matrices of a few numbers as a sum: `@` would be a call for every one of many instants."""
-    return sum((a[:, k, None] * b[k] for k in range(1, len(b))), a[:, :1] * b[0])
+def _product(a, b):
+    """Multiply two small matrices as a sum: `@` would be a call for every instant."""
+    return sum(a[:, k, None] * b[k] for k in range(len(b)))
 
 
 class _Local:
