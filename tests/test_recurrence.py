@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from pitp_jax._numerics import linear_recurrence
 from pitp_jax._numerics.linear_recurrence import (
     first_order_lags,
     lag_after,
@@ -32,6 +33,14 @@ def test_lags_of_noise_against_scipy():
     with jax.enable_x64(True):
         found = first_order_lags(jnp.asarray(x), jnp.asarray(tau), dt, jnp.asarray(start))
     np.testing.assert_allclose(found, truth, rtol=0, atol=1e-11)
+
+
+def test_lags_of_records_of_one_length_are_one_program(monkeypatch):
+    traced, blocked = [], linear_recurrence._blocked
+    monkeypatch.setattr(linear_recurrence, "_blocked", lambda *a: (traced.append(1), blocked(*a))[1])
+    for level in (0.0, 1.0, 2.0):
+        first_order_lags(jnp.full(37, level), jnp.full(2, 0.1 + level), 0.01, jnp.zeros(2))
+    assert len(traced) == 1
 
 
 def test_slow_lags_survive_float32():

@@ -1,6 +1,7 @@
 """Refinement on free runs: a planted electrode lag is found, nothing else is touched, and a bad start is tamed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -19,6 +20,7 @@ from pitp_jax._simulate.decoder import at_rest, rest_state, rollout, rollout_bat
 from pitp_jax._simulate.prediction import predict
 from pitp_jax._train import refine as refining
 from pitp_jax._train.dataset import build_dataset
+from pitp_jax._train.parameters import parameters
 from pitp_jax._train.refine import refine
 
 DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
@@ -209,6 +211,16 @@ def test_longer_windows_come_where_whole_records_are_far_off(plant, start, monke
     monkeypatch.setattr(refining, "_miss", lambda model, batches, how: miss if batches[0].own_zero is not None else 1.0)
     list(refine(start[0], start[1], plant[1], 1, quiet))
     assert sizes == [("short runs", 100), ("longer runs", 400), ("free runs", SAMPLES)][:: 1 if longer else 2]
+
+
+@pytest.mark.parametrize(("kept", "steps"), [(0.992, 5), (0.988, 20)])
+def test_steps_that_win_little_are_the_last(start, monkeypatch, kept, steps):
+    """Five steps that together lower the error by 3.9 % end it, by 5.9 % not."""
+    vector = parameters(start[0])[0]
+    monkeypatch.setattr(refining, "_problem", lambda *_: SimpleNamespace(errors=None, slopes=None))
+    monkeypatch.setattr(refining, "accelerated", lambda *_: ((vector, kept**k, False) for k in range(99)))
+    how = refining._How(DT, quiet, 1e-4, None, None)
+    assert len(list(refining._descend(start[0], (), 20, "free runs", how))) == steps
 
 
 def test_no_start_at_all_is_told(plant, start):

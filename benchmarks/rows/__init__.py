@@ -25,6 +25,7 @@ ROWS = {
     "diagnose_unknown": "diagnose_unknown",
     "import": "import_time",
     "reading": "reading",
+    "stage_qp": "stage_qp",
 }
 
 

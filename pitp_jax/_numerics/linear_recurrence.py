@@ -3,6 +3,8 @@
 s_{t+1} = q s_t + b_t           as an associative scan: |q| <= 1, about log2(T) steps one after the other
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -18,6 +20,11 @@ def scalar_recurrence(keep: Float[Array, ""], drive: Float[Array, " steps"], sta
     return jnp.append(start, powers * start + sums)
 
 
+# outside any program the scans inside would compile anew for every record
+_compiled = partial(jax.jit, static_argnames="dt")
+
+
+@_compiled
 def first_order_lags(
     x: Float[Array, " time"], tau: Float[Array, " memory"], dt: float, start: Float[Array, " memory"]
 ) -> Float[Array, "time memory"]:
@@ -38,6 +45,7 @@ def first_order_lags(
     return _blocked(lambda z, b: keep * z + b, free, drive, start)
 
 
+@_compiled
 def oscillator(
     x: Float[Array, " time"], omega: Float[Array, ""], zeta: Float[Array, ""], dt: float, start: Float[Array, "2"]
 ) -> Float[Array, "time 2"]:

@@ -77,6 +77,11 @@ def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -
     return rows - runs.own_zero[:, None, None] * c * zero
 
 
+def _product(a, b):
+    """Multiply two small matrices as a sum: `@` would be a call for every instant."""
+    return sum(a[:, k, None] * b[k] for k in range(len(b)))
+
+
 class _Local:
     """One model's answers sample by sample, along states that are known."""
 
@@ -105,10 +110,10 @@ class _Local:
         by_core, seen_by_memory = jax.jacfwd(n.seen, (0, 1))(core, n.memory, h)
         here = state, n.logits(n.encoder, seen), n.memory, 0 * self.both
         by_state, by_logits, by_memory, by_both = jax.jacfwd(moved, (0, 1, 2, 3))(*here)
-        by_seen = by_logits @ jax.jacrev(n.logits, 1)(n.encoder, seen)
+        by_seen = _product(by_logits, jax.jacrev(n.logits, 1)(n.encoder, seen))
         # time constants act twice: on the memory itself, and on what the encoder sees half a step on
-        others = jnp.concatenate([by_memory + by_seen @ seen_by_memory, by_both], 1)
-        return (by_state.at[:, : self.core].add(by_seen @ by_core), by_logits, others, seen), moved(*here)
+        others = jnp.concatenate([by_memory + _product(by_seen, seen_by_memory), by_both], 1)
+        return (by_state.at[:, : self.core].add(_product(by_seen, by_core)), by_logits, others, seen), moved(*here)
 
     def sample(self, state, volts, volts_by):
         """Differentiate the substeps of one sample."""
@@ -126,11 +131,11 @@ class _Local:
         phi, later = jnp.eye(states.shape[1], dtype=states.dtype), []
         for t in reversed(range(len(by_state))):  # from the end: A_last ... A_{t+1} is one product longer each time
             later.append(phi)
-            phi = phi @ by_state[t]
+            phi = (phi[:, :, None] * by_state[t]).sum(1)
         later = jnp.stack(later[::-1])
         # rows of (later dg/dl) pulled back through the encoder: no dl/dp of (logits x weights) is ever formed
         back = jax.vjp(lambda p: jax.vmap(lambda f: self.numbers.logits(p, f))(seen), self.numbers.encoder)[1]
-        by_encoder = jax.vmap(lambda rows: back(rows)[0], 1)(later @ by_logits)
+        by_encoder = jax.vmap(lambda rows: back(rows)[0], 1)((later[..., None] * by_logits[:, None]).sum(2))
         return phi, jnp.concatenate([by_encoder, jnp.einsum("tij,tjk->ik", later, others)], 1)
 
     def sensed(self, state, answer):

@@ -48,7 +48,7 @@ _SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length
 _NEAR, _WORSE = 10.0, 3.0  # % of range that whole records may be off, or times what windows are, to be fitted next
 _SCALED = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the logits, where a stage may begin
 _PRIOR = 1e-4  # rho of every trained number but the weights of the nets of spring and damping
-_PATIENCE, _SLOW = 5, 0.01  # stop when that many steps together lower the error by less than this fraction
+_PATIENCE, _SLOW = 5, 0.05  # stop when that many steps together lower the error by less than this fraction
 
 
 @dataclass(frozen=True)
