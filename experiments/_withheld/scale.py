@@ -20,7 +20,7 @@ def cut(rows, like) -> list[np.ndarray]:
 
 def gap(y, base) -> float:
     """Gap in % between outputs and healthy outputs; inf where the motion ran away."""
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a play may let nothing through
         shares = [np.mean((a - b) ** 2) / np.ptp(a) ** 2 for a, b in zip(y, base, strict=True)]
         large = max(np.abs(a).max() for a in y) > 100 * max(np.abs(b).max() for b in base)
         value = 100 * float(np.sqrt(np.mean(shares)))
