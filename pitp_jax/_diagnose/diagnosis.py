@@ -49,6 +49,7 @@ from .where import locate, motions
 
 _DOUBLED = 4  # times at most that the steps a sample of a model handed back are doubled
 _NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
+_IN_PARTS = "fewer than four records: parts of each were left out in turn, so no drive is new to what is foreseen"
 _DISAGREE = "the set that pays mends the small records and worsens the large ones, so no name is said"
 
 
@@ -63,9 +64,9 @@ class Diagnosis:
         added: what the augmented model has beyond the nominal, with form and parameters.
         budget, gap, ranking, where, next_experiment: as docs/contract.md names them.
         probability: per name, P that the best set without it leaves more.
-        fitted, heldout: record names; every record is predicted by a fit that did not see it, where there are four or
-            more; of fewer every part.
-        folds: records left out together.
+        fitted, heldout: record names; every record is predicted by a fit that did not see it (of fewer than four
+            records, every part by one that did not see that part).
+        folds: records left out together, or in parts.
         shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
         traces: every record beside the nominal and the model that is handed back.
         notes: one line for whatever was left out, not tried or not said.
@@ -201,8 +202,13 @@ def diagnose(
     experiment = _experiment(search, decision, limit) if decision.verdict != "no_gap" else None
     shift = _shift(case, handed.fit, model)
     term = term_of(search, decision, handed, made, errors, gap) if FREE in decision.chosen.names else None
-    notes = (*notes, *([decision.reason] if decision.verdict == "unknown" and decision.reason else []), *limit.notes())
-    raw = _raw(search)
+    notes = (
+        *notes,
+        *([_IN_PARTS] if case.blocks > 1 and len(case.series) > 1 else []),
+        *([decision.reason] if decision.verdict == "unknown" and decision.reason else []),
+        *limit.notes(),
+    )
+    raw, names = _raw(search), tuple(s.record.name for s in case.series)
     return Diagnosis(
         verdict=decision.verdict,
         effects=effects,
@@ -212,8 +218,8 @@ def diagnose(
         ranking=ranking_of(search, low),
         where=locate(seen, search.base.residuals),
         next_experiment=experiment,
-        fitted=tuple(s.record.name for s in case.series),
-        heldout=tuple(s.record.name for s in case.series) if case.blocks == 1 else (),
+        fitted=names,
+        heldout=names if len(names) > 1 else (),
         shift=shift,
         traces=traces_of(model, made[0], records),
         model=fitted_of(made[0]),
@@ -221,7 +227,7 @@ def diagnose(
         term=term,
         budget=budget_of(search, decision, raw),
         probability=decision.probabilities,
-        folds=tuple(tuple(case.series[k].record.name for k in f) for f in case.folds) if case.blocks == 1 else (),
+        folds=tuple(dict.fromkeys(tuple(names[k] for k in f) for f in case.folds)) if len(names) > 1 else (),
         handed_back=parts,
     )
 
