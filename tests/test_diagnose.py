@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from played import nominal_of, play
+from played import FEW, nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
@@ -15,6 +15,8 @@ from pitp_jax._effects import CATALOGUE, lookup
 from pitp_jax._effects.found_term import term_row
 from pitp_jax._model.fitted import Fitted
 from pitp_jax._model.origin import Origin
+
+FEW_BUT_FRICTION = [n for n in FEW if n != "coulomb_friction"]
 
 
 def effect(name, form, *values):
@@ -176,6 +178,17 @@ def test_a_name_whose_model_is_not_handed_back_is_not_said(nominal, monkeypatch)
     found = pitp.diagnose(nominal, play(planted), exclude=others)
     assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
     assert any("free runs" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_friction_is_found_beside_a_mass_that_the_nominal_lacks(nominal):
+    """A nominal of order one, identified on records of a gear with a mass and friction that grows with its load."""
+    gear = replace(nominal, effects=(effect("coulomb_friction", "loaded by the spring", 0.02, 0.15),))
+    records = play(gear)[:3]
+    coarse = pitp.identify(records[:1], order=1).model
+    found = pitp.diagnose(coarse, records, refit_nominal=True, exclude=FEW_BUT_FRICTION)
+    assert found.effects == ("coulomb_friction",) and found.gap.after < 0.3 * found.gap.before
+    assert found.model.order == 2
 
 
 def test_a_model_that_runs_away_within_its_voltages_is_not_handed_back(nominal):

@@ -56,6 +56,15 @@ def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
         np.testing.assert_allclose(rows[k], residuals[k], atol=1e-3 * stiff.series[k].span)
 
 
+def test_a_number_does_not_fall_below_its_lowest(stiff):
+    slots = stiff.nominal.copy()
+    slots[INDEX["gent"]] = 0.5
+    fitter = Fitter(stiff)
+    fitter.lowest = {"gent": 0.4}  # 0.25 was planted
+    (found,) = fitter.fit([Fit(("spring",), ("gent",), slots, stiff.starts.copy())], 15)
+    assert found.value("gent") == pytest.approx(0.4)
+
+
 def test_a_refused_step_does_not_leave_a_fold_where_it_has_seen_what_it_is_judged_on(stiff, monkeypatch):
     """The first moves of every fold are thrown far off: what it ends at is its own optimum all the same."""
     fitter, slots = Fitter(stiff), stiff.nominal.copy()

@@ -31,7 +31,7 @@ def measure(seconds: float) -> dict:
     (two, cpu, shared), (one, whole, alone) = fit(2), fit(1)
     known = np.isfinite(alone)  # a bound that there is none of is infinite in all of them
     assert np.array_equal(shared[~known], alone[~known], equal_nan=True)
-    apart = float(np.abs(shared - alone)[known].max() / np.abs(alone[known]).max())
+    apart = float(np.abs(shared[known] - alone[known]).max() / np.abs(alone[known]).max())
     assert apart < 1e-6
     found = {"two processes": summary([two]), "one process": summary([one])}
     return row(found, "two processes", "one process", apart=apart, cpu_ratio=whole / cpu)
