@@ -87,12 +87,16 @@ def page(found: dict[str, float | str], figure: Path) -> str:
 
     drawn = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = drawn.subplots()
-    lines = ["| | " + " | ".join(f"{n:,}" for n in SAMPLES) + " |", "|---|" + "---|" * len(SAMPLES)]
-    for title, key in ROWS.items():
-        row = [found.get(" ".join(map(str, (*key, n)))) for n in SAMPLES]
+    cells = {title: [found.get(" ".join(map(str, (*key, n)))) for n in SAMPLES] for title, key in ROWS.items()}
+    columns = [k for k in range(len(SAMPLES)) if any(row[k] is not None for row in cells.values())]
+    lines = ["| | " + " | ".join(f"{SAMPLES[k]:,}" for k in columns) + " |", "|---|" + "---|" * len(columns)]
+    for title, whole in cells.items():
+        row = [whole[k] for k in columns]
+        if all(v is None for v in row):
+            continue  # not measured
         told = [f"{v:.2g} s" if isinstance(v, float) else str(v or "-") for v in row]
         lines.append(f"| {title} | " + " | ".join(told) + " |")
-        points = [(n, v) for n, v in zip(SAMPLES, row, strict=True) if isinstance(v, float)]
+        points = [(SAMPLES[k], v) for k, v in zip(columns, row, strict=True) if isinstance(v, float)]
         if points and title in _DRAWN:
             axes.loglog(*zip(*points, strict=True), marker="o", label=title.replace("`", ""))
     axes.set(xlabel="samples", ylabel="CPU time, s")
