@@ -114,13 +114,13 @@ def test_coefficients_that_have_not_moved_are_the_nominals(nominal):
 
 @pytest.mark.slow
 def test_names_are_measured_against_the_nominal_where_a_refit_is_worse(nominal):
-    """A spring a fifth stiffer in one record, a fifth softer in the other: fitted to one, 40 % off on the other.
+    """Four records, four springs: a fit to three is farther from the fourth than the nominal between them.
 
     With names measured against such a refit, one that only mended it was said while nothing could be handed back.
     """
-    played = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.2, 0.8))]
+    played = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.3, 1.1, 0.9, 0.7))]
     search = Search(build_case(nominal, played), refit=True)
-    assert search.linears[0].rms > 1.2 * search.given.rms
+    assert search.linears[0].rms > 1.1 * search.given.rms
     assert search.base.rms == search.given.rms
     assert set(search.base.fit.free) >= {"a0", "a1", "a2"}  # effects are fitted with the coefficients all the same
 
