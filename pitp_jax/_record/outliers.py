@@ -71,7 +71,8 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     bad = off_scale | (_spikes(y, step) & ~jumps)
     certain, held = _stuck(y, step, drive)
     bad |= certain & ~jumps
-    clipped = _clipped(np.where(bad, np.nan, y), drive)
+    # a machine that stands still by stiction does so at its turning points, too
+    clipped = _clipped(np.where(bad, np.nan, y), drive) & (10 * held.sum() <= len(y))
     held = int((held & ~jumps & ~bad & ~clipped).sum())
     # more than half cannot be outliers
     if 2 * bad.sum() > len(y):
@@ -173,7 +174,8 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     """Runs of one value while the drive moves, up to a tenth of the record: dropouts, and those that may be stiction.
 
     A dropout is entered and left by jumps, or lasts for many samples, of a sensor whose neighbouring samples differ
-    everywhere else, at rest too. Of any other sensor a value that is held and then left by a jump may be stiction.
+    everywhere else, at rest too. Of any other sensor a value that is held and then left by a jump may be stiction; so
+    may all runs that together are more than a tenth of the record: a gear stands still at every reversal.
 
     Returns:
         dropouts, possible stiction: True at their samples, shape (T,).
@@ -190,6 +192,7 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     repeats = float(np.mean((y[1:] == y[:-1])[~inside])) >= _NOISY
     quiet = _is_quiet(np.where(np.append(inside, False), np.nan, y), np.abs(np.diff(y))[np.diff(y) != 0])
     low, high = y.min(), y.max()
+    often = 10 * sum(e - b for b, e in runs if y[b] not in (low, high)) > len(y)
     for begin, end in runs:
         if begin < 3 or end > len(y) - 3 or end - begin > len(y) // 10 or y[begin] in (low, high):
             continue
@@ -198,7 +201,9 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
         local = max(np.abs(np.diff(before)).max(), np.abs(np.diff(after)).max(), step)
         near, far = sorted((abs(before[-1] - y[begin]), abs(after[0] - y[begin])))
         long = end - begin >= _SHORTEST_CLIP and np.ptp(drive[begin:end]) > _MOVES * swing
-        if repeats or quiet:
+        if often:
+            kept[begin:end] = True
+        elif repeats or quiet:
             kept[begin:end] = long and far > _FAR * local
         else:
             bad[begin:end] = long or (far > _FAR * local and near > _FAR / 2 * local)
