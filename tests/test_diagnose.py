@@ -175,6 +175,11 @@ def test_a_name_whose_model_is_not_handed_back_is_not_said(nominal, monkeypatch)
     planted = replace(nominal, effects=(effect("electrode_rc", "one lag", 0.02),))
     others = sorted({c.name for c in CATALOGUE} - {"electrode_rc", "voltage_clip"})
     assert pitp.diagnose(nominal, play(planted), exclude=others).effects == ("electrode_rc",)
+    with monkeypatch.context() as patch:  # nor one that closes nothing of the pooled error
+        patch.setattr(diagnosis, "percent", lambda search, h: 1.0)
+        found = pitp.diagnose(nominal, play(planted), exclude=others)
+        assert (found.verdict, found.effects) == ("unknown", ()) and "electrode_rc" in found.handed_back
+        assert any("some records" in note for note in found.notes)
     monkeypatch.setattr(diagnosis, "_package_error", lambda model, records: 1.0)
     found = pitp.diagnose(nominal, play(planted), exclude=others)
     assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
@@ -213,3 +218,20 @@ def test_a_model_takes_the_steps_that_its_effects_need(nominal):
     before = diagnosis._package_error(nominal, records)
     found, error = diagnosis._stable(stiff, records, before)
     assert found.substeps > 1 and error < 0.1 * before
+
+
+@pytest.mark.slow
+def test_of_two_machines_nothing_is_handed_back(nominal):
+    """Springs of 1.4 and 0.7 in two records: what both share is nearer to them than the nominal, and is neither."""
+    played = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.4, 0.7))]
+    found = pitp.diagnose(nominal, played, exclude=FEW)
+    assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
+    assert any("parts of each" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_what_has_not_moved_is_told_as_the_nominals(nominal):
+    found = pitp.diagnose(nominal, play(nominal.changed(np.array([1.3, 1.0, 1.2]))), exclude=FEW)
+    assert found.effects == ("parameter_change",)
+    assert found.shift[1] == 1.0
+    np.testing.assert_allclose(found.shift[[0, 2]], [1.3, 1.2], rtol=0.01)

@@ -94,7 +94,7 @@ def test_dry_friction_without_a_mass_stops_the_motion(linear, key, numbers, leve
     rate = float(bare.scales.rates[0])
 
     def speed(t, x):
-        """Scaled x' over its scale: its level is the whole force, or it is what leaves the balance."""
+        """Scaled x' that all forces but the inertia's, which there is none of, leave in balance."""
         pull = np.interp(t, TIME, volts) ** 2 / float(bare.scales.force) - a0 * x[0]
         if "smooth" in key:
             widest = abs(pull) / a1 + 1

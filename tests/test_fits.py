@@ -120,7 +120,7 @@ def test_names_are_measured_against_the_nominal_where_a_refit_is_worse(nominal):
     """
     played = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.3, 1.1, 0.9, 0.7))]
     search = Search(build_case(nominal, played), refit=True)
-    assert search.linears[0].rms > 1.1 * search.given.rms
+    assert search.linears[0].rms > 1.2 * search.given.rms
     assert search.base.rms == search.given.rms
     assert set(search.base.fit.free) >= {"a0", "a1", "a2"}  # effects are fitted with the coefficients all the same
 

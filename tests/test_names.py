@@ -10,7 +10,7 @@ from pitp_jax._diagnose import verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit
-from pitp_jax._diagnose.library import Scale, _no_faster, named
+from pitp_jax._diagnose.library import Scale, _no_faster, forms, named
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax._diagnose.simulator import INDEX, OFF
 from pitp_jax._diagnose.verdict import decide
@@ -170,6 +170,20 @@ def test_what_leaves_half_without_a_name_of_the_set_forbids_it():
     search = searched(first, hypothesis(("drag",), 0.8), better)
     search.best = lambda: first
     assert decide(search, 0.0, 0.0, 6).verdict == "unknown"
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize(("each", "verdict"), [(0.2, "unknown"), (0.4, "explained")])
+def test_a_name_does_not_stand_where_a_model_of_each_record_leaves_less(each, verdict):
+    search = searched(hypothesis(("delay",), 0.3))
+    search.each_alone = lambda: hypothesis((), each).evidence
+    said = decide(search, 0.0, 0.0, 6)
+    assert said.verdict == verdict
+    assert ("from record to record" in said.reason) == (verdict == "unknown")
+
+
+def test_a_second_mass_hangs_on_a_first():
+    assert all(f.second == ("mode_force" in f.start) for f in forms(SCALE) if f.name == "second_mode")
 
 
 @pytest.mark.usefixtures("no_reference")

@@ -85,7 +85,7 @@ class Case:
     @property
     def blocks(self) -> int:
         """Blocks that every record is cut into; 1: records are left out whole."""
-        return -(-_FEWEST_FOLDS // len(self.series))
+        return _parts(len(self.series))
 
     def masks(self, fold: int | None) -> list[np.ndarray]:
         """Weights 0 or 1 of the samples that a fit without a fold may see; all that count for None."""
@@ -239,10 +239,15 @@ def _thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> i
     return max(int(k), 1)
 
 
+def _parts(records: int) -> int:
+    """Parts that each record is cut into, so that there are enough folds."""
+    return -(-_FEWEST_FOLDS // records)
+
+
 def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
     """Records left out one by one, in at most six groups of neighbours in range; of few records block by block."""
     if len(series) < _FEWEST_FOLDS:
-        return tuple((k,) for k in range(len(series)) for _ in range(-(-_FEWEST_FOLDS // len(series))))
+        return tuple((k,) for k in range(len(series)) for _ in range(_parts(len(series))))
     # every group then has small and large motions
     order = np.argsort([s.span for s in series], kind="stable")
     groups = min(len(series), _MOST_FOLDS)

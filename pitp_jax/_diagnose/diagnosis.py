@@ -49,8 +49,8 @@ from .where import locate, motions
 
 _DOUBLED = 4  # times at most that the steps a sample of a model handed back are doubled
 _NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
-_IN_PARTS = "fewer than four records: parts of each were left out in turn, so no drive is new to what is foreseen"
-_DISAGREE = "the set that pays mends the small records and worsens the large ones, so no name is said"
+_IN_PARTS = "fewer than four records: parts of each were left out in turn, so other parts of every drive had been seen"
+_DISAGREE = "the set that pays lowers the error of some records and raises that of others as much, so no name is said"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ fourth draw.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -92,19 +93,26 @@ def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.
     Yields:
         record, times that it was drawn (count,), its blocks, and how often each of them was (count, blocks).
     """
-    rng, there = np.random.default_rng(seed), np.unique(first.units)
-    # how often each unit is drawn; with one only its blocks can vary
-    times = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), count)
-    often = np.zeros((count, len(first.units)))
-    weight = np.zeros_like(often)
-    for j, u in enumerate(there):
-        place = np.flatnonzero(first.units == u)
-        pick = rng.integers(0, len(place), (count, len(place)))
-        often[:, place] = times[:, j, None] * (pick[:, :, None] == np.arange(len(place))).sum(1)
-        weight[:, place] = times[:, j, None] * first.sizes[place]
+    times, often = _drawn(tuple(first.units.tolist()), count, seed)
     for r in np.unique(first.records):
         place = np.flatnonzero(first.records == r)
-        yield int(r), weight[:, place].sum(1) / first.sizes[place].sum(), place, often[:, place]
+        yield int(r), times[:, place] @ first.sizes[place] / first.sizes[place].sum(), place, often[:, place]
+
+
+@lru_cache(maxsize=8)  # all sets of a case are drawn alike, hundreds of times
+def _drawn(units: tuple[int, ...], count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """How often the unit of every block was drawn, and the block itself, both (count, blocks)."""
+    rng, place_of = np.random.default_rng(seed), np.array(units)
+    there = np.unique(place_of)
+    # with one unit only its blocks can vary
+    drawn = rng.multinomial(len(there), np.full(len(there), 1 / len(there)), count)
+    times, often = np.zeros((2, count, len(units)))
+    for j, u in enumerate(there):
+        place = np.flatnonzero(place_of == u)
+        pick = rng.integers(0, len(place), (count, len(place)))
+        times[:, place] = drawn[:, j, None]
+        often[:, place] = drawn[:, j, None] * (pick[:, :, None] == np.arange(len(place))).sum(1)
+    return times, often
 
 
 def draws(sets: Sequence[Evidence]) -> np.ndarray:

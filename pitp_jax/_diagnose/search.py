@@ -313,7 +313,7 @@ class Search:
         """A linear model of every record by itself, where no fold leaves a whole one out; None: there is no such case.
 
         Folds that are parts of records do not say whether one machine was recorded: numbers fitted to two loads at
-        once describe neither, and foresee a third worse than the nominal does.
+        once describe neither, and predict a third load worse than the nominal does.
         """
         if self.case.blocks == 1 or len(self.case.series) == 1:
             return None

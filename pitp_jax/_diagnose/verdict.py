@@ -71,20 +71,8 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     settled = chosen.rms <= rules.OWN * max(own, noise)
 
     def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
-        return Decision(
-            verdict,
-            chosen,
-            tuple(said),
-            tied or {},
-            p or {},
-            fractions or {},
-            bar,
-            above,
-            more,
-            reason,
-            tuple(rivals),
-            alone,
-        )
+        return Decision(verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason,
+                        tuple(rivals), alone)  # fmt: skip
 
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="the nominal leaves no more than on its own records")

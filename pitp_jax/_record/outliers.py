@@ -23,6 +23,7 @@ _NOISY = 0.05  # of a step is the noise at least, and of neighbouring samples ar
 _NOISE_OF_STEP = 0.002  # noise of a good laser beside the steps of its motion; rounding to six digits is below
 _NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; odds of a run by chance in a record
 _JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the drive, and of its range: from there on it steps
+_OFTEN = 0.1  # of a record: what stands still for longer is a machine at rest, no sensor that drops out
 _FEWEST_VALUES = 32  # distinct ones, below which a record is no measured motion (two levels, a counter)
 
 
@@ -72,7 +73,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     certain, held = _stuck(y, step, drive)
     bad |= certain & ~jumps
     # a machine that stands still by stiction does so at its turning points, too
-    clipped = _clipped(np.where(bad, np.nan, y), drive) & (10 * held.sum() <= len(y))
+    clipped = _clipped(np.where(bad, np.nan, y), drive) & (held.mean() <= _OFTEN)
     held = int((held & ~jumps & ~bad & ~clipped).sum())
     # more than half cannot be outliers
     if 2 * bad.sum() > len(y):
@@ -192,9 +193,9 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     repeats = float(np.mean((y[1:] == y[:-1])[~inside])) >= _NOISY
     quiet = _is_quiet(np.where(np.append(inside, False), np.nan, y), np.abs(np.diff(y))[np.diff(y) != 0])
     low, high = y.min(), y.max()
-    often = 10 * sum(e - b for b, e in runs if y[b] not in (low, high)) > len(y)
+    often = sum(e - b for b, e in runs if y[b] not in (low, high)) > _OFTEN * len(y)
     for begin, end in runs:
-        if begin < 3 or end > len(y) - 3 or end - begin > len(y) // 10 or y[begin] in (low, high):
+        if begin < 3 or end > len(y) - 3 or end - begin > _OFTEN * len(y) or y[begin] in (low, high):
             continue
         # entered and left by jumps: far more than the steps beside the run
         before, after = y[begin - 3 : begin], y[end : end + 3]

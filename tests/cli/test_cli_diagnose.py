@@ -85,6 +85,7 @@ def test_json_has_the_keys_of_the_contract(run):
     assert set(told["records"]) == {"fitted", "heldout", "folds"}
     assert sorted(told["records"]["fitted"]) == sorted(told["records"]["heldout"]) == ["sine2", "sine4", "sweep"]
     assert sorted(n for fold in told["records"]["folds"] for n in fold) == ["sine2", "sine4", "sweep"]
+    assert [note for note in told["notes"] if "parts of each were left out" in note]
     parts = {k: v for k, v in told["budget"].items() if k != "effects"} | told["budget"]["effects"]
     assert sum(p["share"] for p in parts.values()) == pytest.approx(1)
     for row in told["ranking"]:
