@@ -22,10 +22,13 @@ from ._invert import Feedforward as Feedforward
 from ._invert import decoder_step as decoder_step
 from ._invert import discrete_inverse as discrete_inverse
 from ._invert import feedforward as feedforward
+from ._invert import inverse as inverse
 from ._invert import inverse_step as inverse_step
 from ._invert import invert_stream as invert_stream
+from ._invert import memory_along as memory_along
 from ._invert import pi_trim as pi_trim
 from ._invert import restore_step as restore_step
+from ._invert import tokens_along as tokens_along
 from ._metrics import e_rms_percent as e_rms_percent
 from ._metrics import nrmse_percent as nrmse_percent
 from ._metrics import rmhe_percent as rmhe_percent
@@ -51,6 +54,7 @@ from ._sharding import records_mesh as records_mesh
 from ._sharding import sharded_inverse as sharded_inverse
 from ._sharding import sharded_rollout as sharded_rollout
 from ._simulate import Prediction as Prediction
+from ._simulate import free_run as free_run
 from ._simulate import predict as predict
 from ._simulate import rest_state as rest_state
 from ._simulate import rollout as rollout
@@ -61,6 +65,8 @@ from ._train import Settings as Settings
 from ._train import Training as Training
 from ._train import cross_validate as cross_validate
 from ._train import predict_band as predict_band
+from ._train import residual as residual
+from ._train import residual_loss as residual_loss
 from ._train import train as train
 from ._train import train_ensemble as train_ensemble
 

@@ -35,8 +35,9 @@ def make_model():
     )  # fmt: skip
     rng = np.random.default_rng(0)
     fresh = eqx.filter_jit(lambda key: CompactEncoder(2, 2, width=2, key=key))(jax.random.key(0))
-    moved = jax.tree.map(lambda a: jnp.asarray(np.asarray(a) + 0.05 * rng.standard_normal(a.shape), jnp.float32), fresh)
-    encoder = eqx.tree_at(lambda e: e.bounds, moved, fresh.bounds)
+    weights, fixed = eqx.partition(fresh, eqx.is_inexact_array)
+    moved = jax.tree.map(lambda a: a + jnp.asarray(0.05 * rng.standard_normal(a.shape), jnp.float32), weights)
+    encoder = eqx.combine(moved, fixed)
     memory = FadingMemory(jnp.log(jnp.asarray([0.02, 0.3], jnp.float32)))
     return eqx.tree_at(lambda m: (m.encoder, m.memory), model, (encoder, memory))
 

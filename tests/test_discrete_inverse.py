@@ -53,7 +53,6 @@ def random_model(model, seed, w_dt, size):
         return jnp.asarray(size * rng.standard_normal(leaf.shape) / np.sqrt(leaf.shape[-1]), jnp.float32)
 
     encoder = jax.tree.map(lambda a: shake(a) if eqx.is_inexact_array(a) else a, model.encoder)
-    encoder = eqx.tree_at(lambda e: e.bounds, encoder, model.encoder.bounds)  # no weight: none are bounded here
     poly = np.ones(1)
     for _ in range(order // 2):
         pole = rng.uniform(0.7, 1)

@@ -140,7 +140,7 @@ def test_what_is_read_off_a_fitted_model_is_the_models(actuator):
 def test_scales_and_output_are_exact_numbers_and_not_trained(nonlinear):
     model = nonlinear(2, offset=1 / 3)
     scaled = replace(model, scales=Scales((1 / 3, 0.1, 7.0), 0.7))
-    assert scaled.scales.state.dtype == np.float64 and scaled.scales.state[0] == 1 / 3
+    assert scaled.scales.state == (1 / 3, 0.1, 7.0)
     assert scaled.output.offset == 1 / 3 and scaled.scales.force == 0.7
     assert len(parameters(scaled)[0]) == len(parameters(model)[0])
 

@@ -12,6 +12,7 @@ from typed import of_kind
 
 from pitp_jax._errors import ComputationFailed
 from pitp_jax._metrics import e_rms_percent
+from pitp_jax._model.constants import constant_array
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder
 from pitp_jax._model.memory import FadingMemory
@@ -162,7 +163,7 @@ def runaway(start):
     model, _ = start
     wide = 1e6 * jnp.asarray([[-1.0], [1.0]]) * jnp.ones((2, 5))
     push = model.encoder.fading.at[0, 0].set(-5.0 * model.coefficients[0])
-    return eqx.tree_at(lambda m: (m.encoder.bounds, m.encoder.fading), model, (wide, push))
+    return eqx.tree_at(lambda m: (m.encoder.bounds, m.encoder.fading), model, (constant_array(wide), push))
 
 
 def lost(model, runs):

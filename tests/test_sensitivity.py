@@ -173,5 +173,5 @@ def test_models_with_fewer_parts(model):
 
 def test_trainable_is_told_per_leaf(model):
     spec = trainable(model())
-    assert spec.coefficients is False and spec.encoder.bounds is False
+    assert spec.coefficients is False and not any(jax.tree.leaves(spec.encoder.bounds))
     assert spec.encoder.fading is True and spec.memory.log_tau is True and spec.drive.log_tau is True

@@ -138,7 +138,7 @@ def test_effects_of_the_nominal_are_fitted_along(plant, coefficients):
     late = replace(plant[0], effects=(effect("delay", time=0.006), effect("drag", c=1e-3)))
     settings = replace(TINY, epochs=4, stages=1, refine_steps=25, drive="direct")
     found = train(late, [duffing(a, hz, delay=0.012) for hz in (1.0, 2.0, 3.2)], settings=settings, key=KEY).model
-    assert (found.scales.state != late.scales.state).any()
+    assert found.scales.state != late.scales.state
     assert float(found.effects[0].time) == pytest.approx(0.012, rel=0.1)
 
 

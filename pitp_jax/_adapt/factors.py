@@ -140,7 +140,7 @@ def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array)
     """Wrap the plain encoder once: what was adapted before is adapted on, not wrapped again."""
     outlasted = jnp.asarray(factors.outlasted, creep.dtype).reshape(-1, *[1] * creep.ndim)
     offset, lags, tilt = jnp.exp(by["stiffness"]), jnp.exp(outlasted * creep), jnp.stack([by[n] for n in TILTS])
-    own, reach = model.encoder, jnp.asarray(factors.reach, creep.dtype)
+    own, reach = model.encoder, factors.reach
     if isinstance(own, AdaptedEncoder):
         offset, lags = own.offset * offset, own.creep.reshape(outlasted.shape) * lags
         tilt, reach = own.tilt.reshape(2, *[1] * creep.ndim) + tilt, own.reach

@@ -9,6 +9,9 @@ Verb: `feedforward` (limits, lead-in, a check by rollout). `equation` is eq. 13 
 from .discrete import discrete_inverse as discrete_inverse
 from .feedforward_plan import Feedforward as Feedforward
 from .feedforward_plan import feedforward as feedforward
+from .inverse import inverse as inverse
+from .motion import memory_along as memory_along
+from .motion import tokens_along as tokens_along
 from .pi_control import pi_trim as pi_trim
 from .realtime import CompiledStep as CompiledStep
 from .realtime import decoder_step as decoder_step

@@ -22,13 +22,11 @@ from .._model.programs import in_double
 from .._numerics.spline_derivative import fast_derivatives
 from .._simulate import ports
 from .._simulate.batched_rollout import fast_rollout
-from .._simulate.decoder import film_voltage
-from .equation import invert_path, scaled_equation
+from .equation import invert_path, scaled_equation, unreachable
 from .limits import Limits, limit_slew, travel
 from .nearest_motion import Wish, nearest_motion
 from .target_path import Path
 
-_ROUNDING = 1e-6  # of the largest force
 _TRAVEL = 1.2  # total variation allowed, of that of eq. 13 cut at the limits
 _HEADROOM = 0.95  # of it in the first try
 _TRIES = 3
@@ -96,7 +94,7 @@ class Course:
         u, saturated = limit_slew(np.asarray(voltage, np.float64), self.limits, self.dt)
         full = np.append(u, self.path.ramp_down(u[-1], self.limits, self.dt))
         reading = self.play(full if np.isfinite(self.limits.farthest) else u)  # the ramp counts for a stroke alone
-        return Planned(full, reading, np.asarray(features), _infeasible(model, np.asarray(force), self.dt), saturated)
+        return Planned(full, reading, np.asarray(features), np.asarray(unreachable(model, force, self.dt)), saturated)
 
     def best(self, cut: Planned, shots: int) -> Played:
         """Shoot as long as it helps; where a limit bites, take the nearest motion, beginning with the best shot."""
@@ -169,14 +167,3 @@ class Course:
         outward = middle + (1 + _INTERIOR) * (voltage - middle)
         u, _ = limit_slew(np.clip(outward, wish.low, wish.high), self.limits, self.dt)
         return Played(u, self.play(u))
-
-
-def _infeasible(model: Model, force: np.ndarray, dt: float) -> np.ndarray:
-    """Mark where no voltage makes this scaled force, or no effect of the drive lets it pass."""
-    # an actuator at rest asks for a force of zero, give or take a bit
-    slack = _ROUNDING * np.abs(force[np.isfinite(force)]).max(initial=0.0)
-    never = np.asarray(model.input_map.infeasible(jnp.asarray(force + slack)))
-    if model.effects:
-        film = film_voltage(model, jnp.asarray(force))
-        never = never | np.asarray(ports.beyond(model, film, dt))
-    return never

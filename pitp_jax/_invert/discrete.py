@@ -9,14 +9,19 @@ With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t)
           u_t -> u_{t+1} through the first row alone would be marginally stable.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._errors import BadInput
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import jit
-from .._simulate.decoder import film_voltage, frozen_increment
+from .._numerics.intersample import between
+from .._simulate import ports
+from .._simulate.decoder import film_voltage, frozen_increment, stage_fractions, step
 
 
 def _affine(model: Model, state, dt):
@@ -87,7 +92,6 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
     dtype = top.dtype
     force, voltage = model.input_map.force, model.input_map.voltage
     unit = voltage(jnp.asarray(model.scales.force, dtype))
-    count = top.shape[0]
     rows = [(top / top_gain.sum(1), top_gain / top_gain.sum(1)[:, None], jnp.ones((), dtype))]
     if lower is not None:
         total = lower[1].sum(1)
@@ -102,28 +106,78 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
 
     def sweep(u, _):
         now, later = u[:-1], u[1:]
-        middle = (now + later) / 2
-        # 1e-9 on the diagonal: where a square has no slope (u = 0) a voltage stays as it is
-        diagonal, beside, right = (
-            jnp.full(count + 1, 1e-9, dtype),
-            jnp.zeros(count, dtype),
-            jnp.zeros(count + 1, dtype),
-        )
+        middle, equations = (now + later) / 2, []
         for value, gain, weight in rows:
             missed = value - (gain[:, 0] * force(now) + gain[:, 1] * force(middle) + gain[:, 2] * force(later))
             by_now = gain[:, 0] * slope(now) + gain[:, 1] * slope(middle) / 2
             by_later = gain[:, 2] * slope(later) + gain[:, 1] * slope(middle) / 2
-            diagonal = diagonal.at[:-1].add(weight * by_now**2).at[1:].add(weight * by_later**2)
-            beside = beside + weight * by_now * by_later
-            right = right.at[:-1].add(weight * by_now * missed).at[1:].add(weight * by_later * missed)
-        diagonal = diagonal.at[0].add(anchor)
-        right = right.at[0].add(anchor * (known - u[0]))
-        pad = jnp.zeros(1, dtype)
-        move = jax.lax.linalg.tridiagonal_solve(
-            jnp.concatenate([pad, beside]), diagonal, jnp.concatenate([beside, pad]), right[:, None]
-        )[:, 0]
-        u = u + move
+            equations.append((missed, by_now, by_later, weight))
+        u = u + _move(equations, anchor, anchor * (known - u[0]))
         return voltage(force(u)), None  # of the two that a square has, the positive one
 
     start = voltage(jnp.append(rows[0][0], rows[0][0][-1:])) + 1e-3  # where a square's slope is not zero
+    return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit
+
+
+def _move(equations: list, anchor=0.0, pull=0.0) -> Float[Array, " time"]:
+    """Solve for the Gauss-Newton move of all voltages: (missed, by this voltage, by the next, weight) of every step.
+
+    `anchor`, `pull`: weight and weighted error of the first voltage, where it is known.
+    """
+    count, dtype = len(equations[0][0]), equations[0][0].dtype
+    # 1e-9 on the diagonal: where a square has no slope (u = 0) a voltage stays as it is
+    diagonal, beside, right = jnp.full(count + 1, 1e-9, dtype), jnp.zeros(count, dtype), jnp.zeros(count + 1, dtype)
+    for missed, by_now, by_later, weight in equations:
+        diagonal = diagonal.at[:-1].add(weight * by_now**2).at[1:].add(weight * by_later**2)
+        beside = beside + weight * by_now * by_later
+        right = right.at[:-1].add(weight * by_now * missed).at[1:].add(weight * by_later * missed)
+    diagonal, right, pad = diagonal.at[0].add(anchor), right.at[0].add(pull), jnp.zeros(1, dtype)
+    sides = jnp.concatenate([pad, beside]), jnp.concatenate([beside, pad])
+    return jax.lax.linalg.tridiagonal_solve(sides[0], diagonal, sides[1], right[:, None])[:, 0]
+
+
+def along_motion(
+    model: Model, force: Float[Array, " time"], features: Float[Array, "time features"], dt, sweeps: int = 5
+) -> Float[Array, " time"]:
+    """Solve for the film voltage (V) whose steps lead from each instant of a motion to the next, all at once.
+
+        s_{t+1} = step(s_t, V_t, V_{t+1})       rows x^(n-1) and x^(n-2), each over what a force moves it by
+
+    For any model: steps are differentiated as they are, with substeps and effects.
+
+    Args:
+        model: what acts on its voltage before the film is the caller's.
+        force: scaled, by eq. 13: where the iteration begins.
+        features: S and memories along the motion, scaled.
+        dt: sampling interval, s.
+        sweeps: Gauss-Newton iterations.
+
+    Raises:
+        BadInput: a band-limited voltage, of which a sample acts on sixteen steps.
+    """
+    if model.hold == "bandlimited":
+        raise BadInput("kind 'discrete' needs hold 'foh' or 'zoh': give kind='closed_form'")
+    model = replace(model, effects=tuple(e for e in model.effects if e.port != "IN"))
+    states = jnp.concatenate([features, *ports.along(model, features[:, 0], dt)], -1)
+    n, dtype = model.order, states.dtype
+    # of order 1 there is no x^(n-2): the first memory sees the alternating mode instead, if there is one
+    rows = [n - 1, *([n - 2] if n > 1 else [n] if model.memory.size else [])]
+    unit = model.input_map.voltage(jnp.asarray(model.scales.force, dtype))
+
+    def after(state, now, later):
+        stages = between(unit * jnp.stack([now, later]), model.hold, stage_fractions(model), jnp)[0]
+        return step(model, state, stages, dt)[jnp.array(rows)]
+
+    one, square = jnp.ones((), dtype), model.input_map.one_sided
+    gain = jax.jvp(lambda v: after(states[0], v, v), (one,), (one,))[1] / (2.0 if square else 1.0)
+    weight = (gain / gain[0]) ** 2  # all rows are rounded alike
+
+    def sweep(v, _):
+        each = states[:-1], v[:-1], v[1:]
+        missed = (states[1:, jnp.array(rows)] - jax.vmap(after)(*each)) / gain
+        by_now, by_later = (j / gain for j in jax.vmap(jax.jacfwd(after, (1, 2)))(*each))
+        v = v + _move([(missed[:, k], by_now[:, k], by_later[:, k], weight[k]) for k in range(len(rows))])
+        return jnp.maximum(v, 0.0) if square else v, None
+
+    start = film_voltage(model, force) / unit
     return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit

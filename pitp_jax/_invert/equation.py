@@ -9,7 +9,7 @@ over time (`_model.rows`), not a function of one instant mapped over them.
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._model.equation import equation_force
 from .._model.model import Model
@@ -17,6 +17,7 @@ from .._model.programs import jit
 from .._simulate import ports
 from .._simulate.decoder import film_voltage
 
+_ROUNDING = 1e-6  # of the largest force
 _HUGE = 1e3  # of the training force: what stands for a force no field makes
 
 
@@ -59,6 +60,15 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, 
     force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end, to its own side
     film = film_voltage(model, jnp.clip(force, -_HUGE, _HUGE))
     return force, ports.played(model, film, dt), features
+
+
+@jit
+def unreachable(model: Model, force: Float[Array, " time"], dt: float) -> Bool[Array, " time"]:
+    """Mark where no voltage makes this scaled force, or no effect of the drive lets it pass."""
+    # an actuator at rest asks for a force of zero, give or take a bit
+    slack = _ROUNDING * jnp.abs(jnp.where(jnp.isfinite(force), force, 0.0)).max(initial=0.0)
+    never = model.input_map.infeasible(force + slack)
+    return never | ports.beyond(model, film_voltage(model, force), dt) if model.effects else never
 
 
 def scaled_equation(model: Model, derivatives: Float[np.ndarray, "time tokens"]) -> Float[Array, "time tokens"]:

@@ -1,6 +1,7 @@
 """The domain of a model: how its records were sampled and driven, and which features they reached.
 
-NumPy's float64, exact on the host; under jit they are arguments of the program, so models of any domain share it.
+Its numbers are `constants`: exact on the host, and no parameters of the model. The sampling interval is static: a program
+is made for one.
 """
 
 from collections.abc import Sequence
@@ -8,21 +9,13 @@ from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
 
 from .._record.record import Record
 from .._record.sets import ABSOLUTE
+from .constants import Constants, number, numbers
 
 
-def _pair(values) -> np.ndarray:
-    return np.asarray(values, np.float64)
-
-
-def _pairs(values) -> np.ndarray:
-    return np.asarray(values, np.float64).reshape(-1, 2)
-
-
-class Domain(eqx.Module):
+class Domain(Constants):
     """What a model was shown, which is where it may be trusted.
 
     Attributes:
@@ -33,11 +26,11 @@ class Domain(eqx.Module):
         clock: what the records' clock showed when their session began, s; 0 unless it shows absolute time.
     """
 
-    dt: float = eqx.field(converter=np.float64)
-    voltage_range: Float[np.ndarray | Array, "2"] = eqx.field(converter=_pair, default=(0.0, np.inf))
-    slew: float = eqx.field(converter=np.float64, default=np.inf)
-    region: Float[np.ndarray | Array, "features 2"] = eqx.field(converter=_pairs, default=())
-    clock: float = eqx.field(converter=np.float64, default=0.0)
+    dt: float = eqx.field(converter=number, static=True)
+    voltage_range: tuple[float, float] = eqx.field(converter=numbers, default=(0.0, np.inf))
+    slew: float = eqx.field(converter=number, default=np.inf)
+    region: tuple[tuple[float, float], ...] = eqx.field(converter=numbers, default=())
+    clock: float = eqx.field(converter=number, default=0.0)
 
     def age(self, time: float) -> float:
         """How long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""

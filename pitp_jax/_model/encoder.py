@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from .constants import ConstantArray, constant_array
 from .positive import logit_of, positive_factor
 from .relu_tables import logits_by_tables
 from .rows import Rows, affine, as_product, vmapped, written_out
@@ -49,7 +50,7 @@ class AbstractEncoder(eqx.Module):
 
     def token_nets(self) -> "AbstractEncoder":
         """Mark by 1 the weights of nets that a polynomial of the same inputs stands beside, all others by 0."""
-        return jax.tree.map(jnp.zeros_like, self)
+        return jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else a, self)
 
 
 class ConstantEncoder(AbstractEncoder):
@@ -147,7 +148,7 @@ class CompactEncoder(AbstractEncoder):
     damping_poly: Float[Array, "tokens products"]
     fading: Float[Array, "memory three"]
     coupling: Float[Array, " three"] | None
-    bounds: Float[Array, "two features"]
+    bounds: ConstantArray
     order: int = eqx.field(static=True)
     offset: bool = eqx.field(static=True)
     frugal: bool = eqx.field(static=True)
@@ -176,7 +177,7 @@ class CompactEncoder(AbstractEncoder):
         self.fading = jnp.zeros((memories if offset else 0, 3), jnp.float32)
         self.coupling = jnp.zeros((3,), jnp.float32) if frugal else None
         wide = np.broadcast_to([[-_NO_BOUND], [_NO_BOUND]], (2, order + memories))
-        self.bounds = jnp.asarray(wide if bounds is None else bounds, jnp.float32)
+        self.bounds = constant_array(wide if bounds is None else bounds)
 
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant."""
@@ -184,7 +185,7 @@ class CompactEncoder(AbstractEncoder):
 
     def over(self, way="instants"):
         """Build the formula of the class for rows of any shape."""
-        n, low, high = self.order, *jax.lax.stop_gradient(self.bounds)  # set from the data, not trained
+        n, (low, high) = self.order, self.bounds.array(self.spring_poly.dtype)
         memories, sums = len(low) - n, as_product if way == "instant" else written_out
         moving, past = list(range(n if self.frugal else n + memories)), [0, *range(n, n + fast_memories(memories))]
         seen_by = [(self.spring, [0]), (self.damping, moving), (self.past, past)]
@@ -250,7 +251,7 @@ class AdaptedEncoder(AbstractEncoder):
     offset: Float[Array, "*rows"]
     creep: Float[Array, "lags *rows"]
     tilt: Float[Array, "two *rows"]
-    reach: Float[Array, " three"]
+    reach: ConstantArray = eqx.field(converter=constant_array)
 
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant."""
@@ -269,7 +270,7 @@ class AdaptedEncoder(AbstractEncoder):
         return [*features[:first], *lags]
 
     def _tilted(self, x: Array, logits: list[Array]) -> list[Array]:
-        low, middle, high = self.reach
+        low, middle, high = self.reach.array(self.tilt.dtype)
         t = jnp.clip(x, low, high) - middle  # exp(tilt t) of an x that no record reached could be anything
         common, spring = jnp.exp(self.tilt[0] * t), jnp.exp(self.tilt[1] * t)
         *tokens, offset = logits

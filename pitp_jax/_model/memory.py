@@ -14,10 +14,10 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.linear_recurrence import first_order_lags, oscillator
+from .constants import Constants, number
 from .rows import Rows
 
 
@@ -65,10 +65,10 @@ class NoMemory(AbstractMemory):
         return jnp.zeros((x.shape[0], 0), x.dtype)
 
 
-class ElapsedTime(AbstractMemory):
+class ElapsedTime(AbstractMemory, Constants):
     """Seconds since the excitation began over `horizon` (s): the paper's time input (eq. 4)."""
 
-    horizon: float = eqx.field(converter=np.float64)
+    horizon: float = eqx.field(converter=number)
 
     @property
     def size(self):

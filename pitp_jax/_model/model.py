@@ -9,6 +9,7 @@ nominal coefficient times a positive factor, so a zero encoder is exactly the id
 
 from dataclasses import replace
 from html import escape
+from itertools import pairwise
 from typing import Literal
 
 import equinox as eqx
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .constants import Constants, number, numbers
 from .domain import Domain
 from .dominant import dominant_frequency
 from .drive import AbstractDrive, DirectDrive
@@ -29,18 +31,14 @@ from .sections import product, sections_of
 Hold = Literal["foh", "zoh", "bandlimited"]
 
 
-def _numbers(values) -> np.ndarray:
-    return np.asarray(values, np.float64)
-
-
-class Output(eqx.Module):
+class Output(Constants):
     """The sensor's zero and direction: x = polarity (y - offset), y in the rig's coordinates (m or V).
 
-    NumPy's float64, exact on the host; under jit they are arguments of the program.
+    Its numbers are `constants`: exact on the host, and no parameters of the model.
     """
 
-    offset: float = eqx.field(converter=np.float64, default=0.0)
-    polarity: float = eqx.field(converter=np.float64, default=1.0)
+    offset: float = eqx.field(converter=number, default=0.0)
+    polarity: float = eqx.field(converter=number, default=1.0)
 
     def to_model(self, y):
         """Convert measured output to displacement from rest."""
@@ -51,21 +49,21 @@ class Output(eqx.Module):
         return self.polarity * x + self.offset
 
 
-class Scales(eqx.Module):
+class Scales(Constants):
     """Units of the scaled coordinates: x^(i) in m/s^i (n + 1 of them) and force in V^2 (or V).
 
     `sections` (order 3 and up): the nominal polynomial's factors (`sections_of`), the units of its variable tokens.
-    NumPy's float64, exact on the host; under jit they are arguments of the program: cast them to its precision.
+    Its numbers are `constants`: exact on the host, and no parameters of the model. Cast them to a program's precision.
     """
 
-    state: Float[np.ndarray, " tokens"] = eqx.field(converter=_numbers)
-    force: float = eqx.field(converter=np.float64)
-    sections: Float[np.ndarray, " sections"] = eqx.field(converter=_numbers, default=())
+    state: tuple[float, ...] = eqx.field(converter=numbers)
+    force: float = eqx.field(converter=number)
+    sections: tuple[float, ...] = eqx.field(converter=numbers, default=())
 
     @property
-    def rates(self) -> Float[np.ndarray | Array, " order"]:
+    def rates(self) -> list:
         """dX_i/dt = rates_i X_{i+1}, in 1/s."""
-        return self.state[1:] / self.state[:-1]
+        return [upper / lower for lower, upper in pairwise(self.state)]
 
 
 class Model(eqx.Module):

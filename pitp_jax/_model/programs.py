@@ -1,11 +1,13 @@
 """Compile programs, which all models of one structure share, and take arrays of the host to the device.
 
-Arrays of a model (weights, scales, offsets, its domain; of JAX or NumPy) are arguments of a program; static fields
+Arrays of a model (weights) and its constants (scales, offsets, its domain) are arguments of a program; static fields
 (order, hold, substeps, the classes of the parts, layer sizes) make another one. What a model was made from stands
 beside it (`Fitted.origin`), where no program sees it.
 """
 
-from typing import TypeVar
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,9 +15,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-T = TypeVar("T")
+from .constants import as_arguments
 
-jit = eqx.filter_jit
+P, T = ParamSpec("P"), TypeVar("T")
+
+
+def jit(function: Callable[P, T]) -> Callable[P, T]:
+    """Compile a function by `eqx.filter_jit`, with the constants of models among its arguments."""
+    compiled = eqx.filter_jit(function)
+
+    @wraps(function)
+    def call(*args: P.args, **options: P.kwargs) -> T:
+        return compiled(*as_arguments(args), **as_arguments(options))
+
+    return call
 
 
 def on_device(values, dtype=None) -> Array:

@@ -23,12 +23,13 @@ import numpy as np
 
 from .._errors import BadInput
 from .._model.fitted import Fitted, fitted_of
+from .._model.constants import ConstantArray, constant_array
 from .._model.model import Model
 from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
 from .._table.guard import cleaned
 from .parts import build, decode, describe, encode, origin_of
-from .plausible import LARGEST_FILE, check_header, check_leaves
+from .plausible import LARGEST_FILE, check_header, check_leaves, header_problems, leaf_problems
 from .version_1 import upgraded
 
 VERSION = 2
@@ -44,7 +45,7 @@ def save(path: str | os.PathLike, model: Model | Fitted) -> None:
         model: a `Fitted`, or a bare `Model`, whose origin is empty; leaves keep their dtype (float16, 32 or 64).
 
     Raises:
-        BadInput: a part this format has no name for (an own encoder, an effect), or an unwritable file.
+        BadInput: numbers that are not finite, a part this format has no name for (an effect), or an unwritable file.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -68,18 +69,18 @@ def _sum(body: bytes) -> bytes:
 
 def _body(fitted: Fitted) -> bytes:
     """Write what stands behind the digest: header and leaves."""
-    header, model = describe(fitted), fitted.model
-    skeleton = _skeleton(header)  # as `load` will build it: a model that could not be read back is refused here
-    numbers = {jax.tree_util.keystr(k) for k, leaf in jax.tree_util.tree_leaves_with_path(skeleton) if _is_number(leaf)}
-    leaves = [(k, leaf) for k, leaf in _arrays(model) if jax.tree_util.keystr(k) not in numbers]
-    arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in leaves]
+    header, model = describe(fitted), _stored(fitted.model)
+    skeleton = _stored(_skeleton(header))  # as `load` will build it: a model that could not be read back is refused here
+    arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _arrays(model)]
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:
             raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
     # a part whose arrays were changed by hand: its sizes no longer say their shapes
-    if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in leaves]:
+    if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in _arrays(model)]:
         raise BadInput("cannot save the model: its arrays are not those its parts are built with")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
+    if problems := header_problems(header) + leaf_problems(*map(list, zip(*arrays, strict=True))):
+        raise BadInput(f"cannot save the model, `load` would refuse it: {'; '.join(problems[:8])}")
     lines = ",\n".join(f"{json.dumps(k)}: {json.dumps(encode(v), allow_nan=False)}" for k, v in header.items())
     body = io.BytesIO()
     body.write(b"{\n" + lines.encode("utf-8") + b"\n}\n")
@@ -114,7 +115,7 @@ def load(path: str | os.PathLike) -> Fitted:
         text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
         header = decode(text) if version > 1 else upgraded(decode(text))
         check_header(header)
-        model = _fill(_skeleton(header), header["leaves"], memoryview(body)[end + 1 :])
+        model = _filled(_skeleton(header), header["leaves"], memoryview(body)[end + 1 :])
         return Fitted(model, origin_of(header))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
@@ -172,16 +173,25 @@ def _version(path, line: bytes) -> int:
 def _skeleton(header: dict) -> Model:
     """Build the model of a header with shapes where its leaves belong; nothing is allocated.
 
-    What is of NumPy (scales, domain, the sensor's zero) has its number in the header and is no leaf of the file.
+    Constants (scales, domain, the sensor's offset) have their numbers in the header.
     """
-    numbers = []
+    return eqx.filter_eval_shape(lambda: build(header))
 
-    def shapes():
-        number, others = eqx.partition(build(header), _is_number)
-        numbers.append(number)  # out by the side door: what is traced comes back as a shape, without its value
-        return others
 
-    return eqx.combine(eqx.filter_eval_shape(shapes), numbers[0])
+def _stored(model: Model) -> Model:
+    """Replace constant arrays by plain ones, which a file stores among its leaves."""
+    return jax.tree.map(_as_array, model, is_leaf=_is_constant_array)
+
+
+def _as_array(part):
+    if not _is_constant_array(part):
+        return part
+    values = np.asarray(part)
+    return values.astype(np.float32) if values.dtype == np.float64 else values
+
+
+def _is_constant_array(part) -> bool:
+    return isinstance(part, ConstantArray)
 
 
 def _place(leaf) -> tuple:
@@ -200,8 +210,15 @@ def _refuse(literal: str):
     raise ValueError(f"{literal} is not JSON")
 
 
+def _filled(skeleton: Model, leaves: list, data: memoryview) -> Model:
+    """Put the stored leaves where the skeleton has shapes, and constant arrays where it has those."""
+    filled = _fill(_stored(skeleton), leaves, data)
+    return jax.tree.map(lambda part, leaf: constant_array(leaf) if _is_constant_array(part) else leaf,
+                        skeleton, filled, is_leaf=lambda part: _is_constant_array(part) or _is_shape(part))  # fmt: skip
+
+
 def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
-    """Put the stored leaves where the skeleton has shapes."""
+    """Read the leaves of this skeleton, whose shapes theirs must be."""
     places = _shapes(skeleton)
     if [jax.tree_util.keystr(k) for k, _ in places] != [name for name, _, _ in leaves]:
         raise ValueError("its leaves are not those of its parts")
@@ -223,9 +240,5 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
     return eqx.combine(jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True))
 
 
-def _is_number(leaf) -> bool:
-    return isinstance(leaf, np.ndarray | np.generic)
-
-
 def _is_shape(leaf) -> bool:
-    return isinstance(leaf, jax.ShapeDtypeStruct)
+    return isinstance(leaf, jax.ShapeDtypeStruct | np.ndarray)

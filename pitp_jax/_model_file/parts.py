@@ -102,7 +102,7 @@ def _adapted_sizes(encoder: AdaptedEncoder) -> dict:
 
 def _adapted(lags: int, of: str, **sizes) -> AdaptedEncoder:
     inner = ENCODERS[of].build(**sizes)
-    return AdaptedEncoder(inner, jnp.zeros(()), jnp.zeros((lags,)), jnp.zeros((2,)), jnp.zeros((3,)))
+    return AdaptedEncoder(inner, jnp.zeros(()), jnp.zeros((lags,)), jnp.zeros((2,)), np.zeros(3))
 
 
 ENCODERS["adapted"] = Part(AdaptedEncoder, _adapted_sizes, _adapted)
@@ -162,7 +162,7 @@ def _effect(effect) -> dict:
 
 
 def _numbers(part: Output | Scales | Domain) -> dict:
-    """Fields of NumPy, as they are."""
+    """Fields as plain numbers."""
     return {name: np.asarray(value).tolist() for name, value in vars(part).items()}
 
 

@@ -22,6 +22,15 @@ def check_header(header: dict) -> None:
         BadInput: with all such numbers.
         KeyError, TypeError, ValueError: entries are missing or of another kind.
     """
+    _refuse(header_problems(header))
+
+
+def header_problems(header: dict) -> list[str]:
+    """List the numbers of a header that make no model.
+
+    Raises:
+        KeyError, TypeError, ValueError: entries are missing or of another kind.
+    """
     domain, origin, output, scales = (header[name] for name in ("domain", "origin", "output", "scales"))
     low, high = domain["voltage_range"]
     # the text of each is what the user is shown, all that fail in one line
@@ -51,7 +60,7 @@ def check_header(header: dict) -> None:
     long = header.get("long_record")
     if long is not None:
         checks[f"dt of the long record {long['dt']!r}"] = _positive(long["dt"])
-    _refuse([name for name, good in checks.items() if not good])
+    return [name for name, good in checks.items() if not good]
 
 
 def _history(origin: dict) -> dict[str, bool]:
@@ -74,11 +83,16 @@ def _history(origin: dict) -> dict[str, bool]:
 
 
 def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
-    """Refuse arrays that are not finite (bounds may be open) and a nominal without its highest derivative.
+    """Refuse arrays that make no model.
 
     Raises:
         BadInput: with all such arrays.
     """
+    _refuse(leaf_problems(names, arrays))
+
+
+def leaf_problems(names: list[str], arrays: list[np.ndarray]) -> list[str]:
+    """List arrays that are not finite (bounds may be open), and a nominal without its highest derivative."""
     problems = []
     for name, array in zip(names, arrays, strict=True):
         good = not np.isnan(array).any() if name.endswith(".bounds") else np.isfinite(array).all()
@@ -87,7 +101,7 @@ def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
         # the highest derivative is solved for: a 0 there divides every step by zero
         elif name == ".coefficients" and array.size and array.reshape(-1)[-1] == 0:
             problems.append("its highest coefficient is 0")
-    _refuse(problems)
+    return problems
 
 
 def _positive(value) -> bool:

@@ -47,7 +47,7 @@ def describe(model: Fitted) -> dict:
         "polarity": float(model.output.polarity),
         "output_unit": base_unit(origin.displacement_unit),
         "dt": model.dt,
-        "voltage_range": domain.voltage_range.tolist(),
+        "voltage_range": list(domain.voltage_range),
         "max_slew": float(domain.slew),
         "identified_on": list(origin.identified_on),
         "training": origin.training,

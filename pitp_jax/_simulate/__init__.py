@@ -9,6 +9,7 @@ over records; `ports` says where effects act.
 
 from .decoder import rest_state as rest_state
 from .decoder import rollout as rollout_scaled  # noqa: F401
+from .free_run import free_run as free_run
 from .prediction import Prediction as Prediction
 from .prediction import predict as predict
 from .voltage_only import rollout as rollout

@@ -2,8 +2,8 @@
 
     s_{t+1} = s_t + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4),   tokens frozen at the drifted midpoint
 
-The states of `decoder.rollout` to rounding. One record is a chain of scalars, one kernel a step. Many records are rows,
-with walls behind the tokens so that nothing is computed twice (docs/decisions/decoder.md).
+The states of `decoder.rollout` to rounding. Records are rows, nets are written out, and walls stand behind the tokens so
+that nothing is computed twice: the fastest way for one record, for many and under `vmap` (docs/decisions/decoder.md).
 """
 
 import jax
@@ -66,12 +66,11 @@ def rows_rollout(
     """
     # records last: a scan steps over the first axis, and a row of records is contiguous
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)
-    many, h = film.shape[0] > 1, dt / model.substeps
-    logits, constant = model.encoder.over("records" if many else "instants"), motion_of(model)
+    h, constant, logits = dt / model.substeps, motion_of(model), model.encoder.over()
 
     def one(state, three):
         # tokens at the midpoint, then frozen: four evaluations of the encoder a step become one
-        frozen = held(*model.tokens_from(logits(midpoint(constant, state, h))), many)
+        frozen = held(*model.tokens_from(logits(midpoint(constant, state, h))))
         return moved(state, 1.0, runge_kutta(constant, state, frozen, three, h))
 
     def advance(state, stages):

@@ -67,6 +67,21 @@ def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> 
     return voltage
 
 
+def filmed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:
+    """Compute the film voltage at every sample of a drive u: delays, the model's own lag, then the drive's effects."""
+    film = model.drive.film(delayed(model, voltage, dt, rest), dt, rest)
+    for effect in drives(model):
+        begun = effect.start(jnp.where(rest, 0.0, film[0]))
+
+        def advance(states, ends, effect=effect):
+            after = effect.advance(states, *ends, dt)
+            return after, effect.apply(ends[1], after)
+
+        later = jax.lax.scan(advance, begun, (film[:-1], film[1:]))[1]
+        film = jnp.append(effect.apply(film[0], begun), later)
+    return film
+
+
 def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, list]:
     """Compute film voltages at the three stages of a step of length h; and the parts with the drive's states moved."""
     parts = list(parts)
@@ -139,15 +154,19 @@ def required(
 
     Every state of a force effect follows x alone, so it is known along the way; then couplings are divided out.
     """
-    x = equation[:, 0]
+    parts = along(model, equation[:, 0], dt, age)
+    return jax.vmap(lambda *instant: needed(model, *instant))(parts, equation, features)
+
+
+def along(model: "Model", x: Float[Array, " time"], dt: float, age: float | Float[Array, ""] = 0.0) -> list:
+    """Compute the states of every force and sensor effect at every sample of a motion that starts at rest."""
     start = split(model, initial(model, x[0], jnp.zeros_like(x[0]), age))
 
     def advance(parts, ends):
         return moved(model, parts, ends[0], ends[1], dt), parts
 
-    # the states at every sample; the last advance has nowhere to go
-    along = jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
-    return jax.vmap(lambda *instant: needed(model, *instant))(along, equation, features)
+    # the last advance has nowhere to go
+    return jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
 
 
 def needed(
@@ -174,12 +193,15 @@ def needed(
     return force
 
 
-def played(model: "Model", film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """Compute the drive u for a smooth film voltage, through all drive effects, the model's own lag and delays."""
+def played(model: "Model", film: Float[Array, " time"], dt: float, exact: bool = False) -> Float[Array, " time"]:
+    """Compute the drive u for a smooth film voltage, through all drive effects, the model's own lag and delays.
+
+    `exact`: the lag is undone sample by sample (`drive.undo`), not by its continuous equation.
+    """
     for effect in reversed(drives(model)):
         film = effect.undo(film, dt)
     # the model's own lag stands between its delays and the effects
-    film = model.drive.lead(film, dt)
+    film = model.drive.undo(film, dt, film[0]) if exact else model.drive.lead(film, dt)
     for effect in model.effects:
         if effect.delays:
             film = advanced(film, effect.time / dt)

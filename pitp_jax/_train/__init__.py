@@ -14,6 +14,8 @@ from .ensemble import Band as Band
 from .ensemble import Ensemble as Ensemble
 from .ensemble import predict_band as predict_band
 from .ensemble import train_ensemble as train_ensemble
+from .residual import residual as residual
+from .residual import residual_loss as residual_loss
 from .settings import Settings as Settings
 from .training import Training as Training
 from .training import train as train

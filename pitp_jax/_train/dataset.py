@@ -94,18 +94,22 @@ def region_of(*rows: np.ndarray) -> Float[np.ndarray, "features 2"]:
     return np.stack([np.min([r.min(0) for r in rows], 0), np.max([r.max(0) for r in rows], 0)], -1).astype(float)
 
 
-def spread_weights(state: np.ndarray, cells: int = 16, most: float = 20.0) -> np.ndarray:
+def spread_weights(state, cells: int = 16, most: float = 20.0, valid=None, xp=np):
     """Weigh samples so as to even out how densely the state space was visited; mean 1, at most `most` times the least.
 
     A record of steps stands still for 99 % of its samples; what it says about motion is in the others. Each sample gets
-    1 / sqrt(samples in its cell), on a grid of the states, of the first three at most.
+    1 / sqrt(samples in its cell), on a grid of the states, of the first three at most. Where `valid` is false a sample
+    has weight 0. `xp` is the array's module: numpy or jax.numpy.
     """
     s = state[:, :3]  # cells of more dimensions would hold one sample each
-    low, high = s.min(0), s.max(0)
-    index = np.minimum(((s - low) / np.maximum(high - low, 1e-12) * cells).astype(int), cells - 1)
-    flat = np.ravel_multi_index(tuple(index.T), (cells,) * s.shape[1])
-    weight = 1.0 / np.sqrt(np.bincount(flat, minlength=1)[flat])
-    weight = np.minimum(weight, most * weight.min())  # one sample alone in a cell may be an outlier
+    valid = xp.ones(len(s), bool) if valid is None else valid
+    low, high = (f(xp.where(valid[:, None], s, end), 0) for f, end in ((xp.min, xp.inf), (xp.max, -xp.inf)))
+    index = xp.clip((s - low) / xp.maximum(high - low, 1e-12) * cells, 0, cells - 1).astype(int)
+    flat = (index * cells ** np.arange(s.shape[1])).sum(1)
+    options = {} if xp is np else {"length": cells ** s.shape[1]}
+    weight = 1.0 / xp.sqrt(xp.maximum(xp.bincount(flat, 1.0 * valid, **options)[flat], 1.0))
+    least = xp.where(valid, weight, xp.inf).min()
+    weight = xp.where(valid, xp.minimum(weight, most * least), 0.0)  # one sample alone in a cell may be an outlier
     return weight / weight.mean()
 
 

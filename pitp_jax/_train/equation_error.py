@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from .._model.equation import equation_force
 from .._model.model import Model
+from .._model.rows import Rows
 
 
 class EquationData(eqx.Module):
@@ -52,8 +53,13 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
     keys = None if key is None else jax.random.split(key, data.force.shape[0])
     logits = jax.vmap(lambda f, k: model.encoder(f, key=k), (0, None if key is None else 0))(data.features, keys)
     force, tokens = equation_force(model, list(logits.T), list(data.equation.T))
-    # Huber: where x^(n) is noisy, a few samples would else decide
-    physics = jnp.mean(data.weight * huber(force - data.force, width))
+    return balance(model, force - data.force, tokens, data.weight, box, width=width, penalty=penalty)
+
+
+def balance(model: Model, residual: Float[Array, " samples"], tokens: Rows, weight, box, *, width: float, penalty):
+    """Average Huber's residuals and the penalties of tokens outside the box: the total, and both apart."""
+    # Huber: where x^(n) is noisy, a few samples would otherwise decide
+    physics = jnp.mean(weight * huber(residual, width))
     factor = jnp.stack(tokens, -1) / model.coefficients  # the box is in units of the nominal, whatever its sign
     over, under = jax.nn.relu(factor - box[1]), jax.nn.relu(box[0] - factor)
     constraint = jnp.mean(penalty[0] * over + penalty[1] * under)

@@ -12,8 +12,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Shaped
 
-from .._model.encoder import CompactEncoder
-from .._model.memory import ElapsedTime
 from .._model.model import Model
 from .._simulate import ports
 from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
@@ -22,12 +20,7 @@ from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
 def trainable(model: Model):
     """Mark every number training may move: encoder weights, memory and drive time constants, effects' numbers."""
     spec = jax.tree.map(lambda _: False, model)  # coefficients stay: the encoder's factors move the tokens
-    spec = eqx.tree_at(_parts, spec, jax.tree.map(eqx.is_inexact_array, _parts(model)))
-    if isinstance(model.encoder, CompactEncoder):
-        spec = eqx.tree_at(lambda m: m.encoder.bounds, spec, False)  # where the data ended
-    if isinstance(model.memory, ElapsedTime):
-        spec = eqx.tree_at(lambda m: m.memory.horizon, spec, False)  # a unit of time, not a time constant
-    return spec
+    return eqx.tree_at(_parts, spec, jax.tree.map(eqx.is_inexact_array, _parts(model)))
 
 
 def _parts(model: Model) -> tuple:

@@ -1,0 +1,74 @@
+"""Numbers of a model that no training moves: scales, sampling interval, limits, the sensor's offset.
+
+They are Python's floats, so `eqx.is_inexact_array` passes over them: the inexact arrays of a model are its parameters.
+`jax.jit` traces them, `eqx.filter_jit` keeps them as constants, and the package's own programs take them as arguments
+(`programs.jit`), so that models of any scale share one program.
+"""
+
+from dataclasses import fields
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class Constants(eqx.Module):
+    """A part of a model whose leaves are constants: floats, or tuples of floats."""
+
+
+def number(value) -> float:
+    """Convert one number to a float; a traced value stays as it is."""
+    return value if isinstance(value, jax.core.Tracer) else float(value)
+
+
+def numbers(values) -> tuple:
+    """Convert an array of any shape to tuples of floats; traced values stay as they are."""
+    return tuple(numbers(v) if np.ndim(v) else number(v) for v in values)
+
+
+class ConstantArray(Constants):
+    """An array of constants; a model file stores it as an array of float32.
+
+    Attributes:
+        values: nested tuples of floats.
+    """
+
+    values: tuple = eqx.field(converter=numbers)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array."""
+        return np.shape(self.values)
+
+    def array(self, dtype) -> Float[Array, "..."]:
+        """Return the numbers as an array of this precision."""
+        return jnp.asarray(self.values, dtype)
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        """Convert to NumPy's array, for the host."""
+        return np.asarray(self.values, dtype)
+
+
+def constant_array(values) -> ConstantArray:
+    """Convert an array to a constant one, its numbers rounded to float32 as model files keep them."""
+    if isinstance(values, ConstantArray):
+        return values
+    return ConstantArray(values if isinstance(values, jax.core.Tracer) else np.asarray(values, np.float32))
+
+
+def as_arguments(tree):
+    """Convert constants in a tree to NumPy arrays of float64, which a program takes as arguments."""
+    return jax.tree.map(_as_arrays, tree, is_leaf=lambda part: isinstance(part, Constants))
+
+
+def _as_arrays(part):
+    if not isinstance(part, Constants) or not all(type(leaf) is float for leaf in jax.tree.leaves(part)):
+        return part
+    arrays = object.__new__(type(part))  # the converters would make tuples of them again
+    for field in fields(part):
+        value = getattr(part, field.name)
+        value = value if field.metadata.get("static") else np.asarray(value, np.float64)
+        object.__setattr__(arrays, field.name, value)
+    return arrays
