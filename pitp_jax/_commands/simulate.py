@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .._errors import ComputationFailed
+from .._model.coordinate import Zero
 from .._model.fitted import Fitted
 from .._model_file.model_file import load
 from .._record.sets import RATE_TOLERANCE
@@ -40,8 +41,8 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
     _tell(loaded, model, drives)
     unit = loaded.origin.displacement_unit
-    zero = zero if isinstance(zero, str) else float(to_base(zero, unit))
-    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=zero) for d in drives]
+    at_rest: Zero = zero if zero in ("rest", "sensor") else float(to_base(zero, unit))
+    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=at_rest) for d in drives]
     rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:
