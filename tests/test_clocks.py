@@ -1,4 +1,4 @@
-"""Clocks that users bring: uneven loops, packets, overflows, rows out of order; read with the motion they were taken of."""
+"""Clocks that users bring: uneven loops, packets, overflows, rows out of order; read beside the true motion."""
 
 import numpy as np
 import pytest

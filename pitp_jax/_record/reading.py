@@ -81,8 +81,9 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
             `input_unit`, `output_unit`: over what the file says. `input_scale`: of an amplifier's monitor (1 V per
             kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
             without time and for any clock, which it overrules. `header_line`: the line that names the columns, from 1.
-            `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a workbook.
-            `split_by`: a column, "sheet" or "group", for several runs in one file.
+            `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a
+            workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `joint`: one of those that
+            `each` in `pitp.toml` names.
 
     Returns:
         the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says

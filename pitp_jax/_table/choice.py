@@ -132,13 +132,8 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
         problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
     clock = chosen.get("time")
-    if (
-        problems
-        and clock is not None
-        and clock.place is not None
-        and clock.note.startswith("no unit")
-        and not options.rate
-    ):
+    bare = clock is not None and clock.place is not None and clock.note.startswith("no unit")
+    if problems and clock is not None and clock.place is not None and bare and options.rate is None:
         strange = clock_question(_values(table, clock.place), clock.name)
         if strange:  # all that is wrong at once
             problems["time"] = _Ask(strange, ["--time-unit", "UNIT"])

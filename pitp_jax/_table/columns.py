@@ -205,7 +205,7 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         remedy = "--time-unit" if len(seen) > 1 else "--rate"
         words = [*options.words(), remedy, remedy.rpartition("-")[2].upper()]
         raise Refused(source, unfit if len(seen) > 1 else f"{unfit}; give --rate HZ", words)
-    if unfit:
+    if unfit and rate is not None:
         loaded["time"] = np.arange(count) / rate
         return Choice(None, "--rate", "s", unfit)
     return choice
