@@ -109,13 +109,17 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
             raise BadInput(f"{source}: column {column!r}: the time {how}; give --rate HZ")
     if found is None:
         try:
-            rows = _separate(rows, source, column, place)
+            single = _separate(rows, source, column, place)
         except BadInput:
             if rate is None:
                 raise
             return on_grid(rows.counted_at(rate), source, column, place)
+        if single is not rows:
+            return on_grid(single, source, column, place, rate)
     elif rate is None or abs(found.dt * rate - 1.0) <= TIME_TOLERANCE:
         return replace(_put(rows, found, source, column), packets=packets)
+    elif (np.diff(rows.time) == 0).any():
+        return on_grid(rows.counted_at(rate), source, column, place)
     else:
         rows = replace(rows, time=found.time)
     return replace(_resampled(rows, rate, source, column), packets=packets, uneven=found is None)

@@ -196,18 +196,16 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         loaded["time"] = np.arange(count) / rate
         return choice
     seen = time[np.isfinite(time)]
-    unfit = ""
-    if len(seen) < 2:
-        unfit = f"the clock {name!r} is empty"
-    elif choice.clock is None and choice.note.startswith("no unit"):
-        unfit = _unknown_clock(time, name, rate)
+    unfit, remedy = "", ["--rate", "RATE"]
+    if not len(seen) or (len(seen) < 2 and rate is not None):
+        unfit = f"the clock {name!r} is empty; give --rate HZ"
+    elif len(seen) > 1 and choice.clock is None and choice.note.startswith("no unit"):
+        unfit, remedy = _unknown_clock(time, name, rate), ["--time-unit", "UNIT"]
     if unfit and rate is None:
-        remedy = "--time-unit" if len(seen) > 1 else "--rate"
-        words = [*options.words(), remedy, remedy.rpartition("-")[2].upper()]
-        raise Refused(source, unfit if len(seen) > 1 else f"{unfit}; give --rate HZ", words)
+        raise Refused(source, unfit, [*options.words(), *remedy])
     if unfit and rate is not None:
         loaded["time"] = np.arange(count) / rate
-        return Choice(None, "--rate", "s", unfit)
+        return Choice(None, "--rate", "s", unfit.partition(";")[0])
     return choice
 
 
