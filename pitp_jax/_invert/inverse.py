@@ -1,7 +1,9 @@
 """Invert a displacement, as a pure function of one recording: traced, differentiated and batched at will.
 
-    closed_form   u = drive^-1(sqrt(max(F, 0))),  F = sigma_off + sum_i sigma_i x^(i)     (paper, eq. 13)
-    discrete      the voltage whose decoder steps lead from each state to the next         (`discrete`)
+closed_form   u = drive^-1(sqrt(max(F, 0))),  F = sigma_off + sum_i sigma_i x^(i)     (paper, eq. 13)
+discrete      the voltage whose decoder steps lead from each state to the next         (`discrete`)
+
+Each signal is one recording; the caller vmaps.
 """
 
 from typing import Literal

@@ -1,6 +1,8 @@
 """Follow a model along a motion that is given, as pure functions of one recording: its equation, memories and tokens.
 
-    X_i = x^(i) / scale_i,   m = memory(x),   sigma = tokens(S, m)        x by the coordinate of `_model.coordinate`
+X_i = x^(i) / scale_i,   m = memory(x),   sigma = tokens(S, m)        x by the coordinate of `_model.coordinate`
+
+Each signal is one recording; the caller vmaps.
 """
 
 import jax.numpy as jnp
@@ -35,7 +37,9 @@ def features_of(model: Model, equation: Float[Array, "time tokens"], dt) -> Floa
     return jnp.concatenate([equation[:, :-1], model.memory.trajectory(x, dt, model.memory.initial(x[0]))], -1)
 
 
-def memory_along(model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"]) -> Float[Array, "time memory"]:
+def memory_along(
+    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"]
+) -> Float[Array, "time memory"]:
     """Compute the memories along a displacement (m), shape (time, memories).
 
     Args:
@@ -62,7 +66,9 @@ def _memory_along(model: Model, displacement: Float[Array, " time"], dt) -> Floa
     return (memory * unit).astype(x.dtype)
 
 
-def tokens_along(model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"]) -> Float[Array, "time tokens"]:
+def tokens_along(
+    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"]
+) -> Float[Array, "time tokens"]:
     """Compute the tokens sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
 
     Args:

@@ -69,7 +69,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
         1000
     """
     model = _refused(model_of(model), dt)
-    memories, scale = model.memory.size, np.asarray(sign(model) * model.scales.state, np.float32)
+    memories, scale = model.memory.size, np.asarray(sign(model) * np.asarray(model.scales.state), np.float32)
 
     def one(carry: Float[Array, " carry"], wanted: Float[Array, " tokens"]):
         memory, (before, film_1, film_2) = carry[:memories], carry[memories:]

@@ -5,12 +5,13 @@ They are Python's floats, so `eqx.is_inexact_array` passes over them: the inexac
 (`programs.jit`), so that models of any scale share one program.
 """
 
-from dataclasses import fields
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 
@@ -18,9 +19,9 @@ class Constants(eqx.Module):
     """A part of a model whose leaves are constants: floats, or tuples of floats."""
 
 
-def number(value) -> float:
+def number(value) -> Any:
     """Convert one number to a float; a traced value stays as it is."""
-    return value if isinstance(value, jax.core.Tracer) else float(value)
+    return value if isinstance(value, Tracer) else float(value)
 
 
 def numbers(values) -> tuple:
@@ -55,20 +56,18 @@ def constant_array(values) -> ConstantArray:
     """Convert an array to a constant one, its numbers rounded to float32 as model files keep them."""
     if isinstance(values, ConstantArray):
         return values
-    return ConstantArray(values if isinstance(values, jax.core.Tracer) else np.asarray(values, np.float32))
+    return ConstantArray(values if isinstance(values, Tracer) else np.asarray(values, np.float32))
 
 
 def as_arguments(tree):
-    """Convert constants in a tree to NumPy arrays of float64, which a program takes as arguments."""
-    return jax.tree.map(_as_arrays, tree, is_leaf=lambda part: isinstance(part, Constants))
+    """Convert the constants in a tree to NumPy's float64, which a program takes as arguments."""
+    return jax.tree.map(_as_arrays, tree, is_leaf=_is_constant)
+
+
+def _is_constant(part) -> bool:
+    return isinstance(part, Constants)
 
 
 def _as_arrays(part):
-    if not isinstance(part, Constants) or not all(type(leaf) is float for leaf in jax.tree.leaves(part)):
-        return part
-    arrays = object.__new__(type(part))  # the converters would make tuples of them again
-    for field in fields(part):
-        value = getattr(part, field.name)
-        value = value if field.metadata.get("static") else np.asarray(value, np.float64)
-        object.__setattr__(arrays, field.name, value)
-    return arrays
+    # the structure stays: a part that `eqx.partition` took apart still fits its other half
+    return jax.tree.map(lambda v: np.float64(v) if type(v) is float else v, part) if _is_constant(part) else part

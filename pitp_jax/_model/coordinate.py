@@ -7,7 +7,7 @@ x is the model's own displacement (m), `reading` is what the sensor shows. `pred
 therefore keeps the sensor's readings.
 """
 
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Array
@@ -20,7 +20,7 @@ Zero = (
 )  # where a displacement is 0: at 0 V, where the sensor reads 0, or its value there
 
 
-def sign(model: Model) -> float:
+def sign(model: Model) -> Any:
     """Return s, +1 or -1: what takes the model's displacement to the coordinate, and back."""
     return 1.0 if model.input_map.one_sided else model.output.polarity
 

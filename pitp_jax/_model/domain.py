@@ -1,7 +1,7 @@
 """The domain of a model: how its records were sampled and driven, and which features they reached.
 
-Its numbers are `constants`: exact on the host, and no parameters of the model. The sampling interval is static: a program
-is made for one.
+Its numbers are `constants`: exact on the host, and no parameters of the model. The sampling interval is static: a
+program is made for one.
 """
 
 from collections.abc import Sequence

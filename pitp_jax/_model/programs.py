@@ -7,7 +7,7 @@ beside it (`Fitted.origin`), where no program sees it.
 
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,12 +17,13 @@ from jaxtyping import Array
 
 from .constants import as_arguments
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def jit(function: Callable[P, T]) -> Callable[P, T]:
     """Compile a function by `eqx.filter_jit`, with the constants of models among its arguments."""
-    compiled = eqx.filter_jit(function)
+    compiled: Any = eqx.filter_jit(function)
 
     @wraps(function)
     def call(*args: P.args, **options: P.kwargs) -> T:

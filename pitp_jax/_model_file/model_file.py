@@ -22,8 +22,8 @@ import jax
 import numpy as np
 
 from .._errors import BadInput
-from .._model.fitted import Fitted, fitted_of
 from .._model.constants import ConstantArray, constant_array
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
@@ -70,7 +70,9 @@ def _sum(body: bytes) -> bytes:
 def _body(fitted: Fitted) -> bytes:
     """Write what stands behind the digest: header and leaves."""
     header, model = describe(fitted), _stored(fitted.model)
-    skeleton = _stored(_skeleton(header))  # as `load` will build it: a model that could not be read back is refused here
+    skeleton = _stored(
+        _skeleton(header)
+    )  # as `load` will build it: a model that could not be read back is refused here
     arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _arrays(model)]
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:

@@ -1,6 +1,8 @@
 """Run a model freely under a voltage, as a pure function of one recording: traced, differentiated and batched at will.
 
-    y = s scale_0 reading(rollout(u)),    s: sign of the displacement's coordinate (`_model.coordinate`)
+y = s scale_0 reading(rollout(u)),    s: sign of the displacement's coordinate (`_model.coordinate`)
+
+Each signal is one recording; the caller vmaps.
 """
 
 import jax.numpy as jnp
@@ -16,7 +18,9 @@ from .decoder import rest_state
 
 
 def free_run(
-    model: Model | Fitted, voltage: Float[np.ndarray | Array, " time"], state: Float[np.ndarray | Array, " state"] | None = None
+    model: Model | Fitted,
+    voltage: Float[np.ndarray | Array, " time"],
+    state: Float[np.ndarray | Array, " state"] | None = None,
 ) -> Float[Array, " time"]:
     """Compute the displacement (m) under a voltage (V), sampled at the model's own interval; `jax.vmap` for more.
 

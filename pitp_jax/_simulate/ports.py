@@ -74,7 +74,7 @@ def filmed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> F
         begun = effect.start(jnp.where(rest, 0.0, film[0]))
 
         def advance(states, ends, effect=effect):
-            after = effect.advance(states, *ends, dt)
+            after = effect.advance(states, ends[0], ends[1], dt)
             return after, effect.apply(ends[1], after)
 
         later = jax.lax.scan(advance, begun, (film[:-1], film[1:]))[1]

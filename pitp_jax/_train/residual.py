@@ -11,7 +11,7 @@ The filter is `preprocess`'s Butterworth of order 4, run forward and backward, a
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._invert.motion import equation_of, features_of, motion_along
 from .._model.fitted import Fitted, model_of
