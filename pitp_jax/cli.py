@@ -403,7 +403,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
         "--time-constant",
         type=_positive,
         metavar="S",
-        help="of the closed loop of the PI steps in C (default: by the model)",
+        help="of the closed loop of the PI steps in C (default: by the model; inf: no controller)",
     )
     parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
     parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")
