@@ -259,8 +259,8 @@ class Search:
         }
         self.fitter.fit([f for g in groups.values() for f in g], 0)
         order = sorted(groups, key=lambda key: min((f.cost for f in groups[key]), default=np.inf))
-        certain = order[:_CERTAIN]
-        groups = {key: [f for f in g if key in certain or self._gains(f)] for key, g in groups.items()}
+        gaining = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
+        groups = gaining | {key: gaining[key] or groups[key] for key in order[:_CERTAIN]}
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
         groups = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
         for fit in self._richer([self._plainest(g) for g in groups.values() if g]):
