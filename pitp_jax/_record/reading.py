@@ -31,6 +31,7 @@ from .plausible import questions, refuse_implausible
 from .record import Record, Timed, range_in
 from .remarks import Remark
 from .sets import check_set
+from .turns import unwrap
 
 _NOTES = ("readme", "notes", "note", "license", "licence", "info")
 _QUANTITIES = ("time", "voltage", "displacement")
@@ -228,6 +229,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     (one,) = loaded
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
+    _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
     # no voltage belongs to a target: zeros pass in its place
     check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place)
     check_wanted(time, wanted, source, columns, one.place)
@@ -340,8 +342,12 @@ def mended(one: Loaded) -> tuple[Masked, Gridded]:
     check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
     units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
     refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
+    turns = 0, 0
+    if output is not None:
+        voltage, displacement, turns = unwrap(voltage, displacement, units)
     # before the grid: interpolating over a spike would smear it
     masked = Masked(displacement) if output is None else mask_faults(displacement, voltage)
+    masked = replace(masked, turns=turns)
     try:
         return masked, on_grid(time, voltage, masked.displacement, source, columns[0], one.place)
     except BadInput as error:
@@ -384,6 +390,8 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
     if len(put.pieces) > 1:
         notes.append(f"split at its gaps into {len(put.pieces)} records")
     seen = [
+        Remark("input_turns", name, masked.turns[0]),
+        Remark("output_turns", name, masked.turns[1]),
         Remark("outliers", name, masked.outliers, f"such as {far}"),
         Remark("clipped", name, masked.clipped, limit),
         Remark("unseen", name, masked.unseen, limit),
