@@ -81,7 +81,8 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
             kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
             without time or whose clock repeats. `header_line`: the line that names the columns, from 1. `units_line`:
             the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a workbook.
-            `split_by`: a column, "sheet" or "group", for several runs in one file.
+            `split_by`: a column, "sheet" or "group", for several runs in one file. `joint`: one of
+            those that `each` in `pitp.toml` names.
 
     Returns:
         the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
