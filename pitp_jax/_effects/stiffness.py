@@ -156,7 +156,8 @@ SPRINGS = (
         law=lambda p, now: -now.k * p.kappa * jnp.maximum(-now.x - p.place, 0.0),
     ),
     EffectSpec(
-        "end_stop", "both sides", (_STOP[0], Parameter("place", "x", length=1)), "On either side the motion runs into something stiff.",
+        "end_stop", "both sides", (_STOP[0], Parameter("place", "x", length=1)),
+        "On either side the motion runs into something stiff.",
         "f = k kappa (max(x - place, 0) - max(-x - place, 0))", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.place, p.place)),
     ),
