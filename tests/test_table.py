@@ -256,7 +256,7 @@ def test_a_clock_that_repeats_gives_way_to_the_rate(tmp_path):
     assert tried(refused(path))["rate"] == "RATE"
     (record,) = read(path, rate=1000)
     same(record, VOLTAGE, OUTPUT * 1e-3)
-    assert "repeats" in record.recognised["time"]
+    assert "whatever the clock shows" in record.recognised["remarks"][0]
 
 
 def test_empty_rows_without_a_clock_are_lost_samples(tmp_path):

@@ -31,7 +31,7 @@ class ReadOptions:
         time_unit, input_unit, output_unit: units of these columns, over what the file says.
         input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
         output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
-        rate: samples per second of files without time, or whose clock repeats.
+        rate: samples per second of files without time, and of any clock.
         header_line: the line that names the columns, counted from 1 with comments and blanks.
         units_line: the line that holds the units, or "none".
         separator, decimal, encoding: of text.
