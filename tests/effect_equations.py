@@ -185,8 +185,8 @@ _STILL: dict[str, Any] = {"begin": lambda x, u, p: (0.0,)}
 
 EQUATIONS = {
     "stiffening: cubic": Equation(((0.3,),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.c * x**3),
-    "stiffening: polynomial": Equation(((0.1, 0.2, 0.05), (-0.1, 0.1, -0.02)), {2: 4e-4}, force=_polynomial),
-    "softening: polynomial": Equation(((-0.1, -0.1, -0.01), (0.1, 0.05, 0.01)), {2: 4e-4}, force=_polynomial),
+    "stiffening: polynomial": Equation(((0.1, 0.2, 0.05), (-0.05, -0.02, -0.004)), {2: 5e-4}, force=_polynomial),
+    "softening: polynomial": Equation(((-0.05, -0.02, -0.004), (0.05, 0.05, 0.01)), {2: 5e-4}, force=_polynomial),
     "stiffening: power": Equation(
         ((0.4, 2.5, 0.9), (0.3, 0.8, 1.1)), {2: 4e-4},
         force=lambda x, v, s, p, a, t: a[0] * p.c * x * abs(x / p.reach) ** p.p,
@@ -213,7 +213,7 @@ EQUATIONS = {
         force=lambda x, v, s, p, a, t: -a[0] * p.d * (1 - np.exp(-max(s[0], abs(x)) / p.length)) * x,
     ),
     "end_stop: above": Equation(
-        ((4.0, 0.6), (4.0, -0.1)), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.kappa * max(x - p.place, 0)
+        ((4.0, 0.6), (0.3, -0.1)), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.kappa * max(x - p.place, 0)
     ),
     "end_stop: below": Equation(
         ((4.0, 0.3), (4.0, -0.1)), {2: 1e-3}, force=lambda x, v, s, p, a, t: -a[0] * p.kappa * max(-x - p.place, 0)
