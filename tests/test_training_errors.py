@@ -33,6 +33,13 @@ def test_what_the_sensor_adds_is_no_failure(candidate):
     assert not candidate((5.01, 5.0), (5.0, 5.0)).converged
 
 
+def test_an_added_error_below_half_the_noise_rejects_nothing(candidate):
+    """Two errors that add as squares: the nominal's, all noise (1 %), and what the trained model adds."""
+    for added, worse in ((0.3, False), (0.49, False), (0.6, True)):
+        found = candidate((np.hypot(1.0, added), 0.2), (1.0, 4.0), (1.0, 0.1))
+        assert found.errors[0].worse == worse == bool(found.rank[0])
+
+
 @pytest.mark.parametrize(
     ("between", "expected", "says"),
     [([(1.9, 3.0), (1.8, 3.5), (2.0, 4.0)], (1.9, 3.0), "between"), ([(2.5, 1.0), (2.0, 4.0)], (2.0, 4.0), "itself")],
