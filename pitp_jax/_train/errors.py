@@ -1,11 +1,11 @@
 """Compare free runs on the training records: the trained model beside its nominal, as `predict` runs both.
 
     e_k = 100 rms(x - x_measured) / range_k,      s_k = 100 (standard deviation of the sensor's noise) / range_k
-    a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + (s_k / 2)^2
+    a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
 
-Both errors contain the noise, so the difference of their squares is what the trained model adds. An addition below half
-the noise raises e_k by at most 12 % and cannot be seen in the record; it does not reject a model that is better
-elsewhere. The better of two models is worse on fewer records, then has the smaller rms of e_k.
+Both errors contain the noise, so the difference of their squares is what the trained model adds. An addition below the
+noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then has
+the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,7 +22,6 @@ from .._record.record import Record
 from .._simulate.prediction import predict
 
 _ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: what noise alone makes of a fit
-_HIDDEN = 0.5  # of the noise: an added error below it does not show
 _DIVERGED = 1e6  # %; what a diverged run counts: means and ratios stay numbers
 _LITTLE = 1.0  # %; a mean error below that is no failure,
 _CLOSED = 0.5  # nor one of at most that fraction of the nominal's
@@ -77,7 +76,8 @@ class Candidate:
     @property
     def rank(self) -> tuple[int, float]:
         """Number of records that are worse, then the mean error: the smaller the better."""
-        return int((self.worse > 1).sum()), self.mean
+        worse = int((self.worse > 1).sum())
+        return worse or int(self.mean > _ALIKE * _mean(self.nominal)), self.mean
 
     @property
     def converged(self) -> bool:
@@ -138,6 +138,7 @@ def kept(
         lost = ", ".join(
             f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
         )
+        lost = lost or f"average ({best.mean:.3g} % of range instead of {_mean(best.nominal):.3g})"
         what = "a model between it and the nominal" if good else "the nominal itself"
         return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} is handed back; "
                         "look at these records with `pitp check`, or leave them out"], what  # fmt: skip
@@ -149,7 +150,7 @@ def kept(
 
 def _allowed(nominal, noise):
     """Return the largest error that is not worse than the nominal's, in the shape of both."""
-    return np.hypot(_ALIKE * np.asarray(nominal), _HIDDEN * np.asarray(noise))
+    return np.hypot(_ALIKE * np.asarray(nominal), noise)
 
 
 def _mean(errors) -> float:
