@@ -110,7 +110,7 @@ def test_models_of_two_machines_differ_by_what_was_changed():
 
 def _model(linear, bounded, factors=(1.0, 1.0, 1.0), encoder=None):
     """A model of order 2 with its own error of 0.3 % on one record, coefficients times `factors`."""
-    model = bounded(linear(2), high=4000.0)
+    model = bounded(linear(2), high=2000.0)
     coefficients = model.coefficients * np.asarray(factors, np.float32)
     changed = replace(model, coefficients=coefficients, **({} if encoder is None else {"encoder": encoder}))
     return Fitted(changed, Origin(training={"errors": {"sine": [1.0, 0.3]}}))
@@ -122,17 +122,21 @@ def test_responses_of_linear_models_are_those_of_the_closed_form(linear, bounded
     found = {r.what: r for r in pitp.compare(one, two).rows}
     for side, model in (("a", one), ("b", two)):
         a0, a1, a2 = model.physical_coefficients
-        for level in (1000.0, 2400.0, 3800.0):
-            at = f"at {number(level, 3)} V"
+        for level in (500.0, 1200.0, 1900.0):
+            at = f"at {number(level)} V"
             expected = {
                 f"settled displacement {at}": level**2 / a0, f"stiffness dF/dx {at}": a0,
                 f"resonance {at}": np.sqrt(a0 / a2) / 2 / np.pi, f"damping ratio {at}": a1 / 2 / np.sqrt(a0 * a2),
             }  # fmt: skip
             for what, value in expected.items():
                 assert getattr(found[what], side) == pytest.approx(value, rel=2e-3), what
-    assert all(r.differs for what, r in found.items() if what.startswith(("stiffness", "resonance", "free runs")))
+    same = [
+        what for what, r in found.items() if what.startswith(("stiffness dF", "resonance", "free")) and not r.differs
+    ]
+    assert not same
 
 
+@pytest.mark.slow
 def test_a_trained_model_is_compared_by_what_it_does(linear, bounded):
     """The same network on a spring 1.3 times as stiff differs; on one 1.0005 times as stiff it does not."""
     encoder = CompactEncoder(2, 0, width=4, key=jax.random.key(3))
@@ -140,11 +144,11 @@ def test_a_trained_model_is_compared_by_what_it_does(linear, bounded):
     one = _model(linear, bounded, encoder=encoder)
     stiffer = pitp.compare(one, _model(linear, bounded, (1.3, 1.0, 1.0), encoder))
     rows: dict[str, Any] = {r.what: r for r in stiffer.rows}
-    ratios = [r.b / r.a for what, r in rows.items() if what.startswith("stiffness dF/dx")]
-    assert len(ratios) == 3 and all(1.15 < ratio < 1.45 for ratio in ratios)
-    assert "no difference" not in stiffer.headline() and rows["input seen"].differs is False
+    soft = rows["stiffness dF/dx at 500 V"]  # where the network has hardly moved on
+    assert soft.differs and 1.2 < soft.b / soft.a < 1.35
+    assert "differ by no more" not in stiffer.headline() and rows["input seen"].differs is False
     same = pitp.compare(one, _model(linear, bounded, (1.0005, 1.0, 1.0), encoder))
-    assert not same.different and "no difference" in same.headline()
+    assert not same.different and "differ by no more" in same.headline()
 
 
 def test_factors_of_adapt_and_parts_of_diagnoses_are_compared(linear, bounded):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .._model.fitted import Fitted
 from .._model.model import Model
@@ -69,7 +69,7 @@ def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | Non
     rows = [_free_run_row(one, two)]
     unit, output = a.origin.voltage_unit, a.origin.displacement_unit
     for k, level in enumerate(points):
-        at = f"at {number(float(from_base(level, unit)), 3)} {unit}"
+        at = f"at {number(float(from_base(level, unit)))} {unit}"
         rows += _rows_at(one, two, k, at, output, a.input_map.unit)
     return rows, None
 
@@ -101,7 +101,7 @@ def _sweep(a: Fitted, b: Fitted, low: float, high: float) -> tuple[np.ndarray, f
     first, last = hertz / 20, min(2 * hertz, 0.2 / dt)
     ratio = np.log(last / first)
     phase = 2 * np.pi * first * duration / ratio * np.expm1(t / duration * ratio)
-    return low + (high - low) * (0.5 + 0.45 * np.sin(phase)), dt
+    return low + 0.48 * (high - low) * (1 - np.cos(phase)), dt
 
 
 def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarray, dt: float) -> Behaviour:
@@ -111,11 +111,12 @@ def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarr
     percent = own_error(fitted)
     own = None if percent is None else percent * span / 100
     errors = tuple(None if own is None else _error_of(model, k, run, own, drive, dt) for k in (None, 2, 1))
-    around = np.concatenate([points - small, points, points + small])
-    below, at, above = _settled(model, around).reshape(3, len(points))
-    forces = np.asarray(model.input_map.force(np.stack([points - small, points + small])))
-    modes = np.array([_mode(model, level) for level in points])
-    return Behaviour(run, own, at, (forces[1] - forces[0]) / (above - below), modes[:, 0], modes[:, 1], errors)
+    levels = np.stack([points - small, points, points + small])
+    states, by_state, by_input = map(np.asarray, _linearised(model, jnp.asarray(levels, np.float32), model.dt))
+    below, at, above = states[..., 0].astype(np.float64) * float(model.scales.state[0])
+    forces = np.asarray(model.input_map.force(levels))
+    modes = np.array([_mode(*pair, model.dt) for pair in zip(by_state, by_input, strict=True)])
+    return Behaviour(run, own, at, (forces[2] - forces[0]) / (above - below), modes[:, 0], modes[:, 1], errors)
 
 
 def own_error(fitted: Fitted) -> float | None:
@@ -129,7 +130,7 @@ def own_error(fitted: Fitted) -> float | None:
 
 def _run(model: Model, drive: np.ndarray, dt: float) -> np.ndarray:
     """Return the displacement from the start of the sweep on, m, whatever the sensor's zero and direction."""
-    run = rollout(model, drive, dt, begins="held")
+    run = rollout(model, drive, dt, begins="rest")
     return float(model.output.polarity) * (run - run[0])
 
 
@@ -146,31 +147,25 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
     return own * _STEP / change * (0.5 if k == 2 else 1.0)  # the resonance goes with the root of the inertia
 
 
-def _settled(model: Model, levels: np.ndarray) -> np.ndarray:
-    """Return the settled displacement at every input, m."""
-    states = held_states(model, jnp.asarray(levels, model.coefficients.dtype), model.dt, jnp.zeros(len(levels)))
-    return np.asarray(states[:, 0], np.float64) * float(model.scales.state[0])
-
-
 @jit
-def _linearised(model: Model, level: jax.Array, dt: float):
-    """Differentiate one decoder step about the state settled at this input: A and B."""
-    state = held_states(model, level[None], dt, jnp.zeros(1, level.dtype))[0]
+def _linearised(model: Model, levels: Float[Array, "three points"], dt: float):
+    """Return the scaled states settled at these inputs, and A and B of one decoder step about the middle row."""
+    flat = levels.ravel().astype(model.coefficients.dtype)
+    states = held_states(model, flat, dt, jnp.zeros_like(flat)).reshape(*levels.shape, -1)
 
     def after(state, volts):
         return step(model, state, jnp.full((2 * model.substeps + 1,), volts), dt)
 
-    return jax.jacfwd(after, (0, 1))(state, level)
+    return states, *jax.vmap(jax.jacfwd(after, (0, 1)))(states[1], flat.reshape(levels.shape)[1])
 
 
-def _mode(model: Model, level: float) -> tuple[float, float]:
+def _mode(by_state: np.ndarray, by_input: np.ndarray, dt: float) -> tuple[float, float]:
     """Return frequency (Hz) and damping ratio of the oscillation that moves the displacement most; nan without one."""
-    by_state, by_input = map(np.asarray, _linearised(model, jnp.asarray(level, model.coefficients.dtype), model.dt))
     if not np.isfinite(by_state).all():
         return np.nan, np.nan
     z, vectors = np.linalg.eig(by_state.astype(np.float64))
     part = vectors[0] * np.linalg.lstsq(vectors, by_input.astype(complex), rcond=None)[0]
-    poles = np.log(np.where(np.abs(z) > 1e-9, z, 1e-9).astype(complex)) / model.dt
+    poles = np.log(np.where(np.abs(z) > 1e-9, z, 1e-9).astype(complex)) / dt
     rings = poles.imag > 0.05 * np.abs(poles)
     if not rings.any():
         return np.nan, np.nan
