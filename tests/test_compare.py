@@ -64,7 +64,91 @@ def test_a_drive_of_another_size_or_shape_has_no_partner():
     assert "another size (factor 3)" in found.first_alone[0][1]
     assert [name for name, _ in found.second_alone] == ["slow"]
     found = pair_records(real[2:], simulated[:1])
-    assert not found.pairs and "no drive correlates" in found.first_alone[0][1]
+    assert not found.pairs and "no command correlates" in found.first_alone[0][1]
+
+
+LOADS = {"light": A, "middle": A * [1, 1, 1.5], "heavy": A * [1, 1, 2.2]}
+
+
+def _loads(rename=lambda name: name, **of_machine):
+    """One recording a command and load, named LOAD_COMMAND or as `rename` makes of that."""
+    return [
+        record
+        for load, coefficients in LOADS.items()
+        for record in machine(coefficients, rename=lambda name, load=load: rename(f"{load}_{name}"), **of_machine)
+    ]
+
+
+def test_repeated_commands_are_paired_by_their_responses():
+    """Three loads under the same commands: the robot lags and moves less, and its files carry running numbers."""
+    simulated = _loads()
+    order = np.random.default_rng(3).permutation(len(simulated))
+    running = {simulated[k].name: f"run_{n}" for n, k in enumerate(order)}
+    robot = sorted(_loads(running.__getitem__, late=0.03, gain=0.85, noise=1e-3), key=lambda r: r.name)
+    found = pair_records(simulated, robot)
+    assert {p.first.name: p.second.name for p in found.pairs} == running
+    told = " ".join(found.remarks("sim", "robot"))
+    assert "Several recordings of the sim have the same command (light_chirp, middle_chirp, heavy_chirp;" in told
+    assert not found.undecided
+
+
+@pytest.mark.parametrize("shared", ["first", "second"])
+def test_one_simulation_serves_every_repeat(shared):
+    repeats = [
+        record
+        for k in range(3)
+        for record in machine(late=0.03, gain=0.9, noise=1e-3 * (k + 1), rename=lambda name, k=k: f"{name}_{k}")
+    ]
+    sets = (machine(), repeats) if shared == "first" else (repeats, machine())
+    found = pair_records(*sets, shared=shared)
+    names = [(p.first.name, p.second.name) for p in found.pairs]
+    assert sorted(sorted(pair, key=len) for pair in names) == sorted(
+        [name, f"{name}_{k}"] for name in drives(np.zeros(1)) for k in range(3)
+    )
+    assert not found.first_alone and not found.second_alone and found.repeated == ((), ())
+    # nobody said which set may serve: repeats are recognised as such
+    assert len(pair_records(*sets[::-1], shared="first").pairs) == len(pair_records(*sets, shared="first").pairs) == 9
+
+
+def test_a_load_that_was_not_simulated_has_no_partner():
+    found = pair_records(_loads()[:6], _loads(late=0.001))
+    assert {(p.first.name, p.second.name) for p in found.pairs} == {(r.name, r.name) for r in _loads()[:6]}
+    assert [name for name, _ in found.second_alone] == ["heavy_chirp", "heavy_slow", "heavy_fast"]
+    assert "has a closer partner" in found.second_alone[0][1]
+
+
+def test_equal_recordings_go_by_their_names_and_are_reported():
+    twice = [*machine()[:1], *machine(rename=lambda name: f"{name}_again")[:1]]
+    found = pair_records(twice, twice[::-1])
+    assert [(p.first.name, p.second.name) for p in found.pairs] == [("chirp", "chirp"), ("chirp_again", "chirp_again")]
+    assert found.undecided == (("chirp", "chirp", ("chirp_again",)), ("chirp_again", "chirp_again", ("chirp",)))
+    assert "chirp fits chirp_again as well as chirp" in " ".join(found.remarks("a", "b"))
+
+
+@pytest.mark.parametrize(("command", "output"), [(1, 1), (-1, -1), (1, -1), (-1, 1)])
+def test_a_mirrored_axis_is_turned_and_reported(command, output):
+    simulated, robot = machine(), machine(gain=0.9, clock=2.0)
+    robot = [
+        pitp.Record(r.name, r.time, command * r.voltage, output * r.displacement, displacement_unit="m") for r in robot
+    ]
+    found = pitp.compare(simulated, robot, names=("sim", "robot"))
+    assert found.pairs is not None and found.pairs.mirrored == (command < 0, output < 0)
+    assert [p.offset for p in found.pairs.pairs] == pytest.approx([-2.0] * 3, abs=1e-4)
+    assert [np.sign(p.correlation) for p in found.pairs.pairs] == [command] * 3
+    assert np.allclose(found.pairs.pairs[1].command(), simulated[1].voltage, atol=1e-9)
+    rows: list[Any] = [r for r in found.rows if "size of the motion" in r.what]
+    sizes = [r.b / r.a for r in rows]
+    assert sizes == pytest.approx([0.9] * 3, abs=2e-3)
+    told = " ".join(found.remarks)
+    assert ("input-scale = -1" in told) == (command < 0) and ("output-scale = -1" in told) == (output < 0)
+
+
+def test_two_commands_that_mirror_each_other_keep_their_signs():
+    both = [
+        pitp.Record(f"{r.name}_{s}", r.time, s * r.voltage, s * r.displacement) for r in machine()[:2] for s in (1, -1)
+    ]
+    found = pair_records(both, both[::-1])
+    assert all(p.first.name == p.second.name and p.correlation > 0 for p in found.pairs) and len(found.pairs) == 4
 
 
 def test_two_sets_of_records_differ_by_size_and_lag_that_were_made():

@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from played import nominal_of, play
+from typed import some
 
 import pitp_jax as pitp
+from pitp_jax._diagnose import fit
 from pitp_jax._diagnose.data import build_case, excitations
 from pitp_jax._diagnose.evidence import probability
 from pitp_jax._diagnose.fit import Fit, Fitter
@@ -54,6 +56,30 @@ def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
     ((_, residuals, _),) = fitter.evaluate([alone], [alone.slots], everything=True)
     for k in stiff.folds[0]:
         np.testing.assert_allclose(rows[k], residuals[k], atol=1e-3 * stiff.series[k].span)
+
+
+def test_simulations_are_counted_and_blocks_of_them_change_nothing(stiff, monkeypatch):
+    """Three fits of two numbers: one run of every record each, then three more for the slopes."""
+    slots = stiff.nominal.copy()
+    slots[INDEX["gent"]] = 0.3
+    start = Fit(("spring",), ("gent", "a0"), slots, stiff.starts.copy())
+
+    def fitted():
+        fitter = Fitter(stiff)
+        fits = fitter.fit([start.again() for _ in range(3)], 0)
+        fitter.differentiate(fits)
+        return fits, fitter.budget.lane_steps
+
+    whole, steps = fitted()
+    samples = sum(len(s.output) for s in stiff.series) * stiff.simulator.substeps
+    assert steps == 3 * (1 + 3) * samples
+    monkeypatch.setattr(fit, "_SAMPLES_AT_ONCE", 1)
+    parts, again = fitted()
+    assert again == steps
+    for a, b in zip(whole, parts, strict=True):
+        assert a.cost == pytest.approx(b.cost, rel=1e-9)
+        for one, other in zip(some(a.jacobian), some(b.jacobian), strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-6 * np.abs(one).max())
 
 
 def test_a_number_does_not_fall_below_its_lowest(stiff):

@@ -55,7 +55,7 @@ class Comparison:
         names: of A and of B.
         rows: every quantity that both or one of them has.
         remarks: what no row holds: descent, clocks, recordings without a partner.
-        pairs: of two sets of records, which recordings share their drive.
+        pairs: of two sets of records, which recordings share their command.
     """
 
     kind: str

@@ -73,6 +73,7 @@ class Diagnosis:
         model: the best model that beats the nominal out of fold, else the nominal.
         handed_back: its parts beyond the nominal.
         term: a force without a name as an equation found in the data.
+        lane_steps: the work of the search, samples x steps a sample x simulations.
     """
 
     verdict: str
@@ -94,6 +95,7 @@ class Diagnosis:
     probability: dict = field(default_factory=dict)
     folds: tuple[tuple[str, ...], ...] = ()
     handed_back: tuple[str, ...] = ()
+    lane_steps: int = 0
 
     @property
     def records(self) -> dict[str, list]:
@@ -229,6 +231,7 @@ def diagnose(
         probability=decision.probabilities,
         folds=tuple(dict.fromkeys(tuple(names[k] for k in f) for f in case.folds)) if len(names) > 1 else (),
         handed_back=parts,
+        lane_steps=limit.lane_steps,
     )
 
 

@@ -97,7 +97,8 @@ class Search:
     ):  # fmt: skip
         self.case, self.refit, self.exclude = case, refit, set(exclude)
         self.own, self.misfit = own, misfit  # the nominal's own error with the sensor's noise, and beyond it
-        self.fitter, self.budget, self.progress = Fitter(case), budget or Budget(), progress
+        self.budget, self.progress = budget or Budget(), progress
+        self.fitter = Fitter(case, self.budget)
         self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
@@ -319,7 +320,7 @@ class Search:
             return None
         rows = []
         for k in range(len(self.case.series)):
-            fitter = Fitter(self.case.alone(k))
+            fitter = Fitter(self.case.alone(k), self.budget)
             fit = self.linear.fit.again(starts=self.linear.fit.starts[[k]], residuals=[], jacobian=None, cost=np.inf)
             fitter.fit([fit], _LINEAR_STEPS)
             rows.append(fitter.refitted_without([fit], _FOLD_STEPS)[0][0])
