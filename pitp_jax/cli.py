@@ -217,7 +217,7 @@ _SAID = (  # option, placeholder, type, help
     ("output-unit", "UNIT", str, "as for the input"),
     ("input-scale", "S", _number, "V per V of the input (a monitor of 1 V per kV: 1000)"),
     ("output-scale", "S", _number, "m per V of the output (a laser of 2 mm per V: 0.002)"),
-    ("rate", "HZ", _positive, "samples per second of files without time, or whose clock repeats"),
+    ("rate", "HZ", _positive, "samples per second: of files without time, and of any clock, which it overrules"),
     ("header-line", "N", int, "line that names the columns, counted from 1"),
     ("units-line", "N|none", str, "line that holds the units"),
     ("separator", "CHAR", str, "between cells of text: a character, tab or blank"),
@@ -264,7 +264,15 @@ def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("voltages", nargs="+", metavar="VOLTAGE", help="files of time and voltage, and folders of them")
     parser.add_argument("--out", metavar="DIR", help="write one CSV per drive here")
+    _zero_argument(parser, "displacement")
     _columns(parser, drive=True)
+
+
+def _zero_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument(
+        "--zero", type=_zero, default="rest", metavar="rest|sensor|VALUE",
+        help=f"where the {what} is 0: at 0 V (default), as the sensor reads, or what it is at 0 V",
+    )  # fmt: skip
 
 
 def _plan_arguments(parser: argparse.ArgumentParser) -> None:
@@ -344,10 +352,7 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-displacement", type=_positive, metavar="MM", help="from 0 V either way, for the membrane"
     )
-    parser.add_argument(
-        "--zero", type=_zero, default="rest", metavar="rest|sensor|VALUE",
-        help="where the target is 0: at 0 V (default), where the sensor reads 0, or what it is at 0 V",
-    )  # fmt: skip
+    _zero_argument(parser, "target")
     parser.add_argument(
         "--start-input", type=float, default=0.0, metavar="U", help="V at both ends, which holds it where it stands (0)"
     )

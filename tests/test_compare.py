@@ -1,8 +1,11 @@
 """Comparisons: two of a kind, and known differences between them."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -10,6 +13,10 @@ from scipy.signal import lsim
 import pitp_jax as pitp
 from pitp_jax._compare import pair_records
 from pitp_jax._demo import joint
+from pitp_jax._model.encoder import CompactEncoder
+from pitp_jax._model.fitted import Fitted
+from pitp_jax._model.origin import Origin
+from pitp_jax._report.numbers import number
 
 A = np.array([1.0, 0.05, 1 / 400.0])  # rad s^i / rad: a joint of 3.2 Hz and damping ratio 0.5
 
@@ -57,7 +64,91 @@ def test_a_drive_of_another_size_or_shape_has_no_partner():
     assert "another size (factor 3)" in found.first_alone[0][1]
     assert [name for name, _ in found.second_alone] == ["slow"]
     found = pair_records(real[2:], simulated[:1])
-    assert not found.pairs and "no drive correlates" in found.first_alone[0][1]
+    assert not found.pairs and "no command correlates" in found.first_alone[0][1]
+
+
+LOADS = {"light": A, "middle": A * [1, 1, 1.5], "heavy": A * [1, 1, 2.2]}
+
+
+def _loads(rename=lambda name: name, **of_machine):
+    """One recording a command and load, named LOAD_COMMAND or as `rename` makes of that."""
+    return [
+        record
+        for load, coefficients in LOADS.items()
+        for record in machine(coefficients, rename=lambda name, load=load: rename(f"{load}_{name}"), **of_machine)
+    ]
+
+
+def test_repeated_commands_are_paired_by_their_responses():
+    """Three loads under the same commands: the robot lags and moves less, and its files carry running numbers."""
+    simulated = _loads()
+    order = np.random.default_rng(3).permutation(len(simulated))
+    running = {simulated[k].name: f"run_{n}" for n, k in enumerate(order)}
+    robot = sorted(_loads(running.__getitem__, late=0.03, gain=0.85, noise=1e-3), key=lambda r: r.name)
+    found = pair_records(simulated, robot)
+    assert {p.first.name: p.second.name for p in found.pairs} == running
+    told = " ".join(found.remarks("sim", "robot"))
+    assert "Several recordings of the sim have the same command (light_chirp, middle_chirp, heavy_chirp;" in told
+    assert not found.undecided
+
+
+@pytest.mark.parametrize("shared", ["first", "second"])
+def test_one_simulation_serves_every_repeat(shared):
+    repeats = [
+        record
+        for k in range(3)
+        for record in machine(late=0.03, gain=0.9, noise=1e-3 * (k + 1), rename=lambda name, k=k: f"{name}_{k}")
+    ]
+    sets = (machine(), repeats) if shared == "first" else (repeats, machine())
+    found = pair_records(*sets, shared=shared)
+    names = [(p.first.name, p.second.name) for p in found.pairs]
+    assert sorted(sorted(pair, key=len) for pair in names) == sorted(
+        [name, f"{name}_{k}"] for name in drives(np.zeros(1)) for k in range(3)
+    )
+    assert not found.first_alone and not found.second_alone and found.repeated == ((), ())
+    # nobody said which set may serve: repeats are recognised as such
+    assert len(pair_records(*sets[::-1], shared="first").pairs) == len(pair_records(*sets, shared="first").pairs) == 9
+
+
+def test_a_load_that_was_not_simulated_has_no_partner():
+    found = pair_records(_loads()[:6], _loads(late=0.001))
+    assert {(p.first.name, p.second.name) for p in found.pairs} == {(r.name, r.name) for r in _loads()[:6]}
+    assert [name for name, _ in found.second_alone] == ["heavy_chirp", "heavy_slow", "heavy_fast"]
+    assert "has a closer partner" in found.second_alone[0][1]
+
+
+def test_equal_recordings_go_by_their_names_and_are_reported():
+    twice = [*machine()[:1], *machine(rename=lambda name: f"{name}_again")[:1]]
+    found = pair_records(twice, twice[::-1])
+    assert [(p.first.name, p.second.name) for p in found.pairs] == [("chirp", "chirp"), ("chirp_again", "chirp_again")]
+    assert found.undecided == (("chirp", "chirp", ("chirp_again",)), ("chirp_again", "chirp_again", ("chirp",)))
+    assert "chirp fits chirp_again as well as chirp" in " ".join(found.remarks("a", "b"))
+
+
+@pytest.mark.parametrize(("command", "output"), [(1, 1), (-1, -1), (1, -1), (-1, 1)])
+def test_a_mirrored_axis_is_turned_and_reported(command, output):
+    simulated, robot = machine(), machine(gain=0.9, clock=2.0)
+    robot = [
+        pitp.Record(r.name, r.time, command * r.voltage, output * r.displacement, displacement_unit="m") for r in robot
+    ]
+    found = pitp.compare(simulated, robot, names=("sim", "robot"))
+    assert found.pairs is not None and found.pairs.mirrored == (command < 0, output < 0)
+    assert [p.offset for p in found.pairs.pairs] == pytest.approx([-2.0] * 3, abs=1e-4)
+    assert [np.sign(p.correlation) for p in found.pairs.pairs] == [command] * 3
+    assert np.allclose(found.pairs.pairs[1].command(), simulated[1].voltage, atol=1e-9)
+    rows: list[Any] = [r for r in found.rows if "size of the motion" in r.what]
+    sizes = [r.b / r.a for r in rows]
+    assert sizes == pytest.approx([0.9] * 3, abs=2e-3)
+    told = " ".join(found.remarks)
+    assert ("input-scale = -1" in told) == (command < 0) and ("output-scale = -1" in told) == (output < 0)
+
+
+def test_two_commands_that_mirror_each_other_keep_their_signs():
+    both = [
+        pitp.Record(f"{r.name}_{s}", r.time, s * r.voltage, s * r.displacement) for r in machine()[:2] for s in (1, -1)
+    ]
+    found = pair_records(both, both[::-1])
+    assert all(p.first.name == p.second.name and p.correlation > 0 for p in found.pairs) and len(found.pairs) == 4
 
 
 def test_two_sets_of_records_differ_by_size_and_lag_that_were_made():
@@ -99,6 +190,63 @@ def test_models_of_two_machines_differ_by_what_was_changed():
     assert "inertia (a2)" in repr(found)
     alike = [pitp.identify(machine(noise=n), order=2, input_map="linear") for n in (1e-5, 2e-5)]
     assert not any(r.differs for r in pitp.compare(*alike).rows if "(a" in r.what)
+
+
+def _model(linear, bounded, factors=(1.0, 1.0, 1.0), encoder=None):
+    """A model of order 2 with its own error of 0.3 % on one record, coefficients times `factors`."""
+    model = bounded(linear(2), high=2000.0)
+    coefficients = model.coefficients * np.asarray(factors, np.float32)
+    changed = replace(model, coefficients=coefficients, **({} if encoder is None else {"encoder": encoder}))
+    return Fitted(changed, Origin(training={"errors": {"sine": [1.0, 0.3]}}))
+
+
+def test_responses_of_linear_models_are_those_of_the_closed_form(linear, bounded):
+    """x = U^2 / a0, dF/dx = a0, w = sqrt(a0 / a2), zeta = a1 / (2 sqrt(a0 a2)); 1.3 times as stiff is seen in each."""
+    one, two = _model(linear, bounded), _model(linear, bounded, (1.3, 1.0, 1.0))
+    found = {r.what: r for r in pitp.compare(one, two).rows}
+    for side, model in (("a", one), ("b", two)):
+        a0, a1, a2 = model.physical_coefficients
+        for level in (500.0, 1200.0, 1900.0):
+            at = f"at {number(level)} V"
+            expected = {
+                f"settled displacement {at}": level**2 / a0, f"stiffness dF/dx {at}": a0,
+                f"resonance {at}": np.sqrt(a0 / a2) / 2 / np.pi, f"damping ratio {at}": a1 / 2 / np.sqrt(a0 * a2),
+            }  # fmt: skip
+            for what, value in expected.items():
+                assert getattr(found[what], side) == pytest.approx(value, rel=2e-3), what
+    same = [
+        what for what, r in found.items() if what.startswith(("stiffness dF", "resonance", "free")) and not r.differs
+    ]
+    assert not same
+
+
+@pytest.mark.slow
+def test_a_trained_model_is_compared_by_what_it_does(linear, bounded):
+    """The same network on a spring 1.3 times as stiff differs; on one 1.0005 times as stiff it does not."""
+    encoder = CompactEncoder(2, 0, width=4, key=jax.random.key(3))
+    encoder = jax.tree.map(lambda leaf: leaf + 0.1, encoder, is_leaf=eqx.is_inexact_array)
+    one = _model(linear, bounded, encoder=encoder)
+    stiffer = pitp.compare(one, _model(linear, bounded, (1.3, 1.0, 1.0), encoder))
+    rows: dict[str, Any] = {r.what: r for r in stiffer.rows}
+    soft = rows["stiffness dF/dx at 500 V"]  # where the network has hardly moved on
+    assert soft.differs and 1.2 < soft.b / soft.a < 1.35
+    assert "differ by no more" not in stiffer.headline() and rows["input seen"].differs is False
+    same = pitp.compare(one, _model(linear, bounded, (1.0005, 1.0, 1.0), encoder))
+    assert not same.different and "differ by no more" in same.headline()
+
+
+def test_factors_of_adapt_and_parts_of_diagnoses_are_compared(linear, bounded):
+    one = _model(linear, bounded)
+    entry = {"changed": {"stiffness": {"factor": 1.3, "ci95": [1.287, 1.313]}}}
+    two = Fitted(one.model, replace(one.origin, adapted=(entry,)))
+    (row,) = [r for r in pitp.compare(one, two).rows if "adapt" in r.what]
+    assert (row.a, row.b, row.differs) == (1.0, 1.3, True) and row.ci95 == pytest.approx((0.287, 0.313))
+    parts = [
+        [{"effect": "delay", "form": "pure", "parameters": {"time": {"value": v, "unit": "s", "ci95": [v - 1, v + 1]}}}]
+        for v in (5.0, 8.0)
+    ]
+    found = pitp.compare(*(_diagnosis(15.0, 0.2) | {"parts": p, "handed_back": ["delay"]} for p in parts))
+    assert [r.what for r in found.different] == ["delay (pure): time"]
 
 
 def _diagnosis(value, stderr, verdict="explained"):

@@ -1,7 +1,5 @@
 """The feedforward against closed forms and an independent integration."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,9 +7,11 @@ import numpy as np
 import pytest
 from motions import DT, SAMPLES, TIME, hump, respond, swing, swing_force
 
+import pitp_jax as pitp
 from pitp_jax import BadInput, Target, e_rms_percent, feedforward, rest_state
 from pitp_jax._invert.equation import invert_path
 from pitp_jax._model import LinearInput
+from pitp_jax._model.coordinate import Zero
 from pitp_jax._numerics.spline_derivative import derivatives
 from pitp_jax._simulate.decoder import rollout
 
@@ -141,17 +141,44 @@ def test_the_linear_map_pulls_both_ways(linear, bounded):
 # ---- the user's coordinates ----
 
 
-def test_offset_and_polarity_are_undone(linear, bounded, actuator):
+def test_a_reversed_sensor_changes_its_own_readings_alone(linear, bounded, actuator):
+    """From 0 V a target grows as the actuator extends, whatever the sensor's direction."""
     x = swing(1e-3, 5e-4, 3.0)
-    mirrored = bounded(linear(2, offset=7e-3, polarity=-1.0))
+    reversed_ = bounded(linear(2, offset=7e-3, polarity=-1.0))
     plain = feedforward(actuator, Target(TIME, x))
-    cases: tuple[tuple[Literal["rest", "sensor"] | float, float], ...] = (("rest", 0.0), ("sensor", 7e-3), (2e-3, 2e-3))
-    for zero, at_rest in cases:
-        found = feedforward(mirrored, Target(TIME, at_rest - x), zero=zero)
+    cases: tuple[tuple[Zero, np.ndarray], ...] = (("rest", x), ("sensor", 7e-3 - x), (2e-3, 2e-3 + x))
+    for zero, wanted in cases:
+        found = feedforward(reversed_, Target(TIME, wanted), zero=zero)
         np.testing.assert_allclose(found.voltage, plain.voltage, atol=0.05)
         assert found.self_check_e_rms_percent < 1e-3
-        np.testing.assert_array_equal(found.wanted[found.target], at_rest - x)
+        np.testing.assert_array_equal(found.wanted[found.target], wanted)
         assert np.isnan(found.wanted[~found.target]).all()
+        played = pitp.rollout(reversed_, found.voltage, DT, begins="rest", zero=zero)
+        assert e_rms_percent(played[found.target], wanted) < 1e-3
+
+
+def test_behind_a_linear_input_a_displacement_has_the_sensors_sign(linear, bounded):
+    """A positive input moves a reversed sensor's reading down, and that is the coordinate."""
+    model = bounded(linear(2, input_map=LinearInput(), offset=3e-3, polarity=-1.0), -2e6, 2e6, 1e9)
+    found = feedforward(model, Target(TIME, swing(-5e-4, 4e-4, 3.0)))
+    force = swing_force(model, 5e-4, -4e-4, 3.0)
+    np.testing.assert_allclose(found.voltage[found.target][20:-20], force[20:-20], atol=2e-3 * force.max())
+
+
+@pytest.mark.parametrize(
+    ("zero", "remedy"), [("rest", "give --zero sensor"), ("sensor", "leave out --zero sensor"), (1e-3, "--zero sensor")]
+)
+def test_a_target_on_the_side_that_cannot_be_reached_is_refused(linear, bounded, zero, remedy):
+    x, at_rest = swing(1e-3, 5e-4, 3.0), {"rest": 0.0, "sensor": 7e-3}.get(zero, zero)
+    model = bounded(linear(2, offset=7e-3))
+    with pytest.raises(BadInput, match=f"100 % of the target .*change the sign of the target.*{remedy}"):
+        feedforward(model, Target(TIME, at_rest - x), zero=zero)
+
+
+def test_a_target_out_of_reach_on_both_sides_is_planned(actuator):
+    """Far above the resonance half of a swing about zero needs a push, and half of its negative as well."""
+    found = feedforward(actuator, Target(TIME, swing(-1e-4, 1e-3, 12.0)), shots=0, max_slew=1e9)
+    assert 0.4 < found.infeasible[found.target].mean()
 
 
 @pytest.mark.parametrize("held", [0.0, 3e5])

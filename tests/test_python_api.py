@@ -122,8 +122,10 @@ def test_rollout_in_physical_units_is_the_scaled_one(known, records):
     u, start = records[0].voltage, pitp.rest_state(known)
     model = eqx.tree_at(lambda m: (m.output.offset, m.output.polarity), known, (np.float64(2e-3), np.float64(-1.0)))
     states = rollout_batch(model, jnp.asarray(u[None], jnp.float32), 1e-3, start[None])[0]
-    truth = 2e-3 - np.asarray(states[:, 0], np.float64) * model.scales.state[0]
+    truth = np.asarray(states[:, 0], np.float64) * model.scales.state[0]
     np.testing.assert_allclose(pitp.rollout(model, u, 1e-3), truth, atol=1e-8)
+    np.testing.assert_allclose(pitp.rollout(model, u, 1e-3, zero="sensor"), 2e-3 - truth, atol=1e-8)
+    np.testing.assert_allclose(pitp.rollout(model, u, 1e-3, zero=1e-3), 1e-3 + truth, atol=1e-8)
     np.testing.assert_allclose(pitp.rollout(known, u), records[0].displacement, atol=1e-5)
     both = pitp.rollout(known, np.stack([u, 0 * u]))
     assert both.shape == (2, 2000) and np.abs(both[1]).max() == 0

@@ -43,4 +43,5 @@ def diagnosed(effects: tuple, **how) -> dict:
     finding = pitp.diagnose(model, real, **how)
     taken = time.perf_counter() - began
     told = {"records": RECORDS, "samples": RECORDS * STEPS, "verdict": f"{finding.verdict} {finding.effects}"}
+    told |= {"lane_steps": finding.lane_steps}  # samples x steps a sample x simulations
     return summary([taken]) | {"peer": None, "peer_median_ms": None, "ratio": None} | told

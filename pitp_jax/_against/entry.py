@@ -53,7 +53,7 @@ def diagnose(
     Args:
         model: an identified linear model or a trained one (`Fitted` or `Model`); with `against` the real recordings.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
-        against: recordings of a simulator, paired by their drives; another rate and another clock are fine.
+        against: recordings of a simulator, paired by their commands; another rate and another clock are fine.
         position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
         refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
         exclude: names left out of the catalogue.
@@ -65,7 +65,7 @@ def diagnose(
         verdict, effects, gap, ranking, and the model (a `Fitted`) with the effects added; with `against` a `SimToReal`.
 
     Raises:
-        BadInput: no records, of several rates, two of one name or none that moves; no drive common to both sets; a
+        BadInput: no records, of several rates, two of one name or none that moves; no command common to both sets; a
             nominal that diverges on one; a mesh over several processes.
         ComputationFailed: no linear model of the simulator can be identified.
 
@@ -89,10 +89,10 @@ def diagnose(
 def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain: float | None, options) -> SimToReal:
     check_records(real)
     check_records(simulated)
-    pairs = pair_records(real, simulated)
+    pairs = pair_records(real, simulated, shared="second")
     if not pairs.pairs:
         name, why = pairs.first_alone[0]
-        raise BadInput(f"no recording of the simulator has the drive of one of the robot's; {name}: {why}")
+        raise BadInput(f"no recording of the simulator has the command of one of the robot's; {name}: {why}")
     say = options["progress"]
     say("identifying the simulator")
     found, own, gap = simplest_model(simulated, real)

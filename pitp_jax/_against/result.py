@@ -28,7 +28,7 @@ class SimToReal:
         simulator: diagnosis of the simulator's own records; None where its model's error is no part of the gap.
         identification: the linear model of the simulator.
         nominal: that model with the simulator's own effects.
-        pairs: which recordings share their drive, and the offset of the clocks.
+        pairs: which recordings share their command, and the offset of the clocks.
         parameters: the simulator's numbers, the robot's, and the difference.
         simulator_share: part of the gap's energy that is the error of the simulator's model, with its 95 % interval.
         records: the robot's.

@@ -11,8 +11,12 @@ from .console import number, print_table
 def print_model(summary: dict) -> None:
     """The description of a model on standard output."""
     print(f"{summary['kind']} model of order {summary['order']}, input map {summary['input_map']}")
+    if summary["fallback"]:
+        print(summary["fallback"])
     for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
+    if summary["kind"] == "trained":
+        print("coefficients and modes of the linear model from which training started:")
     rows = zip(summary["coefficients"], summary["coefficients_stderr"], summary["coefficients_unit"], strict=True)
     table = [(f"a{i}", number(a, 6), number(e, 2), unit) for i, (a, e, unit) in enumerate(rows)]
     print_table(("coefficient", "value", "std. error", "unit"), table)

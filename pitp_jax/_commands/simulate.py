@@ -7,24 +7,26 @@ from pathlib import Path
 import numpy as np
 
 from .._errors import ComputationFailed
+from .._model.coordinate import Zero
 from .._model.fitted import Fitted
 from .._model_file.model_file import load
 from .._record.sets import RATE_TOLERANCE
 from .._record.voltage_file import Drive, read_voltage
 from .._record.writing import write_csv
 from .._simulate.voltage_only import rollout
-from .._table.units import column_name, from_base
+from .._table.units import column_name, from_base, to_base
 from .console import number, print_table, say
 from .outputs import check_outputs, staged
 
 
-def simulate(model, voltages, out, json_file, reading) -> None:
+def simulate(model, voltages, out, zero, json_file, reading) -> None:
     """Simulate, write what was asked for, and print the ranges.
 
     Args:
         model: model file.
         voltages: files and folders of time and voltage.
         out: folder for one CSV per drive, or None.
+        zero: "rest", "sensor", or the displacement at 0 V, in the unit of the model's records.
         json_file: where to write the ranges for machines, or None.
         reading: keyword arguments of `pitp.read_voltage`: columns, units, scale, rate.
 
@@ -38,8 +40,9 @@ def simulate(model, voltages, out, json_file, reading) -> None:
     files = [f"{d.name.lstrip('/')}.csv" for d in drives]
     check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
     _tell(loaded, model, drives)
-    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0])) for d in drives]
     unit = loaded.origin.displacement_unit
+    at_rest: Zero = zero if zero in ("rest", "sensor") else float(to_base(zero, unit))
+    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=at_rest) for d in drives]
     rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:

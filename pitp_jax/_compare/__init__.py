@@ -2,7 +2,7 @@
 
     differs:  |b - a| > 1.96 sqrt(s_a^2 + s_b^2)
 
-Verb: `compare`. Recordings are paired by their drives (`pairing`), never by their names.
+Verb: `compare`. Recordings are paired by their commands, and by their responses where commands repeat (`pairing`).
 """
 
 from .comparison import compare as compare

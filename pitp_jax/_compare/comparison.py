@@ -18,7 +18,7 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
 
     Args:
         a, b: two models (or results that hold a `.model`), two diagnoses (or their JSON as dicts), or two sequences of
-            records, whose recordings are paired by their drives.
+            records, whose recordings are paired by their commands.
         names: what to call them.
 
     Returns:

@@ -1,4 +1,6 @@
-"""Write the page of a comparison: what differs, every quantity, and recordings of one drive over each other."""
+"""Write the page of a comparison: what differs, every quantity, and recordings of one command over each other."""
+
+from collections import Counter
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -55,7 +57,13 @@ def _shown(value: float | str | None) -> str:
 def figures(result: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]]]:
     """Draw every pair, with its numbers as columns, by name."""
     pairs = () if result.pairs is None else result.pairs.pairs
-    return {f"pair_{p.first.name.replace('/', '_')}": overlay(p, result.names) for p in pairs[:_DRAWN]}
+    count = Counter(p.first.name for p in pairs)
+    made = {}
+    for pair in pairs[:_DRAWN]:
+        # one recording may stand beside several
+        name = pair.first.name if count[pair.first.name] == 1 else f"{pair.first.name}_{pair.second.name}"
+        made[f"pair_{name.replace('/', '_')}"] = overlay(pair, result.names)
+    return made
 
 
 def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.ndarray]]:
@@ -78,4 +86,4 @@ def _drawn(result: Comparison) -> list[str]:
     if not made:
         return []
     pictures = [html.picture(name, drawn, name.removeprefix("pair_")) for name, (drawn, _) in made.items()]
-    return [tag("h2", "The same drive, one output over the other"), f'<div class="figures">{"".join(pictures)}</div>']
+    return [tag("h2", "The same command, one output over the other"), f'<div class="figures">{"".join(pictures)}</div>']

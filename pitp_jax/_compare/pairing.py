@@ -1,207 +1,260 @@
-"""Pair the recordings of two sets by their drives: which of B played what A played, and how far their clocks are apart.
+"""Pair the recordings of two sets by their commands, and by their responses where several have the same command.
 
-    rho(k) = sum_i (a_i - mean a) (b_{i+k} - mean b) / (T_k std a std b)      over the T_k samples that overlap at lag k
-    offset = argmin_d sum_t (a(t) - b(t - d))^2                               Gauss-Newton on interpolated samples
+    distance^2 = mean over the overlap of (y_a(t) - s y_b(t - offset))^2, means and both sensors' noise removed
 
-Of several lags that fit alike (a sine repeats every period) the one with the longest overlap is taken. Names say
-nothing: two programs name their files differently. An assignment problem gives every recording at most one partner.
+An assignment problem finds the pairs: a better command counts before a nearer response, a nearer response before an
+equal name. The sum of squares does not change if one machine differs from the other alike in all recordings. A
+recording that is left over is a repeat where it lies nearer to a paired recording of its own set than that one lies to
+its partner: it gets the same partner.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.signal import correlate
 
+from .._record.initial_state import noise_std
 from .._record.record import Record
-from .._report.numbers import number
+from .alignment import ALIKE, Alignment, align
+from .remarks import remarks_on
 
-ALIKE = 0.99  # correlation from which two drives are the same one
-_SAME_SIZE = 0.1  # relative difference of amplitude up to which two drives are the same one
-_OVERLAP = 0.5  # of the shorter recording, at least
-_COARSE = 8192  # samples of the finer search for the lag
-_AS_GOOD = 2e-3  # correlations that differ by less are equal: what noise of a logged drive makes of the same lag
+_AS_GOOD = (1.5, 0.02)  # factor and part of the command's deviation by which a misfit may exceed the best one
+_FIRST, _LAST = 1e3, 1e-9  # weights: of the command before the response, of the name after it
+_REFUSED = 1e6  # cost above any accepted one, and finite, as the assignment needs
+_MIRRORED = -0.5  # median correlation of the outputs below which the output of a set is turned
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two recordings of one drive.
+    """Two recordings of one command.
 
     Attributes:
-        first, second: the recordings; both carry the drive at times t and t - offset of their own clocks.
+        first, second: the recordings; both carry the command at times t and t - offset of their own clocks.
         offset: clock of `first` less clock of `second` at the same instant, s.
-        correlation: of the two drives where they overlap.
+        correlation: of the two commands where they overlap; negative for a mirrored command.
+        output_sign: -1 where the output of `second` is mirrored.
     """
 
     first: Record
     second: Record
     offset: float
     correlation: float
+    output_sign: int = 1
 
-    def drive(self) -> np.ndarray:
-        """Interpolate the second's drive at the times of the first, held at its ends; shape (T,)."""
-        return np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
+    def command(self) -> np.ndarray:
+        """Interpolate the second's command at the times of the first, held at its ends and turned; shape (T,)."""
+        sign = -1 if self.correlation < 0 else 1
+        return sign * np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
 
     def output(self) -> np.ndarray:
-        """Interpolate the second's output at the times of the first; nan outside and where missing, shape (T,)."""
-        return np.interp(
-            self.first.time - self.offset, self.second.time, self.second.displacement, left=np.nan, right=np.nan
-        )
+        """Interpolate the second's output at the times of the first, turned; nan outside and where missing."""
+        return self.output_sign * _at(self.first, self.second, self.offset)
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """Pairs, and the recordings without a partner: (name, why) of the first and of the second set."""
+    """Which recordings share their command.
+
+    Attributes:
+        pairs: in the order of the first set; a recording may stand in several.
+        first_alone, second_alone: (name, reason) of recordings without a partner.
+        repeated: of each set, groups of recordings with one command, paired by their responses.
+        undecided: (name, partner, others): the others of the partner's set would do as well.
+        mirrored: whether the second set's command and its output have the opposite sign.
+    """
 
     pairs: tuple[Pair, ...]
     first_alone: tuple[tuple[str, str], ...]
     second_alone: tuple[tuple[str, str], ...]
+    repeated: tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]] = ((), ())
+    undecided: tuple[tuple[str, str, tuple[str, ...]], ...] = ()
+    mirrored: tuple[bool, bool] = (False, False)
 
     def remarks(self, first: str, second: str) -> list[str]:
-        """Say in sentences what a user should know of clocks and partners; `first` and `second` name the sets."""
-        named = [f"{p.first.name} with {p.second.name}" for p in self.pairs if p.first.name != p.second.name]
-        lines = [f"Paired by their commands ({first} with {second}): {', '.join(named)}."] if named else []
-        offsets = [p.offset for p in self.pairs]
-        # below 0.1 ms it is interpolation
-        if offsets and max(map(abs, offsets)) >= 1e-4:
-            sizes = sorted(abs(o) for o in offsets)
-            middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]
-            by = number(round(middle, 3)) if apart < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
-            word = "ahead of" if np.median(offsets) > 0 else "behind"
-            lines.append(f"The clock of the {first} is {by} s {word} that of the {second}; this is no delay.")
-        for side, alone in ((first, self.first_alone), (second, self.second_alone)):
-            lines += [f"Recording {name} of the {side} has no partner: {why}." for name, why in alone]
-        return lines
+        """Describe clocks, partners and signs in sentences; `first` and `second` name the sets."""
+        return remarks_on(self, first, second)
 
 
-def pair_records(first: Sequence[Record], second: Sequence[Record]) -> Pairing:
-    """Find for each recording of one set the recording of the other with the same drive.
+def pair_records(
+    first: Sequence[Record], second: Sequence[Record], *, shared: Literal["first", "second"] = "first"
+) -> Pairing:
+    """Find for each recording of one set the recording of the other with the same command.
 
     Args:
         first, second: recordings of two machines, or of a machine and its simulator; rates may differ.
+        shared: the set of which a recording that is alone with its command is the partner of all with that command.
 
     Returns:
-        the pairs in the order of the first set, and what has no partner.
+        the pairs in the order of the first set, what has no partner, and what the commands alone did not decide.
     """
-    tried = {(i, j): _match(a, b) for i, a in enumerate(first) for j, b in enumerate(second)}
-    # the smallest sum of misfits: one greedy choice could take away the only partner of another recording
-    cost = np.array([[_cost(tried[i, j]) for j in range(len(second))] for i in range(len(first))])
+    both = [[align(a, b) for b in second] for a in first]
+    same, mirrored = ([[tried[k] for tried in row] for row in both] for k in (0, 1))
+    # a sine is its own mirror image half a period later: the opposite sign must explain more recordings
+    is_mirrored = _partnered(mirrored) > _partnered(same)
+    table = _Table.of(first, second, mirrored if is_mirrored else same)
+    cost = table.cost()
     rows, columns = linear_sum_assignment(cost)
-    chosen = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if _accepted(tried[i, j])}
+    chosen = {(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if cost[i, j] < _REFUSED}
+    turned = table.turned()
+    more = _repeats(table, chosen, shared == "second")
+    more |= {(i, j) for j, i in _repeats(turned, {(j, i) for i, j in chosen}, shared == "first")}
+    chosen |= more
+    matches = table.matches
     pairs = tuple(
-        Pair(first[i], second[j], tried[i, j].offset, tried[i, j].correlation) for i, j in sorted(chosen.items())
+        Pair(first[i], second[j], matches[i][j].offset, matches[i][j].correlation, table.output_sign)
+        for i, j in sorted(chosen)
     )
-    alone = [
-        tuple(
-            (r.name, _why([tried[key(k, o)] for o in range(len(others))], [o.name for o in others]))
-            for k, r in enumerate(mine)
-            if k not in used
-        )
-        for mine, others, used, key in (
-            (first, second, set(chosen), lambda k, o: (k, o)),
-            (second, first, set(chosen.values()), lambda k, o: (o, k)),
-        )
-    ]
-    return Pairing(pairs, *alone)
+    return Pairing(
+        pairs, table.alone({i for i, _ in chosen}), turned.alone({j for _, j in chosen}),
+        (turned.repeated({(j, i) for i, j in chosen}), table.repeated(chosen)), table.undecided(chosen),
+        (is_mirrored, table.output_sign < 0),
+    )  # fmt: skip
+
+
+def _partnered(matches: list[list[Alignment]]) -> int:
+    """Count the recordings of both sets with at least one partner."""
+    fits = np.array([[m.accepted for m in row] for row in matches])
+    return int(fits.any(axis=0).sum() + fits.any(axis=1).sum())
 
 
 @dataclass(frozen=True)
-class _Match:
-    """How two drives lie on each other: correlation, offset (s), amplitude of the first over the second, misfit."""
+class _Table:
+    """How every recording of one set lies on every one of the other; arrays of shape (first, second).
 
-    correlation: float
-    offset: float
-    size: float
-    misfit: float
+    Attributes:
+        mine, others: the recordings.
+        matches: of the commands.
+        near: whether no other recording of the second set has a better command for one of the first.
+        near_back: the same for the second set's recordings.
+        distance: squared distance of the responses, 0 within the noise; inf where the commands differ.
+        noise: variances of both sensors' noise.
+        output_sign: of the second set's outputs.
+    """
+
+    mine: Sequence[Record]
+    others: Sequence[Record]
+    matches: list[list[Alignment]]
+    near: np.ndarray
+    near_back: np.ndarray
+    distance: np.ndarray
+    noise: tuple[np.ndarray, np.ndarray]
+    output_sign: int
+
+    @classmethod
+    def of(cls, first: Sequence[Record], second: Sequence[Record], matches: list[list[Alignment]]) -> "_Table":
+        misfit = np.array([[m.misfit if m.accepted else np.inf for m in row] for row in matches])
+        near, back = (np.isfinite(misfit) & (misfit <= _allowed(misfit, axis)) for axis in (1, 0))
+        noise = _noise(first), _noise(second)
+        moments = {
+            (i, j): _moments(first[i], second[j], matches[i][j].offset) for i, j in np.argwhere(near | back).tolist()
+        }
+        alike = [c / np.sqrt(a * b) for a, b, c in moments.values() if a * b > 0]
+        sign = -1 if alike and np.median(alike) < _MIRRORED else 1
+        distance = np.full(misfit.shape, np.inf)
+        for (i, j), (a, b, c) in moments.items():
+            distance[i, j] = max(a + b - 2 * sign * c - 2 * (noise[0][i] + noise[1][j]), 0.0)
+        return cls(
+            first, second, matches, near & np.isfinite(misfit), back & np.isfinite(misfit), distance, noise, sign
+        )
+
+    def turned(self) -> "_Table":
+        """Exchange the two sets."""
+        matches = [
+            [Alignment(m.correlation, -m.offset, 1 / m.size if m.size else np.inf, m.misfit) for m in column]
+            for column in zip(*self.matches, strict=True)
+        ]
+        return _Table(
+            self.others, self.mine, matches, self.near_back.T, self.near.T, self.distance.T,
+            (self.noise[1], self.noise[0]), self.output_sign,
+        )  # fmt: skip
+
+    def cost(self) -> np.ndarray:
+        """Weigh commands before responses before names."""
+        misfit = np.array([[m.misfit if m.accepted else np.inf for m in row] for row in self.matches])
+        fits = np.isfinite(misfit)
+        excess = np.where(fits, misfit, 0.0) - np.minimum(_allowed(misfit, 1), _allowed(misfit, 0))
+        finite = self.distance[np.isfinite(self.distance)]
+        response = self.distance / max(finite.max(initial=0.0), 1e-300)
+        renamed = np.array([[a.name != b.name for b in self.others] for a in self.mine])
+        cost = _FIRST * np.maximum(excess, 0.0) + np.minimum(response, 1.0) + _LAST * renamed
+        return np.where(fits, cost, _REFUSED)
+
+    def apart(self, i: int, k: int, partner: int) -> float:
+        """Return the squared distance of two responses of the first set, both aligned with one partner."""
+        offset = self.matches[i][partner].offset - self.matches[k][partner].offset
+        a, b, c = _moments(self.mine[i], self.mine[k], offset)
+        return max(a + b - 2 * c - 2 * (self.noise[0][i] + self.noise[0][k]), 0.0)
+
+    def alone(self, paired: set[int]) -> tuple[tuple[str, str], ...]:
+        """Name the recordings without a partner, each with the reason."""
+        return tuple((r.name, self._why(k)) for k, r in enumerate(self.mine) if k not in paired)
+
+    def _why(self, i: int) -> str:
+        best = max(range(len(self.others)), key=lambda j: abs(self.matches[i][j].correlation))
+        m, name = self.matches[i][best], self.others[best].name
+        if m.accepted:
+            return f"its command is that of {name}, which has a closer partner"
+        if abs(m.correlation) >= ALIKE:
+            return f"{name} has the same command at another size (factor {m.size:.3g}); are the units right"
+        return f"no command correlates with its own by {ALIKE:g} (closest: {name}, {m.correlation:.2f})"
+
+    def repeated(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, ...], ...]:
+        """List the groups of the second set among which the responses decided."""
+        groups = {
+            tuple(np.flatnonzero(row).tolist())
+            for i, row in enumerate(self.near)
+            if any((i, j) not in chosen for j in np.flatnonzero(row).tolist())
+        }
+        return tuple(tuple(self.others[j].name for j in group) for group in sorted(groups) if len(group) > 1)
+
+    def undecided(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+        """List pairs for which another recording of the second set has the same command and response."""
+        found = []
+        for i, j in sorted(chosen):
+            slack = self.noise[0][i] + self.noise[1]
+            as_near = self.near[i] & (np.abs(self.distance[i] - self.distance[i, j]) <= slack)
+            others = [self.others[k].name for k in np.flatnonzero(as_near).tolist() if (i, k) not in chosen]
+            if others:
+                found.append((self.mine[i].name, self.others[j].name, tuple(others)))
+        return tuple(found)
 
 
-def _cost(m: _Match) -> float:
-    return m.misfit if _accepted(m) else 10.0  # above any accepted misfit, and finite, as the assignment needs
+def _allowed(misfit: np.ndarray, axis: int) -> np.ndarray:
+    factor, part = _AS_GOOD
+    return factor * misfit.min(axis=axis, keepdims=True) + part
 
 
-def _accepted(m: _Match) -> bool:
-    return m.correlation >= ALIKE and abs(m.size - 1) <= _SAME_SIZE
+def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[tuple[int, int]]:
+    """Give recordings of the first set that are left over the partner of a paired recording that they repeat."""
+    found = set()
+    for i in sorted(set(range(len(table.mine))) - {i for i, _ in chosen}):
+        fitting = np.flatnonzero(table.near[i]).tolist()
+        if shared and len(fitting) == 1:
+            found.add((i, fitting[0]))
+            continue
+        mates = [(table.apart(i, k, j), k, j) for k, j in chosen if j in fitting]
+        if mates:
+            apart, k, j = min(mates)
+            found |= {(i, j)} if apart <= table.distance[k, j] else set()
+    return found
 
 
-def _why(matches: Sequence[_Match], names: Sequence[str]) -> str:
-    best = max(range(len(matches)), key=lambda k: matches[k].correlation)
-    m = matches[best]
-    if _accepted(m):
-        return f"its drive is that of {names[best]}, which has a closer partner"
-    if m.correlation >= ALIKE:
-        return f"{names[best]} has the same drive at another size (factor {m.size:.3g}); are the units right"
-    return f"no drive correlates with its own by {ALIKE:g} (closest: {names[best]}, {m.correlation:.2f})"
+def _noise(records: Sequence[Record]) -> np.ndarray:
+    return np.array([noise_std(r.displacement) ** 2 for r in records])
 
 
-def _match(a: Record, b: Record) -> _Match:
-    """Search all lags on a common grid, then refine the best between samples."""
-    dt = max(a.dt, b.dt)
-    longest = max(a.time[-1] - a.time[0], b.time[-1] - b.time[0])
-    dt *= max(1, int(np.ceil(longest / dt / _COARSE)))  # the peak is refined between samples anyway
-    x, y = (_on_grid(r, dt) for r in (a, b))
-    if np.ptp(x) == 0 or np.ptp(y) == 0:
-        return _Match(0.0, 0.0, np.inf, np.inf)
-    lags, rho = _correlation(x, y)
-    overlap = np.minimum(len(x), lags + len(y)) - np.maximum(0, lags)
-    good = np.flatnonzero(rho >= rho.max() - _AS_GOOD)
-    at = good[np.lexsort((-rho[good], -overlap[good]))[0]]
-    at = int(at + np.argmax(rho[max(at - 2, 0) : at + 3]) - min(at, 2))  # the peak beside the longest overlap
-    offset = float(a.time[0] - b.time[0] + lags[at] * dt)  # of clocks: lags count samples from both beginnings
-    return _refined(a, b, offset, float(rho[at]))
+def _at(a: Record, b: Record, offset: float) -> np.ndarray:
+    """Interpolate the output of `b` at the times of `a`; nan outside and where missing, shape (T,)."""
+    return np.interp(a.time - offset, b.time, b.displacement, left=np.nan, right=np.nan)
 
 
-def _on_grid(record: Record, dt: float) -> np.ndarray:
-    count = int((record.time[-1] - record.time[0]) / dt + 1e-9) + 1
-    return np.interp(record.time[0] + dt * np.arange(count), record.time, record.voltage)
-
-
-def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lags k (x_i beside y_{i-k}) with enough overlap, and the correlation at each."""
-    lags = np.arange(-(len(y) - 1), len(x))
-    low, high = np.maximum(0, lags), np.minimum(len(x), lags + len(y))
-    keep = (high - low) >= _OVERLAP * min(len(x), len(y))
-    lags, low, high = lags[keep], low[keep], high[keep]
-    x, y = x - x.mean(), y - y.mean()
-    cross = correlate(x, y, method="fft")[keep]
-    count = high - low
-
-    def sums(values, first, last):  # over any stretch, as a difference of two cumulative sums
-        total = np.concatenate([[0.0], np.cumsum(values)])
-        return total[last] - total[first]
-
-    sx, sxx = sums(x, low, high), sums(x * x, low, high)
-    sy, syy = sums(y, low - lags, high - lags), sums(y * y, low - lags, high - lags)
-    spread = np.maximum(sxx - sx**2 / count, 0) * np.maximum(syy - sy**2 / count, 0)
-    # a stretch in which hardly anything moves correlates with everything
-    moving = spread > 0.05 * (x @ x) * (y @ y)
-    rho = np.where(moving, (cross - sx * sy / count) / np.sqrt(np.where(moving, spread, 1.0)), 0.0)
-    return lags, rho
-
-
-def _refined(a: Record, b: Record, offset: float, correlation: float) -> _Match:
-    """Refine the offset between samples, and measure how alike the drives are at it."""
-    step = max(a.dt, b.dt)
-    for _ in range(8):
-        inside, x, y = _overlap(a, b, offset)
-        if inside.sum() < 8:
-            return _Match(0.0, offset, np.inf, np.inf)
-        slope = np.gradient(y, a.dt)
-        # a step of at most a sample: the correlation's peak is that near, and a square wave has no slope to trust
-        move = float(np.clip(-((x - x.mean() - y + y.mean()) @ slope) / max(slope @ slope, 1e-300), -step, step))
-        offset += move
-        if abs(move) < 1e-6 * step:
-            break
-    _, x, y = _overlap(a, b, offset)
-    x_, y_ = x - x.mean(), y - y.mean()
-    if not (np.any(x_) and np.any(y_)):
-        return _Match(0.0, offset, np.inf, np.inf)
-    rho = float(x_ @ y_ / np.sqrt((x_ @ x_) * (y_ @ y_)))
-    size = float(np.sqrt((x_ @ x_) / (y_ @ y_)))
-    return _Match(max(rho, correlation), offset, size, float(np.sqrt(np.mean((x - y) ** 2)) / x_.std()))
-
-
-def _overlap(a: Record, b: Record, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    at = a.time - offset
-    inside = (at >= b.time[0]) & (at <= b.time[-1])
-    return inside, a.voltage[inside], np.interp(at[inside], b.time, b.voltage)
+def _moments(a: Record, b: Record, offset: float) -> tuple[float, float, float]:
+    """Return the variances of both outputs and their covariance, where both are known."""
+    y, z = a.displacement, _at(a, b, offset)
+    known = np.isfinite(y) & np.isfinite(z)
+    if not known.any():
+        return 0.0, 0.0, 0.0
+    y, z = y[known] - y[known].mean(), z[known] - z[known].mean()
+    return float(np.mean(y * y)), float(np.mean(z * z)), float(np.mean(y * z))

@@ -1,8 +1,8 @@
-"""Compare two sets of records: recordings of one drive beside each other, else linear models of the two sets.
+"""Compare two sets of records: recordings of one command beside each other, otherwise linear models of the two sets.
 
     y_b(t) = s y_a(t - d) + c + e        least squares over 8 blocks of a recording; s, d: mean and standard error
 
-A sensor's zero c belongs to a recording and is no difference. Where no drive is common, both sets are identified.
+A sensor's zero c belongs to a recording and is no difference. Where no command is common, both sets are identified.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ from .._errors import BadInput, ComputationFailed
 from .._identify import Identification, identify
 from .._record.initial_state import noise_std
 from .._record.record import Record
+from .._report.numbers import number
 from .._table.units import base_unit, from_base
 from .models import compare_models
 from .pairing import Pair, pair_records
@@ -32,9 +33,11 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
     try:
         models = [linear_model_of(records).model for records in (a, b)]
     except ComputationFailed as error:
-        raise ComputationFailed(f"no drive is common to both sets, and no model of one can be made: {error}") from None
+        raise ComputationFailed(
+            f"no command is common to both sets, and no model of one can be made: {error}"
+        ) from None
     compared = compare_models(models[0], models[1], names)
-    first = "No drive is common to both sets: linear models identified on each are compared."
+    first = "No command is common to both sets: linear models identified on each are compared."
     return Comparison("records", names, compared.rows, (first, *compared.remarks), pairs)
 
 
@@ -85,7 +88,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     return [
         measured(f"{name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
         measured(f"{name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),
-        Difference(f"{name}: rms difference, beside the noise of both sensors", floor, difference, unit, None,
+        Difference(f"{name}: rms difference (noise: {number(floor, 2)} {unit})", "reference", difference, unit, None,
                    difference > _NOISES * floor),
     ]  # fmt: skip
 

@@ -8,16 +8,22 @@ import numpy as np
 
 @dataclass
 class Budget:
-    """Seconds from now on, and what they did not reach for.
+    """Seconds from now on, the simulated steps so far, and what was not reached.
 
     Attributes:
         seconds: of wall time; infinite: no limit.
+        lane_steps: samples x steps a sample x simulations so far.
         skipped: in plain words, in order.
     """
 
     seconds: float = np.inf
+    lane_steps: int = 0
     skipped: list[str] = field(default_factory=list)
     began: float = field(default_factory=time.monotonic)
+
+    def count(self, lane_steps: int) -> None:
+        """Add simulated steps."""
+        self.lane_steps += lane_steps
 
     @property
     def remaining(self) -> float:

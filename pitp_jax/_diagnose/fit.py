@@ -9,15 +9,16 @@ cost a run a number and need no program of their own. A run that diverges is a r
 """
 
 import cmath
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from .budget import Budget
 from .data import Case
-from .simulator import HIGHEST, INDEX, LOGARITHM
+from .library import CORE, INDEX, LEAST, LOGARITHM, MOST
 
 _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
@@ -25,6 +26,7 @@ _LONGEST = 1.5  # largest change of a logarithm in one step, or of a number in u
 _REFUSED = 8  # steps refused until the damping stands at its end
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
 PREVIEW = -1  # the fold of first steps: some records only
+_SAMPLES_AT_ONCE = 2**23  # simulated samples in memory at once: 64 MiB
 
 
 @dataclass
@@ -89,9 +91,7 @@ def at(fit: Fit, z: np.ndarray, lowest: Mapping[str, float] = MappingProxyType({
     """Slots at other free coordinates, none below its `lowest`."""
     slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
     log = LOGARITHM[places]
-    slots[places] = np.where(log, np.exp(np.clip(z, -70, 70)), z)
-    for name, most in HIGHEST.items():
-        slots[INDEX[name]] = min(slots[INDEX[name]], most)
+    slots[places] = np.clip(np.where(log, np.exp(np.clip(z, -70, 70)), z), LEAST[places], MOST[places])
     for name in lowest.keys() & set(fit.free):
         slots[INDEX[name]] = max(slots[INDEX[name]], lowest[name])
     return slots
@@ -102,7 +102,7 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     size = len(case.series[record].output)
     if case.series[record].begins == "rest":
         return np.ones((size, 1)), np.zeros((1, 2))
-    a0, a1, a2 = (float(slots[INDEX[k]]) for k in ("a0", "a1", "a2"))
+    a0, a1, a2 = (float(slots[INDEX[k]]) for k in CORE)
     time = np.arange(size) * case.dt
     # the sensor's zero, then what the plant does by itself
     columns, begins = [np.ones(size)], [(0.0, 0.0)]
@@ -140,21 +140,33 @@ def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple
 
 
 class Fitter:
-    """Fits of one case; counts the runs it made."""
+    """Fits of one case; its budget counts the simulated steps."""
 
-    def __init__(self, case: Case):
+    def __init__(self, case: Case, budget: Budget | None = None):
         self.case = case
-        self.runs = 0
+        self.budget = budget or Budget()
         self.lowest: dict[str, float] = {}  # what a slot may not fall below
         self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {PREVIEW: case.screened()}
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
-    def _simulate(self, jobs: Sequence[tuple[np.ndarray, int, np.ndarray]]) -> list[np.ndarray]:
-        if not jobs:
-            return []
-        self.runs += len(jobs)
-        slots, records, starts = zip(*jobs, strict=True)
-        return self.case.simulator.run(np.stack(slots), list(records), np.stack(starts))
+    def _simulate(self, groups: Sequence[list[tuple[np.ndarray, int, np.ndarray]]]) -> Iterator[list[np.ndarray]]:
+        """Yield the free runs of every group of (slots, record, start); only some groups are in memory at once."""
+        first, drives = 0, self.case.simulator.drives
+        while first < len(groups):
+            last, samples = first, 0
+            while last < len(groups) and (last == first or samples < _SAMPLES_AT_ONCE):
+                samples += sum(len(drives[k].voltage) for _, k, _ in groups[last])
+                last += 1
+            jobs = [job for group in groups[first:last] for job in group]
+            self.budget.count(samples * self.case.simulator.substeps)
+            runs: list[np.ndarray] = []
+            if jobs:
+                slots, records, starts = zip(*jobs, strict=True)
+                runs = self.case.simulator.run(np.stack(slots), list(records), np.stack(starts))
+            for group in groups[first:last]:
+                yield runs[: len(group)]
+                runs = runs[len(group) :]
+            first = last
 
     def _seen(self, fold: int | None) -> list[int]:
         return [k for k, m in enumerate(self._masks[fold]) if m.any()]
@@ -175,19 +187,14 @@ class Fitter:
 
     def evaluate(self, fits: Sequence[Fit], slots: Sequence[np.ndarray], everything: bool = False):
         """(cost, residuals, starts) of every fit at other slots; `everything`: on records left out, too."""
-        jobs, owners = [], []
-        for fit, p in zip(fits, slots, strict=True):
-            for k in range(len(self.case.series)) if everything else self._seen(fit.fold):
-                jobs.append((p, k, fit.starts[k]))
-                owners.append((fit, k))
-        runs, results, place = self._simulate(jobs), [], 0
-        for fit, p in zip(fits, slots, strict=True):
-            count = len(self.case.series) if everything else len(self._seen(fit.fold))
+        places = [range(len(self.case.series)) if everything else self._seen(f.fold) for f in fits]
+        jobs = [[(p, k, f.starts[k]) for k in some] for f, p, some in zip(fits, slots, places, strict=True)]
+        results = []
+        for fit, p, some, runs in zip(fits, slots, places, self._simulate(jobs), strict=True):
             residuals: list = [None] * len(self.case.series)
             starts = fit.starts.copy()
-            for (_, k), run in zip(owners[place : place + count], runs[place : place + count], strict=True):
+            for k, run in zip(some, runs, strict=True):
                 residuals[k], starts[k] = self._residual(p, fit.starts, k, run)
-            place += count
             results.append((self._cost(residuals, fit.fold), residuals, starts))
         return results
 
@@ -203,29 +210,23 @@ class Fitter:
 
     def differentiate(self, fits: Sequence[Fit]):
         """Jacobians of the projected residuals, record by record."""
-        jobs, steps = [], []
+        jobs, owners = [], []
         for fit in fits:
             z = coordinates(fit)
             log = LOGARITHM[[INDEX[k] for k in fit.free]]
             # relative to a number and its start: one that is near zero still gets a step that shows
             step = np.where(log, _STEP, _STEP * np.maximum(np.abs(z), 0.1 * fit.unit))
-            steps.append(step)
-            for k in self._seen(fit.fold):
-                for i in range(len(z)):
-                    moved = z.copy()
-                    moved[i] += step[i]
-                    jobs.append((at(fit, moved, self.lowest), k, fit.starts[k]))
-                # the unmoved run beside them, in the same block: rounding of another program would not cancel
-                jobs.append((fit.slots, k, fit.starts[k]))
-        runs, place = self._simulate(jobs), 0
-        for fit, step in zip(fits, steps, strict=True):
+            moved = [at(fit, z + move, self.lowest) for move in np.diag(step)]
             fit.jacobian = [np.zeros((0, 0))] * len(self.case.series)
             for k in self._seen(fit.fold):
-                block = np.stack(runs[place : place + len(step) + 1], 1)
-                place += len(step) + 1
-                slopes = np.nan_to_num((block[:, :-1] - block[:, -1:]) / step, posinf=0.0, neginf=0.0)
-                columns, _ = basis(self.case, fit.slots, k)
-                fit.jacobian[k] = _projected(slopes, columns, self.case.series[k].counts.astype(float))[0]
+                # the unmoved run beside them, in the same block: rounding of another program would not cancel
+                jobs.append([(p, k, fit.starts[k]) for p in (*moved, fit.slots)])
+                owners.append((fit, k, step))
+        for (fit, k, step), runs in zip(owners, self._simulate(jobs), strict=True):
+            block = np.stack(runs, 1)
+            slopes = np.nan_to_num((block[:, :-1] - block[:, -1:]) / step, posinf=0.0, neginf=0.0)
+            columns, _ = basis(self.case, fit.slots, k)
+            fit.jacobian[k] = _projected(slopes, columns, self.case.series[k].counts.astype(float))[0]
 
     def normal(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         """H and g."""

@@ -7,12 +7,13 @@ A smooth way leads up from zero volts (or the voltage that holds a machine where
 Every limit is kept; what the target asks beyond them is reported.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 
+from .._errors import BadInput
+from .._model.coordinate import Zero, to_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._record.reading import Target
@@ -26,6 +27,7 @@ from .limits import limits_of
 from .target_path import extend, settling
 
 _SHOTS = 6
+_MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage makes: turned over, and of its negative
 _WAITS = 100_000  # samples until a machine stands
 
 
@@ -67,7 +69,7 @@ def feedforward(
     max_voltage: float | None = None,
     max_slew: float | None = None,
     max_displacement: float | None = None,
-    zero: Literal["rest", "sensor"] | float = "rest",
+    zero: Zero = "rest",
     start_input: float = 0.0,
     shots: int = _SHOTS,
 ) -> Feedforward:
@@ -75,13 +77,13 @@ def feedforward(
 
     Args:
         model: identified or trained.
-        target: wanted displacement in base units, in the sensor's direction; its clock is the session's, which a drift
-            reads.
+        target: wanted displacement in base units; its clock is the session's, which a drift reads.
         max_voltage: V; default the largest voltage of the training records. A higher one warns.
         max_slew: V/s; default the largest slew of the training records.
         max_displacement: m from the displacement at 0 V, either way, for the membrane's sake; default none.
-        zero: where the target is 0: "rest", at 0 V, the coordinate of every model; "sensor", where the sensor read 0
-            when the model was identified; or what the target is at 0 V, in its base unit.
+        zero: where the target is 0: "rest", at 0 V, growing as the actuator extends (the coordinate of every model;
+            behind a linear input it has the sensor's sign); "sensor", the sensor's own readings; or what the target
+            is at 0 V, in its base unit.
         start_input: V at the first and the last sample, that which holds a machine where it stands.
         shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone, cut at the limits.
 
@@ -89,8 +91,8 @@ def feedforward(
         the voltage on its own clock, with what was cut and how well the model itself follows it.
 
     Raises:
-        BadInput: a limit that is not positive, a start beyond it, or a target of fewer samples than the model's order
-            needs.
+        BadInput: a limit that is not positive, a start beyond it, a target of fewer samples than the model's order
+            needs, or one on the side that the actuator cannot reach while its negative is reachable.
 
     Examples:
         >>> plan = pitp.feedforward(model, target, shots=0)
@@ -100,8 +102,7 @@ def feedforward(
     model = model_of(model)
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input)
     model = at_rate(model, target.dt)
-    origin = {"rest": 0.0, "sensor": float(model.output.offset)}[zero] if isinstance(zero, str) else zero
-    wanted = model.output.polarity * (target.displacement - origin)
+    wanted = np.asarray(to_model(model, target.displacement, zero))
     start, stands = standing(model, start_input, target.dt)
     path = extend(wanted, target.dt, model, limits, stands)
     warnings += on_target(model, target, wanted, path)
@@ -113,6 +114,8 @@ def feedforward(
         warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)
     course = Course(model, path, limits, target.dt, age, start)
     cut = course.plan(path.displacement)
+    if cut.infeasible[first:last].mean() > _MOST:
+        _refuse_other_side(course, -wanted, stands, float(cut.infeasible[first:last].mean()), zero)
     best = course.best(cut, shots)
     outside = outside_fraction(model, cut.features[first:last])
     if outside > 0.01:
@@ -146,6 +149,24 @@ def feedforward(
         equation_e_rms_percent=course.error(cut),
         warnings=warnings,
     )
+
+
+def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, fraction: float, zero: Zero) -> None:
+    """Refuse a target whose negative is reachable: it has the wrong sign, or another zero than was said.
+
+    Raises:
+        BadInput: the negative is reachable.
+    """
+    path = extend(negative, course.dt, course.model, course.limits, stands)
+    turned = replace(course, path=path).plan(path.displacement)
+    if turned.infeasible[path.target].mean() < _FEW:
+        other = "leave out --zero sensor if it is measured from the position at 0 V"
+        if zero != "sensor":
+            other = "give --zero sensor if it holds sensor readings"
+        raise BadInput(
+            f"{100 * fraction:.0f} % of the target lies on the side that this actuator cannot reach, but its negative "
+            f"can be reached: change the sign of the target, or {other}"
+        )
 
 
 def standing(model: Model, voltage: float, dt: float):

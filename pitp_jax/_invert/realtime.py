@@ -19,6 +19,7 @@ from jax import export
 from jaxtyping import Array, Float
 
 from .._errors import BadInput
+from .._model.coordinate import from_model, sign
 from .._model.drive import AbstractDrive, DirectDrive, ElectrodeLag
 from .._model.equation import equation_force
 from .._model.fitted import Fitted, model_of
@@ -49,14 +50,14 @@ class CompiledStep:
 
 
 def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
-    """Compile the drive voltage before limits (V) for [x, ..., x^(n)] (from rest, model coordinates, m / s^i).
+    """Compile the drive voltage before limits (V) for [y, ..., y^(n)] (from 0 V, at rest before, m / s^i).
 
     Args:
         model: identified or trained, without effects.
         dt: sampling interval, s.
 
     Returns:
-        the step: [x, ..., x^(n)] in, a voltage out.
+        the step: [y, ..., y^(n)] in, a voltage out.
 
     Raises:
         BadInput: the model has effects, or dt is not positive.
@@ -68,7 +69,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
         1000
     """
     model = _refused(model_of(model), dt)
-    memories, scale = model.memory.size, np.asarray(model.scales.state, np.float32)
+    memories, scale = model.memory.size, np.asarray(sign(model) * model.scales.state, np.float32)
 
     def one(carry: Float[Array, " carry"], wanted: Float[Array, " tokens"]):
         memory, (before, film_1, film_2) = carry[:memories], carry[memories:]
@@ -88,7 +89,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
 
 
 def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
-    """Compile the displacement (rig coordinates, base unit) at the sample of the drive voltage u (V), from rest.
+    """Compile the displacement (from 0 V, base unit) at the sample of the drive voltage u (V), from rest.
 
     Args:
         model: identified or trained, without effects.
@@ -118,7 +119,7 @@ def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
         now = film_after(model.drive, film, before, drive[0], dt)
         stages = between(jnp.stack([film, now]), model.hold, fractions, jnp)[0]
         state = step(model, state, stages, dt)
-        shown = model.output.to_rig(state[0] * model.scales.state[0])
+        shown = jnp.asarray(from_model(model, state[0] * model.scales.state[0]))
         return jnp.concatenate([state, jnp.stack([now, drive[0]])]), shown.astype(jnp.float32)
 
     return _compiled(one, np.concatenate([np.asarray(rest_state(model)), np.zeros(2)]), 1)

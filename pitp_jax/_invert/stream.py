@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._errors import BadInput
+from .._model.coordinate import to_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives, inner, reach
@@ -47,7 +48,7 @@ def invert_stream(
 
     Args:
         model: identified or trained, without effects.
-        blocks: wanted displacement in rig coordinates, base unit.
+        blocks: wanted displacement from the position at 0 V, base unit.
         dt: sampling interval, s.
         window: samples per pass, 16 at least; memory in use is proportional to it.
 
@@ -74,7 +75,7 @@ def invert_stream(
 def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
     state = model.memory.initial(jnp.zeros((), model.coefficients.dtype))
     rows, back = np.zeros((0, model.order + 1)), 0
-    moved = (model.output.to_model(block) for block in _whole(blocks))
+    moved = (to_model(model, block) for block in _whole(blocks))
     for more in _derivatives(_sized(moved, window), dt, model.order):
         rows = np.concatenate([rows, more])
         while len(rows) > window:

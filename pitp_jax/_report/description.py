@@ -51,7 +51,17 @@ def describe(model: Fitted) -> dict:
         "max_slew": float(domain.slew),
         "identified_on": list(origin.identified_on),
         "training": origin.training,
+        "fallback": fallback_line(origin.training),
     }
+
+
+def fallback_line(training: dict | None) -> str | None:
+    """Return the sentence that says what stands in for a failed training, or None where none failed."""
+    if not training or not training.get("fallback"):
+        return None
+    if "itself" in training["fallback"]:
+        return "Training failed: this file holds the linear model from which training started."
+    return "Training failed in part: this file holds a model between the trained one and the linear model."
 
 
 def _described(model: Fitted, effect) -> dict:

@@ -1,6 +1,6 @@
-"""Roll a voltage out without a measurement: what the actuator would do, in the rig's units.
+"""Roll a voltage out without a measurement: the displacement from the position at 0 V.
 
-start (at rest, or settled at u(0)) -> rollout -> displacement = polarity x + offset
+start (at rest, or settled at u(0)) -> rollout -> displacement in the one coordinate (`_model.coordinate`)
 """
 
 from typing import Literal
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import BadInput
+from .._model.coordinate import Zero, from_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import on_device
@@ -20,9 +21,9 @@ from .prediction import FAR, at_rate
 
 def rollout(
     model: Model | Fitted, voltage: np.ndarray, dt: float | None = None, *,
-    begins: Literal["rest", "held"] | None = None, start_time: float = 0.0,
+    begins: Literal["rest", "held"] | None = None, start_time: float = 0.0, zero: Zero = "rest",
 ) -> np.ndarray:  # fmt: skip
-    """Roll out the displacement under a voltage, in the rig's units: a free run without a record.
+    """Roll out the displacement under a voltage: a free run without a record.
 
     Args:
         model: identified, trained, or with effects.
@@ -30,9 +31,11 @@ def rollout(
         dt: sampling interval in s; None is the model's own. A coarser one is converted by finer steps inside.
         begins: "rest" (x = 0, uncharged: a step from 0 V) or "held" (settled at u(0)); None is rest where u(0) = 0.
         start_time: clock of the session at the first sample, s; matters to effects that age alone.
+        zero: where the displacement is 0: "rest", at 0 V, growing as the actuator extends; "sensor", the sensor's own
+            readings; or the value at 0 V.
 
     Returns:
-        displacement in m (or V), shape of `voltage`; nan from the sample where the run left every range.
+        displacement in base units (m), shape of `voltage`; nan from the sample where the run left every range.
 
     Raises:
         BadInput: no model, a voltage that is no finite array of these shapes, no positive dt.
@@ -46,7 +49,8 @@ def rollout(
     dt = model.dt if dt is None else dt
     drive = _checked(voltage, dt, begins)
     rows = drive.reshape(-1, drive.shape[-1])
-    return _displacement(at_rate(model, dt), rows, float(dt), begins, start_time).reshape(drive.shape)
+    x = _displacement(at_rate(model, dt), rows, float(dt), begins, start_time)
+    return from_model(model, x, zero).reshape(drive.shape)
 
 
 def _checked(voltage, dt, begins) -> np.ndarray:
@@ -70,7 +74,7 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 
 
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
-    """Roll out side by side, padded to whole thousands of samples as predictions are."""
+    """Roll out the model's own displacement (m), side by side, padded to whole thousands of samples."""
     dtype, samples = model.coefficients.dtype, rows.shape[1]
     age = model.domain.age(start_time)
     # a record that begins under a voltage has most likely stood under it
@@ -84,5 +88,5 @@ def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None,
     runs = free_runs(model, on_device(padded, dtype), dt, start)
     states, x = (np.asarray(a, np.float64)[:, :samples] for a in runs)
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
-    x = model.output.to_rig(x * model.scales.state[0])
+    x = x * model.scales.state[0]
     return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)  # a run that came back would be chance

@@ -1,12 +1,17 @@
 """`pitp check` and `pitp simulate`: what they write, in which units, and what they refuse."""
 
 import json
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
 import pytest
-from cli_cases import COEFFICIENTS, DRIVES, TIME, columns_of, motion, refused, tree, write_record
+from cli_cases import COEFFICIENTS, DRIVES, TIME, columns_of, motion, refused, tree, truth, write_record
 from scipy.signal import lsim
+
+from pitp_jax._model import Fitted
+from pitp_jax._model.model import Output
+from pitp_jax._model_file import model_file
 
 command = import_module("pitp_jax._commands.simulate")  # the module: the package offers its function by the same name
 
@@ -82,15 +87,28 @@ def test_simulate_writes_the_rollout_in_the_rigs_units(call, bench, tmp_path):
     code, text, err = call("simulate", bench / "nominal", plain, measured, held, "--out", out, "--json", file)
     assert code == 0, err
     assert "'displacement_mm' is a measurement and ignored" in err and "held: begins at 1000 V" in err
-    truth = 1e3 * lsim(([1.0], COEFFICIENTS[::-1]), voltage**2, TIME)[1]
+    right = 1e3 * lsim(([1.0], COEFFICIENTS[::-1]), voltage**2, TIME)[1]
     for name, unit in (("plain", "kV"), ("measured", "V")):
         header, values = columns_of(out / f"{name}.csv")
         assert header == ["time_s", f"voltage_{unit}", "displacement_mm"]
-        np.testing.assert_allclose(values[:, 2], truth, atol=2e-2)
+        np.testing.assert_allclose(values[:, 2], right, atol=2e-2)
     np.testing.assert_allclose(columns_of(out / "held.csv")[1][:, 2], 1.0, rtol=1e-3)
     rows = strict(file)["records"]
-    assert rows["held"]["begins"] == "held" and rows["plain"]["highest"] == pytest.approx(truth.max(), rel=0.01)
+    assert rows["held"]["begins"] == "held" and rows["plain"]["highest"] == pytest.approx(right.max(), rel=0.01)
     assert "highest (mm)" in text
+
+
+@pytest.mark.parametrize(
+    ("zero", "at_rest", "sign"), [((), 0.0, 1), (("--zero", "sensor"), 18.4, -1), (("--zero", "2.5"), 2.5, 1)]
+)
+def test_simulate_gives_the_displacement_from_the_position_at_zero_volts(call, bench, tmp_path, zero, at_rest, sign):
+    """A reversed sensor that reads 18.4 mm at 0 V: its readings are printed with `--zero sensor` alone."""
+    known = truth()
+    reversed_ = replace(known.model, output=Output(offset=18.4e-3, polarity=-1.0))
+    model_file.save(tmp_path / "model", Fitted(reversed_, known.origin))
+    held = drive_file(tmp_path / "held.csv", np.full(len(TIME), 1000.0))
+    assert call("simulate", tmp_path / "model", held, "--out", tmp_path / "out", *zero)[0] == 0
+    np.testing.assert_allclose(columns_of(tmp_path / "out" / "held.csv")[1][:, 2], at_rest + sign * 1.0, rtol=1e-3)
 
 
 def test_simulate_at_another_rate(call, bench, tmp_path):
@@ -101,8 +119,8 @@ def test_simulate_at_another_rate(call, bench, tmp_path):
     code, _, err = call("simulate", bench / "nominal", path, "--out", tmp_path / "out")
     assert code == 0 and "sampled every 0.008 s" in err
     fine = 500 * (1 - np.cos(2 * np.pi * 2 * TIME))
-    truth = 1e3 * lsim(([1.0], COEFFICIENTS[::-1]), fine**2, TIME)[1][::4]
-    np.testing.assert_allclose(columns_of(tmp_path / "out" / "slow.csv")[1][:, 2], truth, atol=2e-2)
+    right = 1e3 * lsim(([1.0], COEFFICIENTS[::-1]), fine**2, TIME)[1][::4]
+    np.testing.assert_allclose(columns_of(tmp_path / "out" / "slow.csv")[1][:, 2], right, atol=2e-2)
 
 
 def test_simulate_fails_only_where_all_diverge(call, bench, tmp_path, monkeypatch):

@@ -1,0 +1,44 @@
+"""The one coordinate of a displacement y: 0 at 0 V. Every command, page and export uses it.
+
+    y = s x,    s = 1 behind a square (y grows as the actuator extends), the sensor's direction behind a linear input
+    reading = direction x + offset
+
+x is the model's own displacement (m), `reading` is what the sensor shows. `predict` compares with recordings and
+therefore keeps the sensor's readings.
+"""
+
+from typing import Literal, TypeVar
+
+import numpy as np
+from jaxtyping import Array
+
+from .model import Model
+
+Values = TypeVar("Values", Array, np.ndarray, float)
+Zero = (
+    Literal["rest", "sensor"] | float
+)  # where a displacement is 0: at 0 V, where the sensor reads 0, or its value there
+
+
+def sign(model: Model) -> float:
+    """Return s, +1 or -1: what takes the model's displacement to the coordinate, and back."""
+    return 1.0 if model.input_map.one_sided else model.output.polarity
+
+
+def direction(model: Model) -> float:
+    """Return +1 where the sensor's reading grows with the coordinate, -1 for a reversed sensor."""
+    return model.output.polarity if model.input_map.one_sided else 1.0
+
+
+def from_model(model: Model, x: Values, zero: Zero = "rest") -> Values:
+    """Convert the model's displacement x (m) to the coordinate (m), or to another zero."""
+    if zero == "sensor":
+        return model.output.to_rig(x)
+    return sign(model) * x + (0.0 if zero == "rest" else zero)
+
+
+def to_model(model: Model, y: Values, zero: Zero = "rest") -> Values:
+    """Convert a displacement in the coordinate (m), or with another zero, to the model's x (m)."""
+    if zero == "sensor":
+        return model.output.to_model(y)
+    return sign(model) * (y - (0.0 if zero == "rest" else zero))
