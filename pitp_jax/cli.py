@@ -152,6 +152,10 @@ def _positive(text: str) -> float:
     return value
 
 
+def _time_constant(text: str) -> float:
+    return float("inf") if text.strip().lower() == "inf" else _positive(text)
+
+
 def _number(text: str) -> float:
     value = _finite(text)
     if not value:
@@ -406,7 +410,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
     parser.add_argument(
         "--time-constant",
-        type=_positive,
+        type=_time_constant,
         metavar="S",
         help="of the closed loop of the PI steps in C (default: by the model; inf: no controller)",
     )
