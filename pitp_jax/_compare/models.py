@@ -8,6 +8,7 @@ Coefficients of different orders have different meanings beyond a_0; then the mo
 from typing import Any
 
 from .._model.fitted import Fitted
+from .._model.units import base_units, units_of
 from .._model_file.model_file import digest
 from .._report.description import describe
 from .._report.numbers import number
@@ -28,12 +29,17 @@ def coefficient_meaning(i: int) -> str:
 
 def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
     """Compare every fact and number of two models."""
-    one, two = describe(a), describe(b)
+    # both in the units of the first: one value in deg and one in rad would differ by 57
+    one, two = describe(a), describe(b, units_of(a) if _same_kinds(a, b) else None)
     rows = [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
     rows.append(measured("zero of the sensor", one["offset"], two["offset"], one["output_unit"], (0.0, 0.0)))
     rows += _coefficients(one, two) if one["order"] == two["order"] else _modes(one, two)
     rows += _effects(one["effects"], two["effects"])
     return Comparison("models", names, tuple(rows), tuple(_origin(a, b, names)))
+
+
+def _same_kinds(a: Fitted, b: Fitted) -> bool:
+    return base_units(units_of(a)) == base_units(units_of(b))
 
 
 def _coefficients(one: dict, two: dict) -> list[Difference]:
