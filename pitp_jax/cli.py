@@ -237,7 +237,7 @@ _SAID = (  # option, placeholder, type, help
     ("output-unit", "UNIT", str, "as for the input"),
     ("input-scale", "S", _number, "V per V of the input (a monitor of 1 V per kV: 1000)"),
     ("output-scale", "S", _number, "m per V of the output (a laser of 2 mm per V: 0.002)"),
-    ("rate", "HZ", _positive, "samples per second of files without time, or whose clock repeats"),
+    ("rate", "HZ", _positive, "samples per second: of files without time, and of any clock, which it overrules"),
     ("header-line", "N", int, "line that names the columns, counted from 1"),
     ("units-line", "N|none", str, "line that holds the units"),
     ("separator", "CHAR", str, "between cells of text: a character, tab or blank"),

@@ -256,7 +256,7 @@ def test_a_clock_that_repeats_gives_way_to_the_rate(tmp_path):
     assert tried(refused(path))["rate"] == "RATE"
     (record,) = read(path, rate=1000)
     same(record, VOLTAGE, OUTPUT * 1e-3)
-    assert "repeats" in record.recognised["time"]
+    assert "whatever the clock shows" in record.recognised["remarks"][0]
 
 
 def test_empty_rows_without_a_clock_are_lost_samples(tmp_path):
@@ -341,6 +341,32 @@ def test_a_folder_file_speaks_for_its_files_and_not_for_ours(tmp_path):
     assert read(tmp_path / "scope.csv", output_scale=0.004)[0].displacement[9] == pytest.approx(OUTPUT[9] * 2e-3)
     (tmp_path / "pitp.toml").write_text('["*.csv"]\ncolour = "red"\n')
     assert "colour: no option" in refused(tmp_path / "scope.csv")
+
+
+@pytest.mark.parametrize(
+    "each",
+    [
+        'each = ["up=CH1,CH2", "down=CH1,CH3"]',
+        '["*.csv".each]\nup = "CH1,CH2"\ndown = "CH1,CH3"',
+        '["*.csv".each]\nup = ["CH1", "CH2"]\ndown = ["CH1", "CH3"]',
+    ],
+)
+def test_joints_of_a_folder(tmp_path, each):
+    names = ("time_s", "CH1", "CH2", "CH3")
+    csv_of(tmp_path / "log.csv", names, (*columns().values(), -columns()["displacement_mm"]))
+    (tmp_path / "pitp.toml").write_text(f'["*.csv"]\ninput-unit = "V"\noutput-unit = "mm"\n{each}\n')
+    for joint, sign in (("up", 1), ("down", -1)):
+        same(read(tmp_path, joint=joint)[0], VOLTAGE, sign * OUTPUT * 1e-3)
+    assert "names up, down; give joint=NAME" in refused(tmp_path)
+    assert "names no joint 'left'" in refused(tmp_path, joint="left")
+    same(read(tmp_path, input_column="CH1", output_column="CH2")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+@pytest.mark.parametrize("each", ['["up=CH1"]', '["up=CH1,CH2", "up=CH1,CH3"]', '["up"]', '"up=CH1,CH2"'])
+def test_joints_of_another_form_are_refused(tmp_path, each):
+    save_csv(tmp_path / "log.csv", columns())
+    (tmp_path / "pitp.toml").write_text(f'["*.csv"]\neach = {each}\n')
+    assert "joint" in refused(tmp_path)
 
 
 def test_several_runs_in_one_file(tmp_path):

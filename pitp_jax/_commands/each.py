@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
-from .._errors import BadInput
+_NO_RECORDS = ("out", "report", "json_file", "model", "nominal")  # arguments whose folders name no joints
 
 
 def once_per_joint(arguments: dict) -> Iterator[dict]:
-    """The arguments of a command, once, or for every `--each NAME=INPUT,OUTPUT` with its columns and its outputs.
+    """Yield the arguments of a command: once, or for every joint with its columns and its outputs.
 
+    Joints are those of `--each NAME=INPUT,OUTPUT`, otherwise those that `each` in the `pitp.toml` of a folder names.
     A folder gets a folder NAME for each and links to their pages, a file the name `stem.NAME.suffix`.
 
     Args:
@@ -20,22 +21,13 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
     Raises:
         BadInput: an `--each` of another form, or two of one name.
     """
-    joints = arguments.pop("each", None)
-    if not joints:
+    takes_joints, said = "each" in arguments, arguments.pop("each", None)
+    read_as = _joints(arguments, said) if takes_joints else {}
+    if not read_as:
         yield arguments
         return
-    parts = [joint.partition("=")[::2] for joint in joints]
-    for name, ports in parts:
-        if not name or "/" in name or name.startswith(".") or ports.count(",") != 1 or not all(ports.split(",")):
-            raise BadInput(f"--each {name}={ports}: give NAME=INPUT,OUTPUT, the exact headers of one joint")
-    if len({name for name, _ in parts}) < len(parts):
-        raise BadInput("--each: two joints have one name; name each once")
-    for name, ports in parts:
-        input_column, output_column = ports.split(",")
-        own = {
-            **arguments,
-            "reading": {**arguments["reading"], "input_column": input_column, "output_column": output_column},
-        }
+    for name, columns in read_as.items():
+        own = {**arguments, "reading": {**arguments["reading"], **columns}}
         for key in ("out", "report", "json_file"):
             if own.get(key):
                 own[key] = _own_place(own[key], name)
@@ -46,6 +38,23 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
             from .outputs import write_index  # with it comes NumPy: a mistyped option is answered without
 
             write_index(Path(place), Path(place))
+
+
+def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
+    """Return the options of reading by joint; empty where neither the caller nor a folder names joints."""
+    read_from = [v for key, v in arguments.items() if key not in _NO_RECORDS]
+    paths = [Path(p) for v in read_from for p in (v if isinstance(v, list) else [v]) if isinstance(p, str)]
+    folders = {p if p.is_dir() else p.parent for p in paths if p.exists()}
+    # with the table reader comes NumPy: a mistyped option is answered without
+    if said or any((folder / "pitp.toml").is_file() for folder in folders):
+        from .._table.options import joints_in, joints_of
+    else:
+        return {}
+    if said:
+        return {name: {"input_column": i, "output_column": o} for name, (i, o) in joints_of(said).items()}
+    if any(arguments["reading"].get(f"{stem}_column") for stem in ("input", "output")):
+        return {}
+    return {name: {"joint": name} for path in paths if path.exists() for name in joints_in(path)}
 
 
 def _own_place(path: str, name: str) -> str:

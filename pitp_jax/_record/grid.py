@@ -1,25 +1,35 @@
-"""Samples onto the uniform grid they were meant for: jitter of up to half a sample, and lost samples.
+"""Samples onto a uniform grid: jitter, lost samples, stamps of arrival, and clocks that are uneven.
 
 t_i = a + b k_i + e_i,    |e_i| <= b / 2,    k_i = 0, 1, 2, ... less the lost samples
 
 a, b by least squares. The input is interpolated linearly and the output by monotone cubics; the output of a lost
-sample is missing. A gap longer than a tenth of a period of the fastest drive (99 % of its energy lies below) splits the
-record.
+sample is missing. Stamps of arrival come in packets: e_i is bounded by a packet. A clock without such a line is uneven:
+its rows are resampled on the median step b,
+
+u_k = 1/b int_{t_k}^{t_k + b} u(s) ds of the held command,    y_k = monotone cubic through the outputs at t_k
+
+A gap longer than a tenth of a period of the fastest drive (99 % of its energy lies below) splits the record.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from .._errors import BadInput
-from .checks import MIN_SAMPLES, TIME_TOLERANCE, line, refuse_time
+from .checks import MIN_SAMPLES, TIME_TOLERANCE, line
 from .preprocess import force_band
+from .stamps import EVEN, FEW, Rows, average_stamps, evenness
 
 _HALF, _ROUNDING = 0.55, 1e-6  # of a sample: a half, and what the line may be off that was fitted to such times
 _ROUNDED = 0.02  # of the rows: more of them lost, evenly spread, are no losses but a clock with few digits
 _GAP = 0.1  # of a period of the fastest drive
+_CROWDED = 0.4  # of the steps: so many that are shorter than a third of the mean step are stamps of packets
+_SOME = 8  # packets, at least
+_STATED = 0.03  # relative difference of a stated rate and the mean rate of packets
+_CONTRADICTED = np.log(10)  # even rows predict the signals so much better than the stamps do: the stamps are wrong
+_LATE = 0.01  # of the rows: stamps that are late by more do not determine the rate
 
 
 @dataclass(frozen=True)
@@ -43,85 +53,104 @@ class Gridded:
 
     Attributes:
         pieces: in order, one where no gap is too long.
-        jitter: largest distance of a time from the grid, in samples.
+        jitter: largest distance of a time from the grid, in samples; 0 after resampling.
+        rows: what was read.
         dropped: samples of pieces too short to use, or without any output.
-        doubled: rows that stood twice.
+        packets: whether the stamps are those of arrival.
+        steps: shortest and longest step in s of a clock that was resampled, or None.
+        uneven: whether that clock was uneven.
+        bridged: output samples masked since they would be interpolated across more than a few rows.
     """
 
     pieces: tuple[Piece, ...]
     jitter: float
+    rows: Rows
     dropped: int = 0
-    doubled: int = 0
+    packets: bool = False
+    steps: tuple[float, float] | None = None
+    uneven: bool = False
+    bridged: int = 0
 
 
-def on_grid(
-    time: np.ndarray,
-    voltage: np.ndarray,
-    displacement: np.ndarray,
-    source: str,
-    column: str,
-    place: Callable[[int], str],
-) -> Gridded:
-    """Put samples on the uniform grid.
+@dataclass(frozen=True)
+class _Line:
+    """Places of the rows on a grid, its start and step, and the distance of every time from it, in samples."""
+
+    index: np.ndarray
+    start: float
+    dt: float
+    off: np.ndarray
+
+    @property
+    def time(self) -> np.ndarray:
+        return self.start + self.dt * self.index
+
+
+def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], rate: float | None = None) -> Gridded:
+    """Put rows on a uniform grid.
 
     Args:
-        time: in s, finite, shape (T,).
-        voltage: finite, shape (T,).
-        displacement: nan where missing, shape (T,).
+        rows: with a time that does not decrease.
         source: file, for messages.
         column: name of the time column, for messages.
         place: turns a sample index into words.
+        rate: samples per second of the grid, where the user states it.
 
     Raises:
-        BadInput: time decreases, or is no grid with lost samples.
+        BadInput: time repeats or contradicts the signals, or too few rows remain.
     """
-    # a logger that writes a row twice shows no sample more
-    kept = _once(time, voltage, displacement)
-    doubled = len(time) - int(kept.sum())
-    if doubled:
-        time, voltage, displacement = time[kept], voltage[kept], displacement[kept]
-    index, start, dt, jitter = _grid(time, source, column, place)
-    lost = np.diff(index) - 1
-    if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
-        return Gridded((Piece(time, voltage, displacement),), jitter, doubled=doubled)
-    # what the drive did in a longer gap cannot be interpolated
-    cuts = np.flatnonzero(lost > _longest_gap(voltage, index, dt)) + 1
-    pieces, dropped = [], 0
-    for begin, end in zip((0, *cuts.tolist()), (*cuts.tolist(), len(time)), strict=True):
-        if end - begin < MIN_SAMPLES:
-            dropped += end - begin
-            continue
-        part = slice(begin, end)
-        pieces.append(_piece(time[part], voltage[part], displacement[part], index[part], (start, dt), jitter))
-    dropped += sum(len(piece.time) - piece.lost for piece in pieces if not np.isfinite(piece.displacement).any())
-    pieces = [piece for piece in pieces if np.isfinite(piece.displacement).any()]
-    if not pieces:
+    found, packets = _grid(rows.time), False
+    if found is None and (found := _packets(rows)) is not None:
+        packets = True
+        if rate is not None and abs(found.dt * rate - 1.0) <= _STATED:
+            found = replace(found, dt=1 / rate)
+        elif rate is None and found.off.max() > _LATE * len(rows.time):
+            how = "repeats" if (np.diff(rows.time) == 0).any() else "comes in packets"
+            raise BadInput(f"{source}: column {column!r}: the time {how}; give --rate HZ")
+    if found is None:
+        try:
+            single = _separate(rows, source, column, place)
+        except BadInput:
+            if rate is None:
+                raise
+            return on_grid(rows.counted_at(rate), source, column, place)
+        if single is not rows:
+            return on_grid(single, source, column, place, rate)
+    elif rate is None or abs(found.dt * rate - 1.0) <= TIME_TOLERANCE:
+        return replace(_put(rows, found, source, column), packets=packets)
+    elif (np.diff(rows.time) == 0).any():
+        return on_grid(rows.counted_at(rate), source, column, place)
+    else:
+        rows = replace(rows, time=found.time)
+    return replace(_resampled(rows, rate, source, column), packets=packets, uneven=found is None)
+
+
+def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str]) -> Rows:
+    """Return the rows with stamps that increase; few equal ones are averaged.
+
+    Raises:
+        BadInput: most stamps repeat, or the signals contradict them.
+    """
+    single = rows if (np.diff(rows.time) > 0).all() else average_stamps(rows)
+    if 2 * len(single.time) < len(rows.time) or len(single.time) < MIN_SAMPLES:
+        at = int(np.argmax(np.diff(rows.time) == 0)) + 1
         raise BadInput(
-            f"{source}: column {column!r}: split at its {len(cuts)} gaps no stretch of {MIN_SAMPLES} samples is left; "
-            "record without gaps"
+            f"{source}: column {column!r}, {place(at)}: time repeats, and so it does in most rows; give --rate HZ"
         )
-    return Gridded(tuple(pieces), jitter, dropped, doubled)
+    if evenness(single) > _CONTRADICTED:
+        raise BadInput(
+            f"{source}: column {column!r}: the time is not uniform, but input and output continue from row to row as "
+            "if they were sampled evenly; give --rate HZ"
+        )
+    return single
 
 
-def _once(time: np.ndarray, voltage: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """False for rows that repeat the row before in all cells, shape (T,).
-
-    Only where no time repeats without them: a clock that is rounded repeats in other rows too.
-    """
-    same = [np.diff(time) == 0, np.diff(voltage) == 0]
-    same.append((np.diff(displacement) == 0) | (np.isnan(displacement[1:]) & np.isnan(displacement[:-1])))
-    kept = np.append(True, ~np.all(same, axis=0))
-    return kept if (np.diff(time[kept]) > 0).all() else np.ones(len(time), bool)
-
-
-def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]:
-    """Places on the grid, its start and step, the largest distance from it in samples.
+def _grid(time: np.ndarray) -> _Line | None:
+    """Return the places on the grid of an even clock, or None.
 
     Lost samples must explain the times better than none lost do, or one time that is wrong would shift all after it.
     """
     steps = np.diff(time)
-    if (steps < 0).any():
-        refuse_time(time, source, column, place)
     index = np.arange(len(time))
     # equal times have no step
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
@@ -129,27 +158,88 @@ def _grid(time, source, column, place) -> tuple[np.ndarray, float, float, float]
     moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
     trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if moves.sum() < 2**53 else [index]
     # One row lost in the middle of a long record stays within half a sample of a straight line: both are tried
-    lines = [_distances(trial, time) for trial in trials]
-    fits = [line for line in lines if line[3].max() <= _HALF + _ROUNDING]
-    if not fits or np.mean(fits[0][3] ** 2) > np.mean(lines[0][3] ** 2):  # then one time that is wrong shifted the rest
-        return refuse_time(time, source, column, place)
+    lines = [_fitted(trial, time) for trial in trials]
+    fits = [line for line in lines if line.off.max() <= _HALF + _ROUNDING]
+    if not fits or np.mean(fits[0].off ** 2) > np.mean(lines[0].off ** 2):  # one time that is wrong shifted the rest
+        return None
     # of two grids that fit, the one with the smaller rest
-    best = min(fits, key=lambda line: float(np.mean(line[3] ** 2)))
-    if best[0][-1] - index[-1] > _ROUNDED * len(time) and lines[0][3].max() * lines[0][2] <= (_HALF + 0.1) * usual:
+    best = min(fits, key=lambda line: float(np.mean(line.off**2)))
+    if best.index[-1] - index[-1] > _ROUNDED * len(time) and lines[0].off.max() * lines[0].dt <= (_HALF + 0.1) * usual:
         best = lines[0]  # a clock in whole ms at 700 Hz: steps of 1 and 2, each within half a ms of a straight line
-    index, start, dt, off = best
-    return index, start, dt, float(off.max())
+    return best
 
 
-def _distances(index: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, float, float, np.ndarray]:
-    """Places, the start and step of their line, and how far every time is from it, in samples."""
+def _fitted(index: np.ndarray, time: np.ndarray) -> _Line:
+    """Return the line nearest to the times at these places."""
     start, dt = line(index, time)
     off = np.abs(time - start - dt * index) / dt if dt > 0 else np.full(len(time), np.inf)
-    return index, start, dt, off
+    return _Line(index, start, dt, off)
+
+
+def _packets(rows: Rows) -> _Line | None:
+    """Return the places of rows that were sampled evenly and stamped when their packet came, or None.
+
+    The signals decide between even rows and true stamps; where they do not, crowded stamps are those of packets.
+    """
+    time = rows.time
+    steps, mean = np.diff(time), np.ptp(time) / (len(time) - 1)
+    if not mean > 0:
+        return None
+    long = steps[steps >= mean]
+    # pauses of a recording are few and differ in length
+    regular = len(long) >= _SOME and np.quantile(long, 0.9) < 3 * np.quantile(long, 0.1)
+    crowded = regular and (steps < mean / 3).mean() >= _CROWDED
+    if evenness(rows) < (-EVEN if crowded else EVEN):
+        return None
+    # a packet that did not come leaves a gap of two periods
+    period, ends = float(np.median(long)), np.flatnonzero(steps >= mean)
+    size = float(np.median(np.diff(ends))) if len(ends) > 1 else 1.0
+    lost = size * np.where(steps > 1.5 * period, np.round(steps / period - 1), 0.0)
+    found = _fitted(np.arange(len(time)) + np.append(0, np.cumsum(lost)).astype(np.int64), time)
+    return found if found.off.max() <= period / found.dt + 1 else None
+
+
+def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
+    """Return the rows on the grid that was found."""
+    time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, found.index
+    lost, jitter = np.diff(index) - 1, float(found.off.max())
+    if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
+        return Gridded((Piece(time, voltage, displacement),), jitter, rows)
+    # what the drive did in a longer gap cannot be interpolated
+    cuts = np.flatnonzero(lost > _longest_gap(voltage, index, found.dt)) + 1
+    parts, dropped = _parts(rows, cuts, source, column)
+    pieces = [_piece(time[p], voltage[p], displacement[p], index[p], found, jitter) for p in parts]
+    return Gridded(tuple(pieces), jitter, rows, dropped)
+
+
+def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0.0) -> tuple[list[slice], int]:
+    """Return the stretches between cuts that can be used, and how many rows are in no such stretch.
+
+    Args:
+        rows: of the record.
+        cuts: places of the first rows of stretches.
+        source, column: for messages.
+        dt: step of the grid in s: a stretch needs 64 rows and 64 such steps.
+
+    Raises:
+        BadInput: less than half of the rows are in one.
+    """
+    count, kept = len(rows.time), []
+    for begin, end in zip((0, *cuts.tolist()), (*cuts.tolist(), count), strict=True):
+        long = end - begin >= MIN_SAMPLES and rows.time[end - 1] - rows.time[begin] >= MIN_SAMPLES * dt
+        if long and np.isfinite(rows.displacement[begin:end]).any():
+            kept.append(slice(begin, end))
+    dropped = count - sum(part.stop - part.start for part in kept)
+    if 2 * dropped > count or not kept:
+        raise BadInput(
+            f"{source}: column {column!r}: split at its {len(cuts)} gaps less than half of the rows are in stretches "
+            f"of {MIN_SAMPLES} samples; record without gaps"
+        )
+    return kept, dropped
 
 
 def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
-    """Samples that may be lost in a row: a tenth of a period of the fastest drive.
+    """Return how many samples may be lost in a row: a tenth of a period of the fastest drive.
 
     A drive with few lost samples is taken whole, since short stretches of a slow drive would look fast.
     """
@@ -163,20 +253,21 @@ def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
     return min(_GAP / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
 
 
-def _piece(time, voltage, displacement, index, line, jitter) -> Piece:
-    """One stretch on the grid a + b k."""
-    start, dt = line
+def _piece(time, voltage, displacement, index, found: _Line, jitter) -> Piece:
+    """Return one stretch on the grid a + b k."""
+    start, dt = found.start, found.dt
     where = index - index[0]
     grid = start + dt * (index[0] + np.arange(where[-1] + 1))
     output = np.full(len(grid), np.nan)
     # lost samples stay missing
     output[where] = displacement
     lost = len(grid) - len(time)
-    # the grid may begin half a sample before the first time: nothing is extrapolated
-    at = np.clip(grid, time[0], time[-1])
-    if jitter <= TIME_TOLERANCE + _ROUNDING or (np.diff(time) <= 0).any():  # equal times: rounded, not measured, ones
+    # equal times are rounded, and times of arrival are late: neither was measured
+    if jitter <= TIME_TOLERANCE + _ROUNDING or jitter > _HALF + _ROUNDING or (np.diff(time) <= 0).any():
         drive = np.interp(grid, start + dt * index, voltage)
     else:
+        # the grid may begin half a sample before the first time: nothing is extrapolated
+        at = np.clip(grid, time[0], time[-1])
         # monotone cubics overshoot no step, as splines would
         seen = np.isfinite(displacement)
         drive = np.interp(at, time, voltage)
@@ -185,3 +276,50 @@ def _piece(time, voltage, displacement, index, line, jitter) -> Piece:
                 np.isfinite(output), scipy.interpolate.PchipInterpolator(time[seen], displacement[seen])(at), np.nan
             )
     return Piece(grid, drive, output, lost)
+
+
+def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Gridded:
+    """Return the rows resampled on the median step, or at the rate, split where the drive is not known in a gap."""
+    time, voltage = rows.time, rows.voltage
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    dt = 1 / rate if rate is not None else usual
+    index = np.round((time - time[0]) / usual).astype(np.int64)
+    longest = max(FEW, _longest_gap(voltage, index, usual)) * usual
+    # a command that stands still before and after a gap was held in it
+    still = np.append(True, np.diff(voltage) == 0)
+    held = still[:-1] & still[1:] & np.append(still[2:], True)
+    parts, dropped = _parts(rows, np.flatnonzero((steps > longest) & ~held) + 1, source, column, dt)
+    made = [_interpolated(time[p], voltage[p], rows.displacement[p], dt, FEW * usual) for p in parts]
+    ends, bridged = (float(steps.min()), float(steps.max())), sum(count for _, count in made)
+    if 2 * bridged > sum(len(piece.time) for piece, _ in made):
+        raise BadInput(
+            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too uneven to resample; "
+            "give --rate HZ if the rows were sampled evenly"
+        )
+    return Gridded(tuple(piece for piece, _ in made), 0.0, rows, dropped, steps=ends, bridged=bridged)
+
+
+def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
+    """Return one stretch at steps of dt, and how many output samples are masked within gaps of the output."""
+    grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
+    # the mean of the held command over a step has the effect of the command, whenever in the step it changed
+    impulse = np.append(0.0, np.cumsum(voltage[:-1] * np.diff(time)))
+    ends = np.append(grid, grid[-1] + dt)
+    drive = np.diff(np.interp(ends, time, impulse) + voltage[-1] * np.maximum(ends - time[-1], 0.0)) / dt
+    seen = np.isfinite(displacement)
+    t, y = time[seen], displacement[seen]
+    if len(t) < 2:
+        return Piece(grid, drive, np.full(len(grid), np.nan)), len(grid)
+    curve = scipy.interpolate.PchipInterpolator(t, y)
+    at = np.clip(grid, t[0], t[-1])
+    output = curve(at)
+    if dt > 1.5 * np.median(np.diff(t)):  # several rows a step: their mean, since noise and fast motion would alias
+        low, high = np.clip(grid - dt / 2, t[0], t[-1]), np.clip(grid + dt / 2, t[0], t[-1])
+        whole = curve.antiderivative()
+        output = np.where(high > low, (whole(high) - whole(low)) / np.maximum(high - low, 1e-300), output)
+    # the rows around every instant
+    after = np.clip(np.searchsorted(t, at, side="left"), 1, len(t) - 1)
+    far = ((t[after] - t[after - 1] > longest) & (at > t[after - 1]) & (at < t[after])) | (np.abs(grid - at) > longest)
+    output[far] = np.nan
+    return Piece(grid, drive, output), int(far.sum())

@@ -31,6 +31,7 @@ from .plausible import questions, refuse_implausible
 from .record import Record, Timed, range_in
 from .remarks import Remark
 from .sets import check_set
+from .stamps import usable_rows
 
 _NOTES = ("readme", "notes", "note", "license", "licence", "info")
 _QUANTITIES = ("time", "voltage", "displacement")
@@ -79,9 +80,10 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
         **said: by name, all optional. `time_column`, `input_column`, `output_column`: exact headers. `time_unit`,
             `input_unit`, `output_unit`: over what the file says. `input_scale`: of an amplifier's monitor (1 V per
             kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
-            without time or whose clock repeats. `header_line`: the line that names the columns, from 1. `units_line`:
-            the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a workbook.
-            `split_by`: a column, "sheet" or "group", for several runs in one file.
+            without time and for any clock, which it overrules. `header_line`: the line that names the columns, from 1.
+            `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a
+            workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `joint`: one of those that
+            `each` in `pitp.toml` names.
 
     Returns:
         the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
@@ -158,9 +160,22 @@ def attempted(
 
 
 def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
-    """Records, refusals by name, and how many files there were."""
-    records, refused, files = attempted(paths, options, _QUANTITIES, _records)
-    return _unique(_limited(records)), refused, files
+    """Records, refusals by name, and how many files there were; clocks that are uneven share one rate."""
+    sources: list[tuple[Path, str, Loaded]] = []
+
+    def make(path: Path, name: str, one: Loaded) -> list[list[Record]]:
+        made = _records(path, name, one)
+        sources.append((path, name, one))
+        return [made]
+
+    groups, refused, files = attempted(paths, options, _QUANTITIES, make)
+    uneven = [k for k, group in enumerate(groups) if group[0].recognised["uneven"]]
+    if uneven and len(groups) > 1:
+        even = [group[0].dt for group in groups if not group[0].recognised["uneven"]]
+        dt = even[0] if even else float(np.median([groups[k][0].dt for k in uneven]))
+        for k in uneven:
+            groups[k] = _records(*sources[k], 1 / dt)
+    return _unique(_limited([record for group in groups for record in group])), refused, files
 
 
 def _limited(records: list[Record]) -> list[Record]:
@@ -325,8 +340,12 @@ def names_of(files: Sequence[Path]) -> list[str]:
     return names
 
 
-def mended(one: Loaded) -> tuple[Masked, Gridded]:
+def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     """A file's columns checked, with the sensor's faults masked, on their uniform grid; without an output, zeros.
+
+    Args:
+        one: the columns.
+        rate: of the grid, Hz, where neither the user nor the clock gives one.
 
     Raises:
         BadInput: samples that no later step could use, values that no rig has, time that decreases or repeats.
@@ -339,26 +358,29 @@ def mended(one: Loaded) -> tuple[Masked, Gridded]:
     check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
     units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
     refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
-    # before the grid: interpolating over a spike would smear it
-    masked = Masked(displacement) if output is None else mask_faults(displacement, voltage)
+    rate = one.options.rate if rate is None else rate
     try:
-        return masked, on_grid(time, voltage, masked.displacement, source, columns[0], one.place)
+        rows = usable_rows(time, voltage, displacement, source, columns[0], one.place, rate)
+        # before the grid: interpolating over a spike would smear it
+        masked = mask_faults(rows.displacement, rows.voltage) if output is not None else Masked(rows.displacement)
+        return masked, on_grid(replace(rows, displacement=masked.displacement), source, columns[0], one.place, rate)
     except BadInput as error:
-        if (np.diff(time) == 0).any() and not (np.diff(time) < 0).any() and one.options.rate is None:
-            why = str(error).removeprefix(f"{source}: ") + ", or give --rate HZ"
+        if rate is None and "--rate" in str(error):
+            why = str(error).removeprefix(f"{source}: ")
             raise Refused(source, why, [*one.options.words(), "--rate", "RATE"]) from None
         raise
 
 
-def _records(path: Path, name: str, one: Loaded) -> list[Record]:
+def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> list[Record]:
     drive, unit = one.unit("voltage"), one.unit("displacement")
-    masked, put = mended(one)
+    masked, put = mended(one, rate)
     many = len(put.pieces) > 1
     remarks = _remarks(name, masked, put, unit)
     seen = {
         "file": one.table.form,
         **{OPTIONS[quantity]: one.words(quantity) for quantity in _QUANTITIES},
         "jitter": put.jitter,
+        "uneven": put.uneven and one.options.rate is None,
         "outliers": masked.outliers,
         "clipped": masked.clipped,
         **({"limit": masked.limit} if masked.clipped else {}),
@@ -378,7 +400,6 @@ def _records(path: Path, name: str, one: Loaded) -> list[Record]:
 def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]:
     """What was done to a record."""
     far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
-    lost, jitter = sum(piece.lost for piece in put.pieces), put.jitter if put.jitter > TIME_TOLERANCE else 0
     notes = questions(masked.displacement, base_unit(unit))
     if len(put.pieces) > 1:
         notes.append(f"split at its gaps into {len(put.pieces)} records")
@@ -387,9 +408,28 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
         Remark("clipped", name, masked.clipped, limit),
         Remark("unseen", name, masked.unseen, limit),
         Remark("held", name, masked.held),
-        Remark("jitter", name, jitter),
-        Remark("lost", name, lost),
-        Remark("doubled", name, put.doubled),
-        Remark("dropped", name, put.dropped),
+        *clock_remarks(name, put),
     ]
     return [remark for remark in seen if remark.value] + [Remark("note", name, detail=note) for note in notes]
+
+
+def clock_remarks(name: str, put: Gridded) -> list[Remark]:
+    """What was done to the time of a record."""
+    rows, count = put.rows, len(put.rows.time)
+    jitter = put.jitter if put.jitter > TIME_TOLERANCE and not put.packets else 0
+    rate = f"{1 / np.median(np.diff(put.pieces[0].time)):.4g} Hz"
+    steps = f"steps of {put.steps[0]:.3g} to {put.steps[1]:.3g} s, {rate}" if put.steps is not None else ""
+    seen = [
+        Remark("turns", name, rows.turns),
+        Remark("sorted", name, rows.sorted),
+        Remark("doubled", name, rows.doubled),
+        Remark("averaged", name, rows.averaged),
+        Remark("counted", name, count * rows.counted),
+        Remark("packets", name, count * put.packets, rate),
+        Remark("resampled" if put.uneven else "regridded", name, count * (put.steps is not None), steps),
+        Remark("bridged", name, put.bridged),
+        Remark("jitter", name, jitter),
+        Remark("lost", name, sum(piece.lost for piece in put.pieces)),
+        Remark("dropped", name, put.dropped),
+    ]
+    return [remark for remark in seen if remark.value]

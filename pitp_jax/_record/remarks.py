@@ -15,6 +15,14 @@ _COUNTED = {  # kind: what is counted, what became of it
     "held": ("output sample", "of one value while the drive moves, then a jump; kept: a blind sensor, or stiction?"),
     "lost": ("lost sample", "filled in, the output there missing"),
     "doubled": ("row", "equal to the row before, left out"),
+    "turns": ("overflow", "of the clock's counter, continued"),
+    "sorted": ("row", "out of order by the time, sorted"),
+    "averaged": ("row", "with the time of the row before, averaged with it"),
+    "packets": ("row", "stamped in packets, put on an even grid"),
+    "resampled": ("row", "of an uneven clock resampled: the input is held, the output interpolated"),
+    "regridded": ("row", "resampled as --rate asks: the input is held, the output interpolated"),
+    "bridged": ("output sample", "between rows too far apart to interpolate, masked"),
+    "counted": ("row", "put at --rate, whatever the clock shows"),
     "dropped": ("sample", "of stretches too short, or without output, left out"),
 }
 _MEASURED = {"jitter": "time jitters by up to {:.2g} of a sample, put on a uniform grid"}

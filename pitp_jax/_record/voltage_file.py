@@ -13,10 +13,8 @@ from .._table import Loaded, ReadOptions, together
 from .._table.choice import choose_columns
 from .._table.options import OPTIONS
 from .._table.table import Table
-from .checks import TIME_TOLERANCE
-from .reading import attempted, mended, options_of
+from .reading import attempted, clock_remarks, mended, options_of
 from .record import Timed, range_in
-from .remarks import Remark, counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +72,7 @@ def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
     remarks = [f"{label}: {one.table.form}; {', '.join(kinds)}"]
     if (output := _output(one.table, one.options)) is not None:
         remarks.append(f"{label}: column {output!r} is a measurement and ignored")
-    if put.jitter > TIME_TOLERANCE:
-        remarks.append(f"{label}: {Remark('jitter', label, put.jitter)}")
-    if lost := sum(piece.lost for piece in put.pieces):
-        remarks.append(f"{label}: {counted(lost, 'lost sample')} of the voltage filled in")
+    remarks += [f"{label}: {remark}" for remark in clock_remarks(label, put)]
     ends, unit = ("",) if len(put.pieces) == 1 else [f".{k + 1}" for k in range(len(put.pieces))], one.unit("voltage")
     return [
         Drive(f"{label}{end}", p.time, p.voltage, unit, os.fspath(path), tuple(remarks) if p is put.pieces[0] else ())

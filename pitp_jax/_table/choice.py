@@ -132,7 +132,8 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
         problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
     clock = chosen.get("time")
-    if problems and clock is not None and clock.place is not None and clock.note.startswith("no unit"):
+    bare = clock is not None and clock.place is not None and clock.note.startswith("no unit")
+    if problems and clock is not None and clock.place is not None and bare and options.rate is None:
         strange = clock_question(_values(table, clock.place), clock.name)
         if strange:  # all that is wrong at once
             problems["time"] = _Ask(strange, ["--time-unit", "UNIT"])
@@ -320,8 +321,6 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
         return Choice(seen.place, name, fits, note)
     if seen.unit is None and options.scale(quantity) is not None:
         return Choice(seen.place, name, "V", "no unit in the file, volts before the scale")
-    if quantity == "time" and options.rate is not None:
-        return Choice(None, "--rate", "s", f"{name!r} has no unit")
     if quantity == "time" and seen.unit is None:
         return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
     why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is none"

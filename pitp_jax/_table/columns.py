@@ -19,6 +19,7 @@ from .table import Column, Table
 from .units import column_names, kind_of, to_base
 
 _MOST_PARTS = 1000
+_SECONDS = 3.0  # times a stated rate: a clock without a unit that ticks so near to it counts seconds
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def _legible(columns: Sequence[Column]) -> int:
 
 
 def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Loaded:
-    """The chosen columns in base units, scaled; a time of --rate where there is none or its clock repeats."""
+    """The chosen columns in base units, scaled; a time of --rate where there is none."""
     values, chosen = _values(table, chosen, options)
     count = len(next(iter(values.values()))) if values else 0
     loaded = {}
@@ -178,10 +179,10 @@ def _values(
 
 
 def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: ReadOptions) -> Choice:
-    """The time, checked against --rate; where its clock repeats or is empty, --rate makes it.
+    """The time; where there is none, its clock is empty or has no unit, --rate makes it.
 
     Raises:
-        BadInput: whole numbers without a unit, a clock that repeats, a rate that contradicts it.
+        BadInput: whole numbers without a unit, an empty clock.
     """
     source, name, rate = table.source, choice.name, options.rate
     time = loaded.get("time")
@@ -195,26 +196,26 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         loaded["time"] = np.arange(count) / rate
         return choice
     seen = time[np.isfinite(time)]
-    steps = np.diff(seen)
-    if len(seen) < 2 or ((steps >= 0).all() and (steps == 0).any()):
-        how = f"the clock {name!r} {'repeats' if len(seen) > 1 else 'is empty'}"
-        if rate is not None:
-            loaded["time"] = np.arange(count) / rate
-            return Choice(None, "--rate", "s", how)
-        if not len(seen):
-            raise Refused(source, f"{how}; give --rate HZ", [*options.words(), "--rate", "RATE"])
-    if choice.clock is not None or not len(steps):
-        return choice
-    # the usual step: lost samples and jitter do not move it
-    step = float(np.median(steps))
-    if choice.note.startswith("no unit") and (strange := clock_question(time, name)):
-        raise Refused(source, strange, [*options.words(), "--time-unit", "UNIT"])
-    if rate is not None and abs(step * rate - 1.0) > 0.01:
-        raise BadInput(
-            f"{source}: column {name!r} has a sample every {step:.6g} s, --rate {rate:g} says {1 / rate:.6g} s; leave "
-            "--rate to files without time, or whose clock repeats"
-        )
+    unfit, remedy = "", ["--rate", "RATE"]
+    if not len(seen) or (len(seen) < 2 and rate is not None):
+        unfit = f"the clock {name!r} is empty; give --rate HZ"
+    elif len(seen) > 1 and choice.clock is None and choice.note.startswith("no unit"):
+        unfit, remedy = _unknown_clock(time, name, rate), ["--time-unit", "UNIT"]
+    if unfit and rate is None:
+        raise Refused(source, unfit, [*options.words(), *remedy])
+    if unfit and rate is not None:
+        loaded["time"] = np.arange(count) / rate
+        return Choice(None, "--rate", "s", unfit.partition(";")[0])
     return choice
+
+
+def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
+    """What makes a clock without a unit unfit; empty where it counts seconds."""
+    if rate is None:
+        return clock_question(time, name) or ""
+    step = float(np.median(np.diff(time[np.isfinite(time)])))
+    seconds = clock_question(time, name) is None and 1 / _SECONDS < step * rate < _SECONDS
+    return "" if seconds else f"the clock {name!r} has no unit"
 
 
 def _without_empty_rows(loaded: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

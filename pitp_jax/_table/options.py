@@ -31,12 +31,13 @@ class ReadOptions:
         time_unit, input_unit, output_unit: units of these columns, over what the file says.
         input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
         output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
-        rate: samples per second of files without time, or whose clock repeats.
+        rate: samples per second of files without time, and of any clock.
         header_line: the line that names the columns, counted from 1 with comments and blanks.
         units_line: the line that holds the units, or "none".
         separator, decimal, encoding: of text.
         sheet: of a workbook.
         split_by: a column, "sheet" or "group": a record for each of its values.
+        joint: of the joints that `each` in `pitp.toml` names, the one to read.
 
     Raises:
         BadInput: an unknown unit, a scale of zero, a rate that is not positive, all of them at once.
@@ -58,6 +59,7 @@ class ReadOptions:
     encoding: str | None = None
     sheet: str | None = None
     split_by: str | None = None
+    joint: str | None = None
 
     def __post_init__(self):
         """Refuse what no file could be read with."""
@@ -114,8 +116,8 @@ class ReadOptions:
         return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
 
     def said(self) -> dict[str, Any]:
-        """What is not None, by the long names of options."""
-        values = {f.name.replace("_", "-"): getattr(self, f.name) for f in fields(self)}
+        """Return what is not None, by the long names of options; a joint is its two columns."""
+        values = {f.name.replace("_", "-"): getattr(self, f.name) for f in fields(self) if f.name != "joint"}
         return {name: value for name, value in values.items() if value is not None}
 
     def words(self) -> list[str]:
@@ -141,20 +143,71 @@ def folder_file(said: dict[str, dict[str, Any]]) -> str:
 
 
 def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
-    """The options with what `pitp.toml` beside the file says; what the caller says wins.
+    """Return the options with those of `pitp.toml` beside the file; what the caller says wins.
 
     Raises:
-        BadInput: the file is no TOML, or holds keys that are no options.
+        BadInput: the file is not TOML, holds keys that are not options, or names joints and the caller names none.
     """
+    said = _of_file(path)
+    source, joints = cleaned(path.parent / FOLDER_FILE), joints_of(said.pop("each", {}))
+    if isinstance(said.get("units_line"), int):
+        said["units_line"] = str(said["units_line"])
+    # what stands on the command line
+    own = {f.name: getattr(options, f.name) for f in fields(options)}
+    if options.joint is not None and options.joint not in joints:
+        raise BadInput(f"{cleaned(path)}: {source} names no joint {options.joint!r}; add it to `each` there")
+    if options.joint is not None:
+        said |= dict(zip(("input_column", "output_column"), joints[options.joint], strict=True))
+    elif joints and not (own["input_column"] or own["output_column"]):
+        raise BadInput(
+            f"{source}: `each` names {', '.join(joints)}; give joint=NAME, or --input-column, --output-column"
+        )
+    try:
+        return replace(options, **{name: value for name, value in said.items() if own[name] is None})
+    except BadInput as error:
+        raise BadInput(f"{source}: {error}") from None
+
+
+def joints_in(path: Path) -> list[str]:
+    """Name the joints that `each` in `pitp.toml` gives to a file, or to the files of a folder."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return list(dict.fromkeys(name for file in files for name in joints_of(_of_file(file).get("each", {}))))
+
+
+def joints_of(each: Any) -> dict[str, tuple[str, str]]:
+    """Return the input and the output column of every joint.
+
+    Args:
+        each: a list of NAME=INPUT,OUTPUT, or a table of NAME = "INPUT,OUTPUT" or NAME = [INPUT, OUTPUT].
+
+    Raises:
+        BadInput: another form, or two joints of one name.
+    """
+    if not isinstance(each, (list, dict)):
+        raise BadInput("each is a list of NAME=INPUT,OUTPUT, one for every joint")
+    pairs = [str(joint).partition("=")[::2] for joint in each] if isinstance(each, list) else list(each.items())
+    joints = {}
+    for name, ports in pairs:
+        columns = tuple(ports.split(",") if isinstance(ports, str) else ports)
+        if not name or "/" in name or name.startswith(".") or len(columns) != 2 or not all(map(str, columns)):
+            raise BadInput(f"--each {cleaned(name)}: give NAME=INPUT,OUTPUT, the exact headers of one joint")
+        if name in joints:
+            raise BadInput(f"--each: two joints have the name {cleaned(name)}; give each joint another name")
+        joints[name] = str(columns[0]), str(columns[1])
+    return joints
+
+
+def _of_file(path: Path) -> dict[str, Any]:
+    """Return what `pitp.toml` beside a file says of it, by the names of `ReadOptions` and `each`."""
     file = path.parent / FOLDER_FILE
     if not file.is_file():
-        return options
+        return {}
     source = cleaned(file)
     try:
         tables = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise BadInput(f"{source}: not readable as TOML ({cleaned(error)[:100]}); correct it") from None
-    known, said = {f.name for f in fields(ReadOptions)}, {}
+    known, said = ({f.name for f in fields(ReadOptions)} | {"each"}) - {"joint"}, {}
     for glob, table in tables.items():
         if not isinstance(table, dict):
             raise BadInput(
@@ -168,11 +221,4 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
         # later tables win, so that one file can differ from its kind
         if fnmatch(path.name, glob):
             said |= {names[key]: value for key, value in table.items()}
-    if isinstance(said.get("units_line"), int):
-        said["units_line"] = str(said["units_line"])
-    # what stands on the command line
-    own = {f.name: getattr(options, f.name) for f in fields(options)}
-    try:
-        return replace(options, **{name: value for name, value in said.items() if own[name] is None})
-    except BadInput as error:
-        raise BadInput(f"{source}: {error}") from None
+    return said

@@ -1,5 +1,6 @@
 """Outputs of every command appear whole or not at all, and never over an input."""
 
+import json
 import os
 import re
 
@@ -146,6 +147,26 @@ def test_joints_of_a_log_are_linked_from_the_folder_above(call, tmp_path):
     assert code == 0, err
     index = (tmp_path / "d" / "index.html").read_text()
     assert re.findall('href="(.*?)"', index) == ["hip/check.html", "knee/check.html"]
+
+
+def test_two_folders_spell_the_columns_of_a_joint_differently(call, tmp_path):
+    """The joints are named in each folder's pitp.toml; the command runs once for each of them."""
+    time, names = np.arange(400) / 100, ("knee", "hip")
+    motions = [np.sin(3 * time) * (time > 0.5), np.sin(7 * time) * (time > 0.5)]
+    for folder, stem in (("sim", "q"), ("robot", "joint angle ")):
+        (tmp_path / folder).mkdir()
+        header = ",".join(["time_s", *(f"{stem}{n} cmd,{stem}{n}" for n in names)])
+        rows = np.column_stack([time, *(column for y in motions for column in (y, 0.9 * y))])
+        np.savetxt(tmp_path / folder / "log.csv", rows, delimiter=",", header=header, comments="")
+        each = ", ".join(f'"{n}={stem}{n} cmd,{stem}{n}"' for n in names)
+        units = 'input-unit = "rad"\noutput-unit = "rad"\n'
+        (tmp_path / folder / "pitp.toml").write_text(f'["*.csv"]\neach = [{each}]\n{units}')
+    code, out, err = call("compare", tmp_path / "sim", tmp_path / "robot", "--json", tmp_path / "c.json")
+    assert code == 0, err
+    assert re.findall("== (.*)", out) == ["knee", "hip"]
+    for name in names:
+        pairs = json.loads((tmp_path / f"c.{name}.json").read_text())["pairs"]
+        assert [round(p["correlation"], 6) for p in pairs] == [1.0]
 
 
 def test_joints_of_a_parquet_file_speak_of_their_own_units(call, tmp_path):
