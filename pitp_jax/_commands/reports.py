@@ -15,8 +15,12 @@ def print_model(model: Fitted, summary: dict) -> None:
     """Print a model: its `describe` and what its sensor reads."""
     units = units_of(model)
     print(f"{summary['kind']} model of order {summary['order']}, input map {summary['input_map']}")
+    if summary["fallback"]:
+        print(summary["fallback"])
     for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
+    if summary["kind"] == "trained":
+        print("coefficients and modes of the linear model from which training started:")
     rows = zip(summary["coefficients"], summary["coefficients_stderr"], summary["coefficients_unit"], strict=True)
     table = [(f"a{i}", number(a, 6), number(e, 2), unit) for i, (a, e, unit) in enumerate(rows)]
     print_table(("coefficient", "value", "std. error", "unit"), table)

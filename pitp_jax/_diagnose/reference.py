@@ -15,8 +15,8 @@ from scipy.signal import bilinear, lfilter
 
 from .data import Case
 from .evidence import Evidence, evidence
+from .library import CORE, INDEX
 from .search import Hypothesis
-from .simulator import INDEX
 
 _PENALTIES = np.geomspace(1e-6, 1.0, 7)
 _FAMILIES = ("LG", "LSG", "LV")
@@ -56,7 +56,7 @@ class _Features:
         sx = np.std(np.concatenate(runs)) + 1e-12
         speeds = [np.gradient(r, d.dt) for r, d in zip(runs, drives, strict=True)]
         sv = np.std(np.concatenate(speeds)) + 1e-12
-        a0, a1, a2 = (h.fit.slots[INDEX[k]] for k in ("a0", "a1", "a2"))
+        a0, a1, a2 = (h.fit.slots[INDEX[k]] for k in CORE)
         # a plant without a spring has no static gain to scale by
         unit = a0 if a0 > 0 else a1 / case.dt / 100
         poly = [a2 / unit, a1 / unit, a0 / unit] if a2 > 0 else [a1 / unit, a0 / unit]

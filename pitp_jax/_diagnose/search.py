@@ -15,8 +15,20 @@ from .budget import Budget
 from .data import Case
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
-from .library import Form, Scale, forms, named
-from .simulator import INDEX, OFF
+from .library import (
+    BRANCHES,
+    CORE,
+    DELAY,
+    FILTER,
+    FILTER_ZETA,
+    INDEX,
+    LAG,
+    SLOW,
+    Form,
+    Scale,
+    forms,
+    named,
+)
 
 BEAM, DEPTH, NAMES = 2, 4, 8  # fronts, names of a set, names that are fitted beside each front
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
@@ -61,7 +73,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
     a = np.concatenate(
         [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
     )
-    a0, a1, a2 = (base.value(k) for k in ("a0", "a1", "a2"))
+    a0, a1, a2 = (base.value(k) for k in CORE)
     # the natural period's, else the slowest pole's, of whatever the base has
     tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
     tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
@@ -103,10 +115,10 @@ class Search:
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
         # of the nominal's linear part what is there at all
-        self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
+        self.core = tuple(k for k in (*CORE, DELAY, LAG, FILTER) if case.nominal[INDEX[k]] > 0)
         # a delay shorter than a thinned step is the hold's: a longer one is a name, and no number that has moved
-        short = not refit and case.nominal[INDEX["delay"]] < case.dt
-        self.movable = tuple(k for k in self.core if not (short and k == "delay"))
+        short = not refit and case.nominal[INDEX[DELAY]] < case.dt
+        self.movable = tuple(k for k in self.core if not (short and k == DELAY))
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
         self.given = self._scored([given])[0]
@@ -116,11 +128,11 @@ class Search:
         self.scale = scale_of(case, base.fit)
         self.every[frozenset()] = base
         # a memory of the drive that is faster than the plant is a filter of it, no charge
-        self.fitter.lowest = {"charge_tau": self.scale.tau}
+        self.fitter.lowest = dict.fromkeys(SLOW, self.scale.tau)
         self.library = [
             f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)
         ]
-        self.library = [f for f in self.library if not (f.name == "delay" and "delay" in self.core and refit)]
+        self.library = [f for f in self.library if not (f.name == "delay" and DELAY in self.core and refit)]
         if refit:
             self.library = [
                 f
@@ -180,7 +192,7 @@ class Search:
 
     def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
         slots = self.case.nominal.copy()
-        for k in ("delay", "lag", "filter", "a2"):
+        for k in (DELAY, LAG, FILTER, "a2"):
             slots[INDEX[k]] *= k in free or (not self.refit and k in self.core)
         for k, v in values.items():
             slots[INDEX[k]] = v
@@ -188,25 +200,25 @@ class Search:
 
     def _structures(self) -> list[Fit]:
         """Orders one to four: a core with and without a mass, a delay, a lag or a second-order filter behind it."""
-        v = {k: self.case.nominal[INDEX[k]] for k in ("a0", "a1", "a2", "lag", "filter", "filter_zeta")}
-        dt, late = self.case.dt, self.case.nominal[INDEX["delay"]]
-        own, core = self.core, tuple(k for k in self.core if k not in ("lag", "filter"))
+        v = {k: self.case.nominal[INDEX[k]] for k in (*CORE, LAG, FILTER, FILTER_ZETA)}
+        dt, late = self.case.dt, self.case.nominal[INDEX[DELAY]]
+        own, core = self.core, tuple(k for k in self.core if k not in (LAG, FILTER))
         # the nominal's whole lateness at slow drives as one time constant, of a plant with a spring
-        tau = max(v["a1"] / v["a0"] + v["lag"] + 2 * v["filter_zeta"] * v["filter"], dt) if v["a0"] > 0 else 0.0
+        tau = max(v["a1"] / v["a0"] + v[LAG] + 2 * v[FILTER_ZETA] * v[FILTER], dt) if v["a0"] > 0 else 0.0
         fits = []
         for faster in (0.5, 2.0):
             fits.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
         if not late:
-            fits.append(self._structure((*own, "delay"), {"delay": dt}))
+            fits.append(self._structure((*own, DELAY), {DELAY: dt}))
         if tau and ("a2" not in core or core != own):
             for share in (0.03, 0.3):
                 numbers = {"a1": v["a0"] * tau, "a2": share * v["a0"] * tau**2}
                 fits.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
         if tau and own != ("a0", "a1"):
             fits.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
-            fits.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
-        if "lag" not in own and "filter" not in own:
-            numbers = {"lag": 0.3 * max(tau, dt)}, {"filter": 0.2 * max(tau, dt), "filter_zeta": 0.3}
+            fits.append(self._structure(("a0", "a1", DELAY), {"a1": v["a0"] * tau, DELAY: late or dt}))
+        if LAG not in own and FILTER not in own:
+            numbers = {LAG: 0.3 * max(tau, dt)}, {FILTER: 0.2 * max(tau, dt), FILTER_ZETA: 0.3}
             fits += [self._structure((*own, *extra), extra) for extra in numbers]
         return fits
 
@@ -267,14 +279,14 @@ class Search:
         """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
-            if f.names[-1] != "viscoelastic" or "branch2" in f.free:
+            if f.names[-1] != "viscoelastic":
                 continue
             # a decade apart: nearer, two branches are one of a time constant between them
             for ratio in (0.1, 10.0):
                 slots = f.slots.copy()
-                slots[INDEX["branch2"]] = 0.3 * f.value("branch")
-                slots[INDEX["branch2_tau"]] = ratio * f.value("branch_tau")
-                free = (*f.free, "branch2", "branch2_tau")
+                slots[INDEX[BRANCHES[1][0]]] = 0.3 * f.value(BRANCHES[0][0])
+                slots[INDEX[BRANCHES[1][1]]] = ratio * f.value(BRANCHES[0][1])
+                free = (*f.free, *BRANCHES[1])
                 more.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
@@ -303,11 +315,10 @@ class Search:
         for k, v in form.start.items():
             slots[INDEX[k]] = v
         # what adds stiffness begins with as much less of the core, so that the start is as stiff as the base
-        stiff = 1 + slots[INDEX["bouc"]] if "bouc" in form.start else 1.0
-        free = tuple(dict.fromkeys((*front.free, *(k for k in form.start if k not in ("fold", "reach")))))
+        stiff = 1 + form.stiffness
+        free = tuple(dict.fromkeys((*front.free, *form.free)))
         if stiff > 1.05 and "a0" in free:
-            for k in ("a0", "a1", "a2"):
-                slots[INDEX[k]] /= stiff
+            slots[:3] /= stiff
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     def each_alone(self) -> Evidence | None:
@@ -401,8 +412,6 @@ class Search:
             if (moved and linear) or any(k in f.start for f in keep):
                 slots[INDEX[k]] = fit.slots[INDEX[k]]
                 free.append(k)
-        for k in ("fold", "reach"):
-            slots[INDEX[k]] = fit.slots[INDEX[k]] if any(k in f.start for f in keep) else OFF[INDEX[k]]
         names = tuple(n for n in fit.names if n in key)
         one = fit.anew(names=names, free=tuple(dict.fromkeys(free)), slots=slots)
         (done,) = self.fitter.fit([one], _STEPS)

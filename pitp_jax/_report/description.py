@@ -48,7 +48,17 @@ def describe(model: Fitted, units: Units | None = None) -> dict:
         "input_unit": units.input.unit,
         "identified_on": list(origin.identified_on),
         "training": origin.training,
+        "fallback": fallback_line(origin.training),
     }
+
+
+def fallback_line(training: dict | None) -> str | None:
+    """Return the sentence that says what stands in for a failed training, or None where none failed."""
+    if not training or not training.get("fallback"):
+        return None
+    if "itself" in training["fallback"]:
+        return "Training failed: this file holds the linear model from which training started."
+    return "Training failed in part: this file holds a model between the trained one and the linear model."
 
 
 def _described(model: Fitted, effect, units: Units) -> dict:
