@@ -273,6 +273,12 @@ def _between(coarse: np.ndarray, every: int) -> np.ndarray:
     return rows.reshape(-1, *coarse.shape[1:])
 
 
+def half_step(plan: Plan) -> float:
+    """Compute the largest difference that half a step makes over the test vector, over the stroke."""
+    y = plan.test.displacement
+    return float(np.abs(np.diff(y)).max()) / 2 / max(float(np.ptp(y)), stroke(plan.model))
+
+
 def rate_error(plan: Plan) -> float | None:
     """Measure what another rate than the model's costs: e_rms (%) over the model's own test voltage; None at its own.
 
