@@ -62,7 +62,7 @@ def export_fmu(
     if fmi not in _MISSING:
         raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")
     # a co-simulation sets an input at the beginning of a step and keeps it: what comes next is not known
-    plan = planning.plan(model, name, rate, precision, held=True)
+    plan = planning.plan(model, name, rate, precision, np.inf, held=True)
     cost = rate_error(plan)
     with whole_folder(folder) as stage:
         inside = stage / "inside"
@@ -112,7 +112,8 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
         "fmi": f"{fmi}.0", "stubs": stubs, "variables": variables, "units": units, "tokens_end": str(n + 2),
         "starts": ", ".join(map(repr, starts)), "token": f"{{{uuid5(UUID(int=0), text)}}}",
         "flags": str(n + 5), "out_first": str(n + 4), "step": repr(plan.dt), "vr_y": str(n + 3), "vr_u": str(n + 4),
-        "stop": repr(planning.SAMPLES * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5), "index_f": str(n + 6),
+        "stop": repr(len(plan.test.voltage) * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5),
+        "index_f": str(n + 6),
     }  # fmt: skip
 
 
@@ -130,7 +131,8 @@ def _build(inside: Path, name: str, fmi: int) -> None:
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write the test vector as cross-check files: what goes in, what comes out, how it is run; a page and the check."""
-    time, test, name = np.arange(planning.SAMPLES) * plan.dt, plan.test, values["id"]
+    test, name = plan.test, values["id"]
+    time = np.arange(len(test.voltage)) * plan.dt
     square = plan.model.input_map.one_sided
     values |= {"force_error": "u**2 - planned**2" if square else "u - planned"}
     (folder / "README.md").write_text(filled("README_fmu.md", values), encoding="utf-8")
@@ -140,7 +142,7 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     (y,) = played(steps.predict(plan.model, plan.dt, held=True), test.voltage, float(plan.model.output.offset))
     rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned]  # outputs stand at the end of their step
     _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command"], rows)
-    options = {"StartTime": 0.0, "StopTime": planning.SAMPLES * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
+    options = {"StartTime": 0.0, "StopTime": len(time) * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
     (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()), encoding="utf-8")
 
 
