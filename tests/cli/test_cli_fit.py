@@ -64,6 +64,19 @@ def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
     assert "physics 0.5" in text
 
 
+def test_fit_says_first_that_training_failed(call, bench, tmp_path, trainer, monkeypatch):
+    def failed(*args, **options):
+        made = trainer(*args, **options)
+        return replace(made, notes={**made.notes, "fallback": "the nominal itself"}, fallback="the nominal itself")
+
+    monkeypatch.setattr("pitp_jax._commands.fit.train", failed)
+    options = ["--nominal", bench / "nominal", "--json", tmp_path / "j"]
+    code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options)
+    assert code == 0
+    assert text.startswith("Training failed: this file holds the linear model")
+    assert json.loads((tmp_path / "j").read_text())["fallback"] == "the nominal itself"
+
+
 @pytest.mark.slow
 def test_parts_to_learn(call, bench, tmp_path, trainer):
     options = ["--nominal", bench / "nominal", "--learn", "sensor_lag", "--learn", "delay", "--learn", "delay"]
@@ -89,6 +102,7 @@ def test_errors_of_every_record(call, bench, tmp_path, trainer, monkeypatch):
     assert [line.split() for line in text.splitlines() if line.startswith("sine")] == [
         ["sine2", "4", "0.3", "0.4"], ["sine4", "0.2", "0.5", "7"],
     ]  # fmt: skip
+    assert ["median", "2.1", "0.4", "3.7"] in [line.split() for line in text.splitlines()]
     assert "warning: not converged" in err and "sine4: predicted 14 times worse" in err
     told = json.loads((tmp_path / "errors.json").read_text())
     row = {"nominal_e_rms_percent": 0.2, "trained_e_rms_percent": 0.5, "left_out_e_rms_percent": 7.0, "problem": None}
