@@ -234,7 +234,7 @@ MODELS = {
         linear(2, HZ, dt=DT), effects=(effect("creep", kappa=0.3, tau=0.4), effect("sensor_gain", d=0.1))
     ),
     "coupled": lambda linear, nonlinear: replace(
-        linear(3, HZ, dt=DT), effects=(effect("stretch_coupling", form="quadratic", alpha=0.2), effect("delay", time=3 * DT))
+        linear(3, HZ, dt=DT), effects=(effect("stretch_coupling", alpha=0.2), effect("delay", time=3 * DT))
     ),
     "late": lambda linear, nonlinear: replace(
         linear(2, HZ, dt=DT), effects=(effect("electrode_rc", tau=5e-3), effect("sensor_lag", tau=6e-3))

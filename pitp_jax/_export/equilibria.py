@@ -39,7 +39,7 @@ def _ends(model: Model) -> tuple[float, float]:
     if len(model.domain.region):
         low, high = np.array(model.domain.region[0]) * model.scales.state[0]
         return float(min(low, 0.0)), float(max(high, 0.0))
-    widest = [float(model.input_map.force(v)) for v in model.domain.voltage_range if np.isfinite(v)]
+    widest = [float(model.input_map.force(np.asarray(v))) for v in model.domain.voltage_range if np.isfinite(v)]
     force = max(map(abs, widest), default=float(model.scales.force)) or float(model.scales.force)
     high = force / float(model.physical_coefficients[0])
     return 0.0 if model.input_map.one_sided else -high, high
