@@ -24,6 +24,7 @@ from pitp_jax._export.c99 import write_sources
 from pitp_jax._export.equilibria import equilibria
 from pitp_jax._export.pi_gains import SENSITIVE, operating_points, tuning
 from pitp_jax._export.plan import plan
+from pitp_jax._model.constants import constant_array
 from pitp_jax._model.domain import Domain
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder, ConstantEncoder
@@ -101,8 +102,9 @@ def _encoder(kind: Kind, memories: int) -> CompactEncoder:
     def push(a):
         return a + jnp.asarray(kind.size * rng.standard_normal(a.shape) / np.sqrt(max(a.shape[-1], 1)), a.dtype)
 
-    wide = jnp.broadcast_to(jnp.asarray([[-1.2], [1.2]], jnp.float32), bounds.shape)
-    encoder = eqx.tree_at(lambda e: e.bounds, jax.tree.map(push, encoder), wide)
+    wide = constant_array(np.broadcast_to([[-1.2], [1.2]], bounds.shape))
+    moved = jax.tree.map(lambda a: push(a) if eqx.is_inexact_array(a) else a, encoder)
+    encoder = eqx.tree_at(lambda e: e.bounds, moved, wide)
     past = encoder.past
     assert past is not None
     at_rest = encoder(jnp.zeros(kind.order + memories))[-1]  # no force is left at rest
