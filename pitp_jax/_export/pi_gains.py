@@ -21,6 +21,7 @@ from jax.flatten_util import ravel_pytree
 
 from .._effects.kernels import total_delay
 from .._errors import BadInput
+from .._model.coordinate import from_model, sign
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import in_double
@@ -123,11 +124,11 @@ def _linearised(model: Model, dt: float) -> tuple[list, list[float]]:
     late = total_delay(model.effects)
     model = replace(model, effects=tuple(e for e in model.effects if not e.delays))
     forward, back = steps.predict(model, dt, held=True), jax.jit(partial(_holding, steps.inverse(model, dt)))
-    square, polarity = model.input_map.one_sided, float(model.output.polarity)
+    square, way = model.input_map.one_sided, float(sign(model))
     reach = stroke(model)
     loops, stiffness = [], []
     for level in _LEVELS:
-        y, step = model.output.to_rig(level * reach), 1e-3 * reach * polarity
+        y, step = from_model(model, level * reach), 1e-3 * reach * way
         u, above = float(back(y)), float(back(y + step))
         forces = model.input_map.force(np.array([u, above]))
         slope = float(np.diff(forces)[0]) / (1e-3 * reach)
@@ -136,7 +137,7 @@ def _linearised(model: Model, dt: float) -> tuple[list, list[float]]:
             continue
         stiffness.append(slope)
         A, B, C, D = _state_space(forward, y, u)
-        gain = polarity / (2 * u) if square else polarity  # dx/dF = dx/du du/dF, F = u^2
+        gain = way / (2 * u) if square else way  # dx/dF = dx/du du/dF, F = u^2
         frequency = _grid(A, dt, model.natural_frequency)
         z = np.exp(1j * frequency * dt)[:, None, None]
         inner = np.linalg.solve(

@@ -22,10 +22,13 @@ from scipy.linalg import expm
 from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
+from .._model.coordinate import from_model
 from .._model.fitted import Fitted, Origin, fitted_of
 from .._model.model import Model
 from .._model.programs import in_double
+from .._model.units import units_of
 from .._numerics.spline_derivative import derivatives
+from .._table.quantity import Units
 from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
 from .jaxpr import program
@@ -70,15 +73,29 @@ class Plan:
     held: bool = False
     time_constant: float | None = None
 
+    @property
+    def units(self) -> Units:
+        """The units of everything that is written: V and m, or those of the model's records."""
+        return units_of(Fitted(self.model, self.origin))
+
+    def predict_step(self, *, held: bool = False) -> steps.Step:
+        """Build the decoder's step in the units that are written."""
+        return steps.in_units(steps.predict(self.model, self.dt, held=held), self.units, inverse=False)
+
+    @property
+    def inverse_step(self) -> steps.Step:
+        """The step of eq. 13 in the units that are written."""
+        return steps.in_units(steps.inverse(self.model, self.dt), self.units, inverse=True)
+
     @cached_property
     def predict(self) -> Written:
         """The decoder's step as a program."""
-        return _written(steps.predict(self.model, self.dt, held=self.held))
+        return _written(self.predict_step(held=self.held))
 
     @cached_property
     def inverse(self) -> Written:
         """The step of eq. 13; out: the voltage and whether none makes it."""
-        return _written(steps.inverse(self.model, self.dt))
+        return _written(self.inverse_step)
 
     @property
     def late(self) -> float:
@@ -87,21 +104,22 @@ class Plan:
 
     @property
     def voltages(self) -> tuple[float, float, float]:
-        """Lowest and highest voltage (V) and slew (V/s) of the records the model was trained on."""
-        low, high = self.model.domain.voltage_range
+        """Lowest and highest input and its slew, of the records the model was trained on, in the units written."""
+        low, high = self.units.input.shown(self.model.domain.voltage_range)
         if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
-        slew = float(self.model.domain.slew)
+        slew = float(self.units.input.shown(self.model.domain.slew))
         return min(float(low), 0.0), min(max(float(high), 0.0), _NONE), min(slew, _NONE)
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """The range the model was trained in, a twentieth wider, as the sensor reads it, m; without one, no limit."""
+        """The range the model was trained in, a twentieth wider, in the unit written; without one, no limit."""
         if not len(self.model.domain.region):
             return -_NONE, _NONE
         low, high = self.model.domain.region[0]
         wide = 0.05 * (high - low)
-        ends = [float(self.model.output.to_rig(v * self.model.scales.state[0])) for v in (low - wide, high + wide)]
+        scale = self.model.scales.state[0]
+        ends = [float(self.units.si.shown(from_model(self.model, v * scale))) for v in (low - wide, high + wide)]
         return min(ends), max(ends)
 
     @property
@@ -118,16 +136,15 @@ class Plan:
         """
         model, full = self.model, stroke(self.model)
         smallest = min(full, max(full / 50, _SMALLEST))
-        farthest = abs(float(model.output.offset)) + full
         kind = np.float32 if self.single else np.float64
-        rounding = float(np.spacing(kind(farthest))) / np.sqrt(12) / (smallest / 2)
+        rounding = float(np.spacing(kind(full))) / np.sqrt(12) / (smallest / 2)
         window, error = differentiator(
             model.physical_coefficients, self.dt, model.natural_frequency, rounding, self.late
         )
         if self.single and error > ALLOWED:
             raise BadInput(
-                f"--precision single: at {1 / self.dt:g} Hz a target of {1e6 * smallest:.3g} um around "
-                f"{1e3 * farthest:.3g} mm would be off by {100 * error:.2g} % of the force: "
+                f"--precision single: at {1 / self.dt:g} Hz a target of {self.units.output.text(smallest, 3)} within "
+                f"{self.units.output.text(full, 3)} would be off by {100 * error:.2g} % of the force: "
                 "export it in double precision, or at another --rate"
             )
         return window
@@ -163,7 +180,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Vector:
-    """A run both ways: voltage (V), displacement (m) and motion [y, ..., y^(n)] with its voltage within the limits."""
+    """A run both ways: input, displacement and motion [y, ..., y^(n)] with its input within the limits, as written."""
 
     what: str
     voltage: np.ndarray
@@ -207,7 +224,7 @@ def _written(step: steps.Step) -> Written:
 
 
 def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Run a step along its inputs, by JAX in float64, from an actuator held at y0 (m) under u0 (V)."""
+    """Run a step along its inputs, by JAX in float64, from an actuator held at y0 under u0."""
     with jax.enable_x64(True):
         rows = jnp.asarray(values, jnp.float64).reshape(len(values), -1)
         start = step.start(jnp.asarray(y0, jnp.float64), jnp.asarray(u0, jnp.float64))
@@ -229,19 +246,19 @@ def _vector(plan: Plan) -> Vector:
     if stored is not None and stored.seconds > 2 * SAMPLES * plan.dt:
         record, what = stored.record(), "a record the model was identified on"
         first = 0 if stored.rest else np.argmin(np.abs(record.voltage))
-        u = np.interp(np.arange(SAMPLES) * plan.dt, record.time - record.time[first], record.voltage)
+        voltage = plan.units.input.shown(record.voltage)
+        u = np.interp(np.arange(SAMPLES) * plan.dt, record.time - record.time[first], voltage)
     else:
         what, t = "a sum of sines", np.arange(SAMPLES) * plan.dt * plan.model.natural_frequency
-        top = high if high < _NONE else np.sqrt(plan.model.scales.force)
+        top = high if high < _NONE else plan.units.input.shown(np.sqrt(plan.model.scales.force))
         u = 0.6 * top * np.sin(0.05 * t) ** 2 * (1 + 0.3 * np.sin(0.71 * t))
     u = np.clip(u, low, high)
     if plan.single:  # the controller reads the vector in float: the reference must begin with the same numbers
         u = u.astype(np.float32).astype(np.float64)
-    rest = float(plan.model.output.offset)
-    (y,) = played(steps.predict(plan.model, plan.dt), u, rest)
-    smooth = rest + (y[np.argmax(np.abs(y - rest))] - rest) * 0.4 * np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 4
+    (y,) = played(plan.predict_step(), u, 0.0)
+    smooth = y[np.argmax(np.abs(y))] * 0.4 * np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 4
     motion = derivatives(smooth, plan.dt, plan.model.order)
-    planned = within(plan, played(steps.inverse(plan.model, plan.dt), motion, rest)[0])
+    planned = within(plan, played(plan.inverse_step, motion, 0.0)[0])
     return Vector(what, u, y, motion, planned)
 
 
@@ -256,8 +273,7 @@ def rate_error(plan: Plan) -> float | None:
     known = replace(plan, dt=own).test
     fine = np.arange(SAMPLES) * own
     t = np.arange(0, fine[-1], plan.dt)
-    step = steps.predict(plan.model, plan.dt)
-    (y,) = played(step, np.interp(t, fine, known.voltage), float(plan.model.output.offset))
+    (y,) = played(plan.predict_step(), np.interp(t, fine, known.voltage), 0.0)
     late, own_late = (steps.predict(plan.model, d).late * d for d in (plan.dt, own))
     return e_rms_percent(y, np.interp(t - late, fine - own_late, known.displacement))
 
