@@ -156,6 +156,10 @@ def _positive(text: str) -> float:
     return value
 
 
+def _time_constant(text: str) -> float:
+    return float("inf") if text.strip().lower() == "inf" else _positive(text)
+
+
 def _amount(text: str) -> "Amount":
     from ._commands.amounts import amount  # with it comes NumPy
 
@@ -431,9 +435,9 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
     parser.add_argument(
         "--time-constant",
-        type=_positive,
+        type=_time_constant,
         metavar="S",
-        help="of the closed loop of the PI steps in C (default: by the model)",
+        help="of the closed loop of the PI steps in C (default: by the model; inf: no controller)",
     )
     parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
     parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")

@@ -13,6 +13,7 @@ from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
 from pitp_jax import rest_state
+from pitp_jax._commands.plan import _sorted
 from pitp_jax._plan import scaled_to_limits, strokes
 from pitp_jax._plan.expected_error import knowledge, motions
 from pitp_jax._plan.information import choose, gains, variance
@@ -286,6 +287,18 @@ def test_the_command_refuses_with_nothing_written(tmp_path, capsys):
     out = str(tmp_path / "plan")
     assert main(["plan", "--max-voltage", "6000", "--band", "1", "10", "--rate", "50", "--out", out]) == 2
     assert "tenth of Nyquist" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_the_command_takes_model_and_records_in_either_order(tmp_path, capsys, linear):
+    """Only the model file can be the model; of none or two the message says what is missing."""
+    model, other = tmp_path / "m.pitp", tmp_path / "n.pitp"
+    pitp.save(model, linear(2))
+    pitp.save(other, linear(2))
+    assert _sorted(["records", str(model)]) == (str(model), ["records"]) == _sorted([str(model), "records"])
+    assert main(["plan", str(tmp_path), "--out", str(tmp_path / "plan")]) == 2
+    assert "is not a model file; give one model file" in capsys.readouterr().err
+    assert main(["plan", str(model), str(other), "--out", str(tmp_path / "plan")]) == 2
+    assert "are 2 model files" in capsys.readouterr().err
 
 
 def test_the_page_says_when_to_stop():

@@ -9,6 +9,7 @@ plays it.
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from shutil import rmtree, which
 from uuid import UUID, uuid5
@@ -23,7 +24,7 @@ from .._table.quantity import Quantity, per_second
 from .._table.units import kind_of
 from . import plan as planning
 from .c99 import filled, frame, substitutions, write_sources
-from .plan import Plan, played, rate_error, whole_folder
+from .plan import Plan, half_step, played, rate_error, whole_folder
 
 _BASES = {  # powers of SI's base units, by kind of quantity
     "voltage": {"kg": 1, "m": 2, "s": -3, "A": -1}, "current": {"A": 1}, "length": {"m": 1}, "speed": {"m": 1, "s": -1},
@@ -45,6 +46,8 @@ _MISSING = {
     "GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates EnterStepMode "
     "GetOutputDerivatives ActivateModelPartition",
 }
+
+_FINER = 16  # steps of the reference a step of the FMU
 
 
 def export_fmu(
@@ -69,7 +72,7 @@ def export_fmu(
     if fmi not in _MISSING:
         raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")
     # a co-simulation sets an input at the beginning of a step and keeps it: what comes next is not known
-    plan = planning.plan(model, name, rate, precision, held=True)
+    plan = planning.plan(model, name, rate, precision, np.inf, held=True)
     cost = rate_error(plan)
     with whole_folder(folder) as stage:
         inside = stage / "inside"
@@ -121,7 +124,8 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
         "fmi": f"{fmi}.0", "stubs": stubs, "variables": variables, "units": units, "tokens_end": str(n + 2),
         "starts": ", ".join(map(repr, starts)), "token": f"{{{uuid5(UUID(int=0), text)}}}",
         "flags": str(n + 5), "out_first": str(n + 4), "step": repr(plan.dt), "vr_y": str(n + 3), "vr_u": str(n + 4),
-        "stop": repr(planning.SAMPLES * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5), "index_f": str(n + 6),
+        "stop": repr(len(plan.test.voltage) * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5),
+        "index_f": str(n + 6),
     }  # fmt: skip
 
 
@@ -147,17 +151,22 @@ def _build(inside: Path, name: str, fmi: int) -> None:
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write the test vector as cross-check files: what goes in, what comes out, how it is run; a page and the check."""
-    time, test, name = np.arange(planning.SAMPLES) * plan.dt, plan.test, values["id"]
+    test, name = plan.test, values["id"]
+    time = np.arange(len(test.voltage)) * plan.dt
     square = plan.model.input_map.one_sided
     values |= {"force_error": "u**2 - planned**2" if square else "u - planned"}
-    (folder / "README.md").write_text(filled("README_fmu.md", values), encoding="utf-8")
     (folder / "check.py").write_text(filled("check_fmu.txt", values), encoding="utf-8")
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
     (y,) = played(plan.predict_step(held=True), test.voltage, 0.0)
-    rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned]  # outputs stand at the end of their step
-    _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command"], rows)
-    options = {"StartTime": 0.0, "StopTime": planning.SAMPLES * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
+    # the same held voltage, integrated apart in steps that are a sixteenth as long
+    fine = replace(plan, dt=plan.dt / _FINER).predict_step(held=True)
+    (held,) = played(fine, np.repeat(test.voltage, _FINER), 0.0)
+    rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned, held[_FINER - 1 :: _FINER]]
+    _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command", "held"], rows)  # at the end of their step
+    values |= {"half_ms": f"{500 * plan.dt:.3g}", "half_percent": f"{100 * half_step(plan):.2g}"}
+    (folder / "README.md").write_text(filled("README_fmu.md", values), encoding="utf-8")
+    options = {"StartTime": 0.0, "StopTime": len(time) * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
     (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()), encoding="utf-8")
 
 
