@@ -2,6 +2,7 @@
 
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
+from .._model.units import units_of
 from .._model_file.model_file import save
 from .._record.writing import write_text_atomic
 from .._report.description import describe
@@ -60,12 +61,10 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     if identified.warning:
         print(f"warning: {identified.warning}")
     print_orders(identified, unit)
-    print_model(summary)
+    print_model(identified.model, summary)
     if identified.chosen.delay:
-        print(
-            f"delay: {number(1e3 * identified.chosen.delay, 3)} +- {number(1e3 * identified.chosen.delay_stderr, 2)} ms"
-        )
-    print_beginnings(identified.beginnings, unit)
+        print(delay_text(identified))
+    print_beginnings(identified.beginnings, units_of(identified.model))
     for remark in identified.remarks:
         print(remark)
     if scores:
@@ -90,3 +89,15 @@ def print_orders(identified: Identification, unit: str) -> None:
     print_table(
         ("order", f"mae ({unit})", f"rms ({unit})", "held out (% of std)", "natural (Hz)", "identifiable"), rows
     )
+
+
+def delay_text(identified) -> str:
+    """Write the delay with the hold for which it is stated, and what the other hold would make of it."""
+    delay, stderr = (1e3 * v for v in (identified.chosen.delay, identified.chosen.delay_stderr))
+    half = 500 * identified.model.dt
+    if identified.model.hold == "zoh":
+        own, other, word = "held between samples", delay + half, "linear"
+    else:
+        own, other, word = "linear between samples", delay - half, "held"
+    text = f"delay: {number(delay, 3)} +- {number(stderr, 2)} ms for an input {own}"
+    return f"{text} ({number(other, 3)} ms for a {word} one)"

@@ -20,11 +20,13 @@ from jaxtyping import Array, Float
 from .._model.fitted import Fitted
 from .._model.model import Model
 from .._model.programs import jit
+from .._model.units import units_of
 from .._report.numbers import number
 from .._simulate.beginnings import held_states
 from .._simulate.decoder import step
 from .._simulate.voltage_only import rollout
-from .._table.units import base_unit, from_base
+from .._table.quantity import Units
+from .._table.units import base_unit
 from .result import Difference, measured
 
 _POINTS = (0.25, 0.6, 0.95)
@@ -67,10 +69,9 @@ def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | Non
     drive, dt = _sweep(a, b, low, high)
     one, two = (_behaviour(m, points, _SMALL * (high - low), drive, dt) for m in (a, b))
     rows = [_free_run_row(one, two)]
-    unit, output = a.origin.voltage_unit, a.origin.displacement_unit
+    units = units_of(a)
     for k, level in enumerate(points):
-        at = f"at {number(float(from_base(level, unit)))} {unit}"
-        rows += _rows_at(one, two, k, at, output, a.input_map.unit)
+        rows += _rows_at(one, two, k, f"at {units.input.text(level)}", units)
     return rows, None
 
 
@@ -186,17 +187,17 @@ def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
     return Difference(what, "reference", apart, "% of range", None, apart > known)
 
 
-def _rows_at(one: Behaviour, two: Behaviour, k: int, at: str, output: str, force: str) -> list[Difference]:
-    here, there = (float(from_base(s.settled[k], output)) for s in (one, two))
-    known = [None if s.own is None else float(from_base(s.own, output)) for s in (one, two)]
-    rows = [measured(f"settled displacement {at}", here, there, output, (known[0], known[1]))]
+def _rows_at(one: Behaviour, two: Behaviour, k: int, at: str, units: Units) -> list[Difference]:
+    here, there = (float(units.output.shown(s.settled[k])) for s in (one, two))
+    known = [None if s.own is None else float(units.output.shown(s.own)) for s in (one, two)]
+    rows = [measured(f"settled {units.output_word} {at}", here, there, units.output.unit, (known[0], known[1]))]
     quantities = (
-        ("stiffness dF/dx", "stiffness", f"{force}/{base_unit(output)}"),
-        ("resonance", "resonance_hz", "Hz"),
-        ("damping ratio", "damping", ""),
+        ("stiffness dF/dx", "stiffness", *units.coefficient(0)),
+        ("resonance", "resonance_hz", 1.0, "Hz"),
+        ("damping ratio", "damping", 1.0, ""),
     )
-    for j, (what, name, unit) in enumerate(quantities):
-        a, b = (float(getattr(s, name)[k]) for s in (one, two))
+    for j, (what, name, factor, unit) in enumerate(quantities):
+        a, b = (factor * float(getattr(s, name)[k]) for s in (one, two))
         if np.isfinite(a) or np.isfinite(b):
             errors = (_scaled(one.errors[j], a), _scaled(two.errors[j], b))
             rows.append(measured(f"{what} {at}", _finite(a), _finite(b), unit, errors))

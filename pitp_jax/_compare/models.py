@@ -10,6 +10,7 @@ beyond a_0; then the modes are compared instead.
 from typing import Any
 
 from .._model.fitted import Fitted
+from .._model.units import base_units, units_of
 from .._model_file.model_file import digest
 from .._report.description import describe
 from .._report.numbers import number
@@ -31,7 +32,8 @@ def coefficient_meaning(i: int) -> str:
 
 def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
     """Compare the responses, facts and numbers of two models."""
-    one, two = describe(a), describe(b)
+    # both in the units of the first: one value in deg and one in rad would differ by 57
+    one, two = describe(a), describe(b, units_of(a) if _same_kinds(a, b) else None)
     rows, why = compare_behaviour(a, b)
     rows += _adapted_rows(a, b)
     rows += [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
@@ -55,6 +57,10 @@ def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
                 interval = (low, high) if k else (-high, -low)
                 rows.append(Difference(f"{name}: factor found by adapt", *sides, "", interval, low > 0 or high < 0))
     return rows
+
+
+def _same_kinds(a: Fitted, b: Fitted) -> bool:
+    return base_units(units_of(a)) == base_units(units_of(b))
 
 
 def _coefficients(one: dict, two: dict) -> list[Difference]:

@@ -4,7 +4,7 @@ closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,9 @@ class Ranked:
         train, heldout: error left, % of range, of the fit to all records and out of fold.
         closed_fraction, ci95: as in `Gap`.
         probability: P that it beats the linear model.
+
+    `heldout` and `probability` are nan, and `closed_fraction` and `ci95` None, where the fit to all records leaves more
+    than the third-best candidate leaves out of fold: it was not refitted without each fold.
     """
 
     effect: str
@@ -184,24 +187,28 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     """Every name's best form by itself, best first."""
     rows = []
     before = percent(search, search.base)
-    for h in search.level(1):
-        label = h.labels[0]
+    judged = search.level(1)
+    others = sorted((f for f in search.waiting.values() if len(f.names) == 1), key=lambda f: f.cost)
+    for fit, label in [(h.fit, h.labels[0]) for h in judged] + [(f, search.labels(f)[0]) for f in others]:
         # what the form moved alone: the base's own delay and lags are none of it
-        same = h.fit.slots == search.base.fit.slots
+        same = fit.slots == search.base.fit.slots
         same[[INDEX[k] for k in (DELAY, LAG, FILTER)]] |= label not in ("delay", "sensor_lag")
-        slots = np.where(same, OFF, h.fit.slots)
-        slots[:3] = h.fit.slots[:3]
+        slots = np.where(same, OFF, fit.slots)
+        slots[:3] = fit.slots[:3]
         effects = effects_of(slots, search.scale)
         mine = next(((e, c) for e, c in effects if e.name in (label, "found_term")), None)
         # each takes slopes of its own: of the first three, which a reader compares
-        errors = errors_of(search, h.fit) if len(rows) < 3 else {}
-        numbers = in_units(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
-        after, moved = percent(search, h), label == "parameter_change"
-        rows.append(Ranked(
-            label, family(label), mine[0].form if mine else "refitted coefficients" if moved else "of the library",
-            numbers, _train(search, h.fit), after, closed(before, after, low), interval(search, search.base, h, low),
-            probability(h.evidence, search.base.evidence),
-        ))  # fmt: skip
+        errors = errors_of(search, fit) if len(rows) < 3 else {}
+        numbers = in_units(search.case.model, *mine, fit, errors) if mine else factors_of(search, fit, errors)
+        moved = label == "parameter_change"
+        form = mine[0].form if mine else "refitted coefficients" if moved else "of the library"
+        row = Ranked(label, family(label), form, numbers, _train(search, fit), float("nan"), None, None, float("nan"))
+        if len(rows) < len(judged):
+            h = judged[len(rows)]
+            after, sure = percent(search, h), probability(h.evidence, search.base.evidence)
+            ci95 = interval(search, search.base, h, low)
+            row = replace(row, heldout=after, closed_fraction=closed(before, after, low), ci95=ci95, probability=sure)
+        rows.append(row)
     return tuple(rows)
 
 
