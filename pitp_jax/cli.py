@@ -15,6 +15,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from . import __version__
 from ._commands.cache import keep_programs
@@ -23,6 +24,9 @@ from ._commands.each import json_to_standard_output, once_per_joint
 from ._commands.examples import ending
 from ._commands.ours import allow_overwriting
 from ._errors import BadInput, ComputationFailed
+
+if TYPE_CHECKING:
+    from ._commands.amounts import Amount
 
 _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms, .parquet, .mcap, rosbag2) and folders of them"
 _READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
@@ -85,7 +89,7 @@ def _joined(argv: Sequence[str]) -> list[str]:
     """Join negative numbers to their options: argparse takes `-2e-3` for an option."""
     words: list[str] = []
     for word in argv:
-        number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", word)
+        number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?([^\W\d].*)?", word)
         if number and words and words[-1].startswith("--") and "=" not in words[-1]:
             words[-1] += f"={word}"
         else:
@@ -150,6 +154,26 @@ def _positive(text: str) -> float:
     if value is None or value <= 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
     return value
+
+
+def _time_constant(text: str) -> float:
+    return float("inf") if text.strip().lower() == "inf" else _positive(text)
+
+
+def _amount(text: str) -> "Amount":
+    from ._commands.amounts import amount  # with it comes NumPy
+
+    found = amount(text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number, or a number with a unit such as 3kV or 20deg")
+    return found
+
+
+def _limit(text: str) -> "Amount":
+    found = _amount(text)
+    if not found.value > 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not positive")
+    return found
 
 
 def _number(text: str) -> float:
@@ -268,6 +292,19 @@ def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
     _columns(parser, drive=True)
 
 
+def _limit_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "limits", "A voltage is in V and a length in mm, any other quantity in the unit of the model's records; or "
+        "give the unit: 3kV, 20deg.",
+    )  # fmt: skip
+    for names, placeholder, text in (
+        (("--max-voltage", "--max-input"), "U", "default: the largest of the model's recordings"),
+        (("--max-slew", "--max-input-rate"), "U/s", "default: the fastest of the model's recordings"),
+        (("--max-displacement", "--max-output"), "Y", "from the position at zero input, either way"),
+    ):
+        group.add_argument(*names, type=_limit, metavar=placeholder, help=text)
+
+
 def _zero_argument(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
         "--zero", type=_zero, default="rest", metavar="rest|sensor|VALUE",
@@ -280,14 +317,10 @@ def _plan_arguments(parser: argparse.ArgumentParser) -> None:
         "paths", nargs="*", metavar="[MODEL] RECORDS", help="a model, then the records it was fitted on"
     )
     parser.add_argument("--out", required=True, metavar="DIR", help="write drives, a page and plan.json here")
-    parser.add_argument("--max-voltage", type=_positive, metavar="V", help="default: the highest the model has seen")
-    parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest the model has seen")
-    parser.add_argument(
-        "--max-displacement", type=_positive, metavar="MM", help="from 0 V either way, for the membrane"
-    )
+    _limit_arguments(parser)
     parser.add_argument("--band", type=_positive, nargs=2, metavar=("LO", "HI"), help="drive frequencies, Hz")
     parser.add_argument("--duration", type=_positive, metavar="S", help="of drive in all recordings together")
-    parser.add_argument("--rest", type=_positive, default=0.0, metavar="S", help="at 0 V between recordings")
+    parser.add_argument("--rest", type=_positive, default=0.0, metavar="S", help="at zero input between recordings")
     parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of the drives")
     parser.add_argument("--choose-from", metavar="DIR", help="rank these existing recordings instead")
     parser.add_argument("--alternate", action="store_true", help="every second drive negative (bipolar amplifier)")
@@ -347,21 +380,17 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("target", metavar="TARGET", help="file with a time and a displacement")
     parser.add_argument("--out", required=True, metavar="VOLTAGE.csv", help="voltage to write")
-    parser.add_argument("--max-voltage", type=_positive, metavar="V", help="default: the highest trained on")
-    parser.add_argument("--max-slew", type=_positive, metavar="V/s", help="default: the fastest trained on")
-    parser.add_argument(
-        "--max-displacement", type=_positive, metavar="MM", help="from 0 V either way, for the membrane"
-    )
+    _limit_arguments(parser)
     _zero_argument(parser, "target")
     parser.add_argument(
-        "--start-input", type=float, default=0.0, metavar="U", help="V at both ends, which holds it where it stands (0)"
+        "--start-input", type=_amount, metavar="U", help="input at both ends, which holds a machine in place (0)"
     )
     parser.add_argument(
         "--rate", type=_positive, metavar="HZ", help="what the voltage is played at; default: the target's"
     )
-    parser.add_argument("--unit", choices=("V", "kV"), default="V", help="of the voltage written (default V)")
+    parser.add_argument("--unit", metavar="UNIT", help="of the input written (default V, or that of the records)")
     parser.add_argument(
-        "--input-scale", type=_positive, default=1.0, metavar="S", help="amplifier's gain: volts / S are written"
+        "--input-scale", type=_positive, default=1.0, metavar="S", help="amplifier's gain: input / S is written"
     )
     _columns(parser, target=True)
 
@@ -406,9 +435,9 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
     parser.add_argument(
         "--time-constant",
-        type=_positive,
+        type=_time_constant,
         metavar="S",
-        help="of the closed loop of the PI steps in C (default: by the model)",
+        help="of the closed loop of the PI steps in C (default: by the model; inf: no controller)",
     )
     parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
     parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")

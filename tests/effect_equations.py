@@ -62,6 +62,10 @@ def _gent(x, v, s, p, a, t):
     return a[0] * x * (1 / (1 - (p.curvature * x) ** 2) - 1)
 
 
+def _polynomial(x, v, s, p, a, t):
+    return a[0] * (p.c2 * x**2 + p.c3 * x**3 + p.c5 * x**5)
+
+
 def _quadratic(x, v, s, p, a, t):
     """Up to where the slope k (1 - 2 c x) is a tenth of k, and along that slope from there."""
     turn = 0.45 / p.c
@@ -181,6 +185,8 @@ _STILL: dict[str, Any] = {"begin": lambda x, u, p: (0.0,)}
 
 EQUATIONS = {
     "stiffening: cubic": Equation(((0.3,),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.c * x**3),
+    "stiffening: polynomial": Equation(((0.1, 0.2, 0.05), (-0.05, -0.02, -0.004)), {2: 5e-4}, force=_polynomial),
+    "softening: polynomial": Equation(((-0.05, -0.02, -0.004), (0.05, 0.05, 0.01)), {2: 5e-4}, force=_polynomial),
     "stiffening: power": Equation(
         ((0.4, 2.5, 0.9), (0.3, 0.8, 1.1)), {2: 4e-4},
         force=lambda x, v, s, p, a, t: a[0] * p.c * x * abs(x / p.reach) ** p.p,
@@ -207,17 +213,17 @@ EQUATIONS = {
         force=lambda x, v, s, p, a, t: -a[0] * p.d * (1 - np.exp(-max(s[0], abs(x)) / p.length)) * x,
     ),
     "end_stop: above": Equation(
-        ((4.0, 0.6),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.kappa * max(x - p.place, 0)
+        ((4.0, 0.6), (0.3, -0.1)), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * p.kappa * max(x - p.place, 0)
     ),
     "end_stop: below": Equation(
-        ((4.0, 0.3),), {2: 1e-3}, force=lambda x, v, s, p, a, t: -a[0] * p.kappa * max(-x - p.place, 0)
+        ((4.0, 0.3), (4.0, -0.1)), {2: 1e-3}, force=lambda x, v, s, p, a, t: -a[0] * p.kappa * max(-x - p.place, 0)
     ),
     "end_stop: both sides": Equation(
         ((4.0, 0.35),), {2: 2e-3},
         force=lambda x, v, s, p, a, t: a[0] * p.kappa * (max(x - p.place, 0) - max(-x - p.place, 0)),
     ),
     "end_stop: each side": Equation(
-        ((4.0, 0.5, 0.3),), {2: 2e-3},
+        ((4.0, 0.5, -0.1), (4.0, -0.1, 0.3)), {2: 2e-3},
         force=lambda x, v, s, p, a, t: a[0] * p.kappa * (max(x - p.place, 0) - max(-x - p.opposite, 0)),
     ),
     "end_stop: above, damped": Equation(

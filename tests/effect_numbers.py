@@ -4,6 +4,8 @@ NUMBERS = {
     "stiffening: cubic": (0.05008,),
     "stiffening: power": (0.3, 1.5, 1.998),
     "stiffening: limited chain": (0.2502,),
+    "stiffening: polynomial": (0.03, 0.03, 0.001),
+    "softening: polynomial": (-0.03, -0.01, 0.0003),
     "softening: quadratic": (0.05004,),
     "softening: saturating": (0.3002,),
     "softening: exponential": (0.2502,),

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax._diagnose.data import build_case
-from pitp_jax._diagnose.simulator import INDEX
+from pitp_jax._diagnose.library import INDEX
 from pitp_jax._invert.equation import invert_path
 from pitp_jax._model.domain import Domain
 from pitp_jax._model.encoder import CompactEncoder
@@ -89,7 +89,7 @@ def candidates(model, volts, mesh):
     for devices in ((), tuple(mesh.local_devices)):
         case = build_case(model, records, devices)
         slots = np.tile(case.nominal, (70, 1))
-        slots[:, INDEX["k3"]] = 0.02 * np.arange(70)
+        slots[:, INDEX["stiffening: cubic, c"]] = 0.02 * np.arange(70)
         runs.append(np.stack(case.simulator.run(slots, places, case.starts[places])))
     return error(runs[1], runs[0])
 

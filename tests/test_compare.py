@@ -1,8 +1,11 @@
 """Comparisons: two of a kind, and known differences between them."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -10,6 +13,10 @@ from scipy.signal import lsim
 import pitp_jax as pitp
 from pitp_jax._compare import pair_records
 from pitp_jax._demo import joint
+from pitp_jax._model.encoder import CompactEncoder
+from pitp_jax._model.fitted import Fitted
+from pitp_jax._model.origin import Origin
+from pitp_jax._report.numbers import number
 
 A = np.array([1.0, 0.05, 1 / 400.0])  # rad s^i / rad: a joint of 3.2 Hz and damping ratio 0.5
 
@@ -183,6 +190,63 @@ def test_models_of_two_machines_differ_by_what_was_changed():
     assert "inertia (a2)" in repr(found)
     alike = [pitp.identify(machine(noise=n), order=2, input_map="linear") for n in (1e-5, 2e-5)]
     assert not any(r.differs for r in pitp.compare(*alike).rows if "(a" in r.what)
+
+
+def _model(linear, bounded, factors=(1.0, 1.0, 1.0), encoder=None):
+    """A model of order 2 with its own error of 0.3 % on one record, coefficients times `factors`."""
+    model = bounded(linear(2), high=2000.0)
+    coefficients = model.coefficients * np.asarray(factors, np.float32)
+    changed = replace(model, coefficients=coefficients, **({} if encoder is None else {"encoder": encoder}))
+    return Fitted(changed, Origin(training={"errors": {"sine": [1.0, 0.3]}}))
+
+
+def test_responses_of_linear_models_are_those_of_the_closed_form(linear, bounded):
+    """x = U^2 / a0, dF/dx = a0, w = sqrt(a0 / a2), zeta = a1 / (2 sqrt(a0 a2)); 1.3 times as stiff is seen in each."""
+    one, two = _model(linear, bounded), _model(linear, bounded, (1.3, 1.0, 1.0))
+    found = {r.what: r for r in pitp.compare(one, two).rows}
+    for side, model in (("a", one), ("b", two)):
+        a0, a1, a2 = model.physical_coefficients
+        for level in (500.0, 1200.0, 1900.0):
+            at = f"at {number(level)} V"
+            expected = {
+                f"settled displacement {at}": level**2 / a0, f"stiffness dF/dx {at}": a0,
+                f"resonance {at}": np.sqrt(a0 / a2) / 2 / np.pi, f"damping ratio {at}": a1 / 2 / np.sqrt(a0 * a2),
+            }  # fmt: skip
+            for what, value in expected.items():
+                assert getattr(found[what], side) == pytest.approx(value, rel=2e-3), what
+    same = [
+        what for what, r in found.items() if what.startswith(("stiffness dF", "resonance", "free")) and not r.differs
+    ]
+    assert not same
+
+
+@pytest.mark.slow
+def test_a_trained_model_is_compared_by_what_it_does(linear, bounded):
+    """The same network on a spring 1.3 times as stiff differs; on one 1.0005 times as stiff it does not."""
+    encoder = CompactEncoder(2, 0, width=4, key=jax.random.key(3))
+    encoder = jax.tree.map(lambda leaf: leaf + 0.1, encoder, is_leaf=eqx.is_inexact_array)
+    one = _model(linear, bounded, encoder=encoder)
+    stiffer = pitp.compare(one, _model(linear, bounded, (1.3, 1.0, 1.0), encoder))
+    rows: dict[str, Any] = {r.what: r for r in stiffer.rows}
+    soft = rows["stiffness dF/dx at 500 V"]  # where the network has hardly moved on
+    assert soft.differs and 1.2 < soft.b / soft.a < 1.35
+    assert "differ by no more" not in stiffer.headline() and rows["input seen"].differs is False
+    same = pitp.compare(one, _model(linear, bounded, (1.0005, 1.0, 1.0), encoder))
+    assert not same.different and "differ by no more" in same.headline()
+
+
+def test_factors_of_adapt_and_parts_of_diagnoses_are_compared(linear, bounded):
+    one = _model(linear, bounded)
+    entry = {"changed": {"stiffness": {"factor": 1.3, "ci95": [1.287, 1.313]}}}
+    two = Fitted(one.model, replace(one.origin, adapted=(entry,)))
+    (row,) = [r for r in pitp.compare(one, two).rows if "adapt" in r.what]
+    assert (row.a, row.b, row.differs) == (1.0, 1.3, True) and row.ci95 == pytest.approx((0.287, 0.313))
+    parts = [
+        [{"effect": "delay", "form": "pure", "parameters": {"time": {"value": v, "unit": "s", "ci95": [v - 1, v + 1]}}}]
+        for v in (5.0, 8.0)
+    ]
+    found = pitp.compare(*(_diagnosis(15.0, 0.2) | {"parts": p, "handed_back": ["delay"]} for p in parts))
+    assert [r.what for r in found.different] == ["delay (pure): time"]
 
 
 def _diagnosis(value, stderr, verdict="explained"):

@@ -13,10 +13,11 @@ from pitp_jax._diagnose import fit
 from pitp_jax._diagnose.data import build_case, excitations
 from pitp_jax._diagnose.evidence import probability
 from pitp_jax._diagnose.fit import Fit, Fitter
-from pitp_jax._diagnose.library import sections
+from pitp_jax._diagnose.library import INDEX, PLACES, sections
 from pitp_jax._diagnose.search import Search
-from pitp_jax._diagnose.simulator import INDEX
 from pitp_jax._effects import lookup
+
+GENT = "stiffening: limited chain, curvature"
 
 
 def effect(name, form, *values):
@@ -37,9 +38,9 @@ def stiff(nominal):
 
 def test_a_fit_finds_the_number_that_was_planted(stiff):
     slots = stiff.nominal.copy()
-    slots[INDEX["gent"]] = 0.4
-    (found,) = Fitter(stiff).fit([Fit(("spring",), ("gent",), slots, stiff.starts.copy())], 15)
-    assert found.value("gent") == pytest.approx(0.25, rel=1e-2)  # another integrator at 50 steps a period
+    slots[INDEX[GENT]] = 0.4
+    (found,) = Fitter(stiff).fit([Fit(("spring",), (GENT,), slots, stiff.starts.copy())], 15)
+    assert found.value(GENT) == pytest.approx(0.25, rel=1e-2)  # another integrator at 50 steps a period
     rms = [np.sqrt(np.nanmean(r**2)) for r in found.residuals]
     assert max(rms) < 3 * max(s.noise for s in stiff.series) + 1e-3
 
@@ -48,8 +49,8 @@ def test_a_fit_finds_the_number_that_was_planted(stiff):
 def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
     """Residuals without a record are those of a fit to the others alone."""
     fitter, slots = Fitter(stiff), stiff.nominal.copy()
-    slots[INDEX["gent"]] = 0.3
-    start = Fit(("spring",), ("gent", "a0"), slots, stiff.starts.copy())
+    slots[INDEX[GENT]] = 0.3
+    start = Fit(("spring",), (GENT, "a0"), slots, stiff.starts.copy())
     (whole,) = fitter.fit([start.again()], 15)
     (rows,) = fitter.refitted_without([whole], 6)
     (alone,) = fitter.fit([start.again(fold=0)], 15)
@@ -61,8 +62,8 @@ def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
 def test_simulations_are_counted_and_blocks_of_them_change_nothing(stiff, monkeypatch):
     """Three fits of two numbers: one run of every record each, then three more for the slopes."""
     slots = stiff.nominal.copy()
-    slots[INDEX["gent"]] = 0.3
-    start = Fit(("spring",), ("gent", "a0"), slots, stiff.starts.copy())
+    slots[INDEX[GENT]] = 0.3
+    start = Fit(("spring",), (GENT, "a0"), slots, stiff.starts.copy())
 
     def fitted():
         fitter = Fitter(stiff)
@@ -84,11 +85,11 @@ def test_simulations_are_counted_and_blocks_of_them_change_nothing(stiff, monkey
 
 def test_a_number_does_not_fall_below_its_lowest(stiff):
     slots = stiff.nominal.copy()
-    slots[INDEX["gent"]] = 0.5
+    slots[INDEX[GENT]] = 0.5
     fitter = Fitter(stiff)
-    fitter.lowest = {"gent": 0.4}  # 0.25 was planted
-    (found,) = fitter.fit([Fit(("spring",), ("gent",), slots, stiff.starts.copy())], 15)
-    assert found.value("gent") == pytest.approx(0.4)
+    fitter.lowest = {GENT: 0.4}  # 0.25 was planted
+    (found,) = fitter.fit([Fit(("spring",), (GENT,), slots, stiff.starts.copy())], 15)
+    assert found.value(GENT) == pytest.approx(0.4)
 
 
 def test_a_refused_step_does_not_leave_a_fold_where_it_has_seen_what_it_is_judged_on(stiff, monkeypatch):
@@ -257,7 +258,7 @@ def test_what_a_session_has_stretched_stays_stretched(nominal):
     records = play(nominal, noise=0.0)[:2]
     case = build_case(nominal, records)
     slots = case.nominal.copy()
-    slots[INDEX["mullins"]], slots[INDEX["mullins_length"]] = 0.3, 0.5
+    slots[PLACES[lookup("mullins", "exponential")]] = 0.3, 0.5
     mine = case.simulator.run(np.tile(slots, (2, 1)), [0, 1], case.starts)[1]
     truth = pitp.predict(softened, records)[1].displacement / nominal.scales.state[0]
     fresh = pitp.predict(softened, records[1:])[0].displacement / nominal.scales.state[0]

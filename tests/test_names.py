@@ -10,10 +10,10 @@ from pitp_jax._diagnose import verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit
-from pitp_jax._diagnose.library import Scale, _no_faster, forms, named
+from pitp_jax._diagnose.library import NAMES, OFF, PLACES, Scale, _no_faster, forms, named
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
-from pitp_jax._diagnose.simulator import INDEX, OFF
 from pitp_jax._diagnose.verdict import decide
+from pitp_jax._effects import lookup
 
 SCALE = Scale(
     tau=0.02, dt=1e-3, duration=10.0, session=0.0, reach=1.0, top=1.0, bottom=-1.0, speed=1.0, acceleration=1.0,
@@ -22,51 +22,52 @@ SCALE = Scale(
 RECORDS, SAMPLES = 6, 400
 
 
-def slots(**values):
+def slots(*rows):
+    """A core of unit stiffness, and rows (name, form, numbers) beside it."""
     found = OFF.copy()
-    for name, value in values.items():
-        found[INDEX[name]] = value
+    found[0] = 1.0
+    for name, form, *numbers in rows:
+        found[PLACES[lookup(name, form)]] = numbers
     return found
 
 
 @pytest.mark.parametrize(
-    ("name", "numbers", "catalogue"),
+    ("name", "row", "catalogue"),
     [
-        # a loop that is run through at once is dry friction; a wide one, or one that takes stiffness, is hysteresis
-        ("hysteresis", {"bouc": 0.3, "yield": 0.04}, "coulomb_friction"),
-        ("hysteresis", {"bouc": 0.3, "yield": 0.06}, "hysteresis"),
-        ("hysteresis", {"bouc": -0.3, "yield": 0.04}, "hysteresis"),
+        # a loop that is run through at once is dry friction; a wide one is hysteresis
+        ("hysteresis", ("hysteresis", "Dahl", 0.3, 0.04), "coulomb_friction"),
+        ("hysteresis", ("hysteresis", "Dahl", 0.3, 0.06), "hysteresis"),
         # in the drive it is the level at which the loop ends
-        ("hysteresis", {"drive_bouc": 0.3, "drive_yield": 4.0}, "voltage_offset"),
-        ("hysteresis", {"drive_bouc": 0.3, "drive_yield": 6.0}, "hysteresis"),
-        ("charge", {"charge": -0.1}, "charge_leak"),
-        ("charge", {"charge": 0.1}, "charge_retention"),
+        ("hysteresis", ("hysteresis", "Dahl of the command's integral", 0.3, 4.0), "voltage_offset"),
+        ("hysteresis", ("hysteresis", "Dahl of the command's integral", 0.3, 6.0), "hysteresis"),
+        ("charge", ("charge_leak", "one trap", 0.1, 1.0), "charge_leak"),
+        ("charge", ("charge_retention", "one store", 0.1, 1.0), "charge_retention"),
         # sign of the tangent's change from the middle of the motion to its ends
-        ("spring", {"k3": 0.2}, "stiffening"),
-        ("spring", {"k3": -0.2}, "softening"),
-        ("spring", {"gent": 0.5}, "stiffening"),
-        ("spring", {"sine": 0.9}, "softening"),
-        ("delay", {"delay": 0.01}, "delay"),
+        ("spring", ("stiffening", "polynomial", 0.0, 0.2, 0.0), "stiffening"),
+        ("spring", ("stiffening", "polynomial", 0.0, -0.2, 0.0), "softening"),
+        ("spring", ("stiffening", "limited chain", 0.5), "stiffening"),
+        ("spring", ("softening", "gravity", 0.9), "softening"),
+        ("delay", ("delay", "pure", 0.01), "delay"),
     ],
 )
-def test_signs_and_sizes_decide_the_name(name, numbers, catalogue):
-    assert named(name, slots(**numbers), SCALE) == catalogue
+def test_signs_and_sizes_decide_the_name(name, row, catalogue):
+    assert named(name, slots(row), SCALE) == catalogue
 
 
 @pytest.mark.parametrize("second", [False, True])
 def test_the_slowest_memory_decides_between_relaxation_and_creep(second):
     """At thousands of the plant's own time constants it creeps; a fast branch beside it changes nothing."""
-    fast, slow = {"branch": 0.2, "branch_tau": 0.01}, {"branch": 0.2, "branch_tau": 1e4}
-    assert named("viscoelastic", slots(**fast), SCALE) == "relaxation"
-    beside = {"branch2": 0.1, "branch2_tau": 0.02} if second else {}
-    assert named("viscoelastic", slots(**slow, **beside), SCALE) == "creep"
+    fast, slow = ("creep", "one branch", 0.2, 0.01), ("creep", "one branch", 0.2, 1e4)
+    assert named("viscoelastic", slots(fast), SCALE) == "relaxation"
+    beside = [("relaxation", "one branch", 0.1, 0.02)] if second else []
+    assert named("viscoelastic", slots(slow, *beside), SCALE) == "creep"
 
 
 def hypothesis(names, error, numbers=1, labels=None, seed=0):
     """A set that leaves white noise of one size in every record, the same noise for all sets."""
     rng = np.random.default_rng(seed)
     rows = [error * rng.standard_normal(SAMPLES) for _ in range(RECORDS)]
-    free = ("a0", "a1", "a2", "lag", "s2", "s3")[:numbers]
+    free = NAMES[:numbers]
     fit = Fit(tuple(names), free, OFF.copy(), np.zeros((RECORDS, 2)))
     return Hypothesis(fit, tuple(labels or names), rows, evidence(rows, np.full(RECORDS, 1e-9)))
 
@@ -183,7 +184,10 @@ def test_a_name_does_not_stand_where_a_model_of_each_record_leaves_less(each, ve
 
 
 def test_a_second_mass_hangs_on_a_first():
-    assert all(f.second == ("mode_force" in f.start) for f in forms(SCALE) if f.name == "second_mode")
+    assert {f.specs[0].form: f.second for f in forms(SCALE) if f.name == "second_mode"} == {
+        "hung on": True,
+        "between film and sensor": False,
+    }
 
 
 @pytest.mark.usefixtures("no_reference")

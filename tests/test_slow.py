@@ -171,6 +171,26 @@ def test_a_spring_that_is_off_shows_beside_a_mean_that_is_not(nominal, records):
         np.testing.assert_allclose(more[w], expected, rtol=2e-2, atol=1e-5)
 
 
+@pytest.mark.parametrize("seconds", [1.5, 4, 8, 15, 30, 60, 240])
+@pytest.mark.parametrize("rate_hz", [50, 500])
+def test_a_long_record_of_any_length_and_rate_is_balanced(nominal, seconds, rate_hz):
+    """A spring that is 1 % too stiff leaves 0.01 mean x in each window, however few samples are kept."""
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    fine = np.arange(round(seconds / DT)) * DT
+    voltage = np.interp(t, fine, 500 * (1 - np.cos(2 * np.pi * 0.25 * fine)))
+    slow = Record("slow", t, voltage, 1e-3 * np.interp(t, fine, creeping(np.interp(fine, t, voltage))))
+    model = replace(nominal.model, domain=replace(nominal.model.domain, dt=1 / rate_hz))
+    balance = creep_balance.slow_balance(model, some(thinned(slow, voltage**2, True)), [(-1e6, 1e6)] * 3)
+    if balance is None:  # too few windows: allowed for one period of the drive
+        assert seconds <= 4
+        return
+    stiffer = replace(model, coefficients=model.coefficients * jnp.asarray([1.01, 1.0, 1.0], jnp.float32))
+    more = creep_balance._moments(stiffer, balance.series) - creep_balance._moments(model, balance.series)
+    mean_x = jnp.einsum("wt,wt->w", balance.series.weight[:, 0], balance.series.states[..., 0])
+    expected = 0.01 * float(model.coefficients[0]) * np.asarray(mean_x)
+    np.testing.assert_allclose(np.asarray(more)[:, 0], expected, rtol=2e-2, atol=2e-5)
+
+
 def test_what_training_covers_counts_and_nothing_else(nominal, records):
     """The sweep meets the resonance, which the two slowest records do not."""
     data = build_dataset(nominal.model, records[:2], scaling="rms", difference="stencil",

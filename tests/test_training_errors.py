@@ -33,6 +33,22 @@ def test_what_the_sensor_adds_is_no_failure(candidate):
     assert not candidate((5.01, 5.0), (5.0, 5.0)).converged
 
 
+def test_an_added_error_below_the_noise_rejects_nothing(candidate):
+    """Two errors that add as squares: the nominal's, all noise (1 %), and what the trained model adds."""
+    for added, worse in ((0.3, False), (0.98, False), (1.1, True)):
+        found = candidate((np.hypot(1.0, added), 0.2), (1.0, 4.0), (1.0, 0.1))
+        assert found.errors[0].worse == worse == bool(found.rank[0])
+
+
+def test_a_larger_mean_is_rejected_whatever_the_noise(candidate, monkeypatch):
+    found = candidate((1.2, 4.0), (1.0, 4.0), (1.0, 4.0))
+    assert not any(e.worse for e in found.errors) and found.rank[0] == 1
+    monkeypatch.setattr(judging, "errors", lambda *_: np.array([1.0, 4.0]))
+    judged = Judge([], np.array([1.0, 4.0]), np.array([1.0, 4.0]))
+    chosen, problems, fallback = kept(found, judged, lambda m: [m])
+    assert tuple(chosen.trained) == (1.0, 4.0) and fallback is not None and "average" in problems[0]
+
+
 @pytest.mark.parametrize(
     ("between", "expected", "says"),
     [([(1.9, 3.0), (1.8, 3.5), (2.0, 4.0)], (1.9, 3.0), "between"), ([(2.5, 1.0), (2.0, 4.0)], (2.0, 4.0), "itself")],

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax import pi_trim, plant, simulate, stepper
+from pitp_jax import BadInput, pi_trim, plant, simulate, stepper
 from pitp_jax._invert.pi_control import KV_PER_MM
 from pitp_jax._model import SquareInput
 
@@ -169,3 +169,12 @@ def test_the_rate_is_kept():
     feed, wanted = np.concatenate([[0.0], np.full(199, 1000.0)]), np.full(200, 1e-3)
     _, u = run(feed, wanted, p=1e5, i=1e6, max_slew=2e4)
     assert np.abs(np.diff(u)).max() <= 20.0 * (1 + 1e-12)
+
+
+def test_gains_of_an_unstable_loop_are_refused():
+    """x' = POLE x + GAIN (feed - P x): stable for GAIN P < 1 + POLE; with x as it stands at the sample's start."""
+    limit = (1 + POLE) / GAIN
+    voltage = np.full(50, 100.0)
+    run(voltage, np.full(50, 2e-4), p=0.98 * limit, i=1.0)
+    with pytest.raises(BadInput, match="unstable"):
+        run(voltage, np.full(50, 2e-4), p=1.02 * limit, i=1.0)

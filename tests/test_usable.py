@@ -9,16 +9,17 @@ from played import SAMPLES, TIME, nominal_of, play
 
 import pitp_jax as pitp
 from pitp_jax._diagnose.data import build_case
+from pitp_jax._diagnose.library import DELAY, INDEX
 from pitp_jax._diagnose.next_experiment import excitations, separate
 from pitp_jax._diagnose.search import PARAMETERS, Search
 from pitp_jax._diagnose.select_records import usable
-from pitp_jax._diagnose.simulator import INDEX
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._errors import BadInput
 from pitp_jax._model.fitted import Fitted
 from pitp_jax._model.origin import Origin
 from pitp_jax._record.excitation_kind import kind
 
+DRAG = "drag: quadratic, c"
 OTHERS = sorted({c.name for c in CATALOGUE} - {"drag"})
 
 
@@ -84,7 +85,7 @@ def test_the_next_experiment_moves_no_further_than_what_was_played(nominal):
     case = build_case(nominal, play(nominal, noise=0.0))
     search = Search(case, False)
     slots = case.nominal.copy()
-    slots[INDEX["rc"]] = 0.02
+    slots[INDEX["electrode_rc: one lag, tau"]] = 0.02
     lagging = replace(search.given, fit=search.given.fit.again(slots=slots))
     found = separate(case, search.scale, search.given, lagging, ("a", "b"))
     assert found is not None and found.difference > 1
@@ -98,14 +99,14 @@ def test_a_set_without_moved_numbers_moves_none_and_a_holds_delay_is_none(nomina
     """A set kept them free and was as good without `parameters`: a second mode was said where 98 % were parameters."""
     case = build_case(nominal, play(nominal, noise=0.0))
     slots = case.nominal.copy()
-    slots[INDEX["delay"]] = 0.5 * case.dt
+    slots[INDEX[DELAY]] = 0.5 * case.dt
     search = Search(replace(case, nominal=slots), False)
-    assert "delay" in search.core and search.linear.fit.free == search.movable == ("a0", "a1", "a2")
-    assert search.linear.fit.value("delay") == 0.5 * case.dt
-    fit = search.linear.fit.again(names=(PARAMETERS, "drag"), free=("a0", "a1", "a2", "drag"), unit=np.zeros(0))
-    fit.slots[INDEX["drag"]] = 1e-3
+    assert DELAY in search.core and search.linear.fit.free == search.movable == ("a0", "a1", "a2")
+    assert search.linear.fit.value(DELAY) == 0.5 * case.dt
+    fit = search.linear.fit.again(names=(PARAMETERS, "drag"), free=("a0", "a1", "a2", DRAG), unit=np.zeros(0))
+    fit.slots[INDEX[DRAG]] = 1e-3
     search._again(replace(search.linear, fit=replace(fit, unit=np.ones(4))), frozenset(["drag"]))
-    assert search.every[frozenset(["drag"])].fit.free == ("drag",)
+    assert search.every[frozenset(["drag"])].fit.free == (DRAG,)
 
 
 def test_a_rig_of_negative_voltage_is_inverted(nominal):

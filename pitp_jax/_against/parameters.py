@@ -23,6 +23,7 @@ from .._effects.effect import Effect
 from .._effects.physical import physical
 from .._model.fitted import Fitted
 from .._model.model import Model
+from .._model.units import base_units, units_of
 from .._record.record import Record
 from .._table.units import base_unit
 
@@ -228,7 +229,8 @@ def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number
 
 def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) -> Iterator[tuple[str, _Number]]:
     """What one effect adds to a side, as numbers that a simulator has where there are such."""
-    told = {p.name: physical(model, p, float(v)) for p, v in effect.numbers()}
+    base = base_units(units_of(model))  # a simulator's units
+    told = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
     errors = {name: (fitted.get(name) or {}).get("stderr") for name in told}
     a, causes = of.factor * model.physical_coefficients, frozenset([effect.name])
 

@@ -11,6 +11,7 @@ from .._report import html
 from .._report.html import tag
 from .._report.lines import DRIVE, MEASURED, PREDICTED, finish, line, own_axes, volts
 from .._report.numbers import figure, shown_unit, with_error
+from .._table.quantity import Quantity, Units
 from .._table.units import from_base
 from .check import Check, CheckedRecord
 
@@ -72,13 +73,13 @@ def _coverage(check: Check) -> list[str]:
     c = check.coverage
     if c is None:
         return []
-    ax = own_axes(None, 1, (5.6, 2.8))[0]
+    ax, drive = own_axes(None, 1, (5.6, 2.8))[0], Units(Quantity(c.unit)).input
     for low, high in c.gaps:
         ax.axvspan(low, high, 0.5, 1.0, color="#e69f00", alpha=0.35, lw=0)
-    ax.scatter(c.points[:, 0], c.points[:, 1], s=6, color=PREDICTED, lw=0)
+    ax.scatter(c.points[:, 0], drive.shown(c.points[:, 1]), s=6, color=PREDICTED, lw=0)
     ax.axvline(c.resonance, color="#000000", lw=0.8, ls="--")
-    ax.set(xscale="log", ylim=(0, 1.05 * c.largest))
-    finish(np.array([ax]), "frequency of the force (Hz)", ["amplitude of the drive (V)"])
+    ax.set(xscale="log", ylim=(0, 1.05 * drive.shown(c.largest)))
+    finish(np.array([ax]), "frequency of the force (Hz)", [f"amplitude of the input ({shown_unit(drive.unit)})"])
     caption = "What was excited, window by window; dashed: the resonance; shaded: nothing above half the amplitude."
     return [tag("h2", "Coverage"), f'<div class="figures">{_picture("coverage", ax.figure, caption)}</div>']
 

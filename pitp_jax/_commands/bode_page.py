@@ -8,11 +8,13 @@ from matplotlib.figure import Figure
 
 from .._identify.identification import Identification
 from .._identify.order_fit import OrderFit
+from .._model.units import units_of
 from .._report import html
+from .._report.description import sensor_line
 from .._report.html import tag
 from .._report.lines import CYCLE, MEASURED, finish, own_axes
-from .._report.numbers import figure, with_error
-from .._table.units import base_unit
+from .._report.numbers import figure, shown_unit, with_error
+from .._table.quantity import grouped
 
 
 def bode_page(fits: Identification, name: str) -> str:
@@ -27,7 +29,7 @@ def bode_page(fits: Identification, name: str) -> str:
             "soft",
         ),
         tag("h1", f"Order {chosen.order}, {kind}{delay}"),
-        *[tag("p", remark, "lead") for remark in (_why(fits), *fits.remarks)],
+        *[tag("p", remark, "lead") for remark in (_why(fits), sensor_line(fits.model), *fits.remarks)],
         '<div class="figures">',
         html.picture("bode", _bode(fits), "Grey: measured, with two standard errors; lines: the models compared."),
         html.picture("coherence", _coherence(fits), "How much of the output the drive explains, linearly."),
@@ -84,8 +86,12 @@ def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
 
 def _bode(fits: Identification) -> Figure:
     axes = own_axes(None, 2, (5.0, 5.2))
-    seen = fits.response.coherent
-    hz, value, stderr = (v[seen] for v in (fits.response.hz, fits.response.value, fits.response.stderr))
+    seen, units = fits.response.coherent, units_of(fits.model)
+    per_unit = units.force_factor / units.si.factor  # the response is in base units
+    hz, value, stderr = (
+        fits.response.hz[seen],
+        *(per_unit * v[seen] for v in (fits.response.value, fits.response.stderr)),
+    )
     if len(hz):
         grid = np.geomspace(hz.min(), hz.max(), 300)
         size = np.abs(value)
@@ -95,13 +101,11 @@ def _bode(fits: Identification) -> Figure:
         axes[0].loglog(hz, size, ".", ms=3, color=MEASURED, label="measured")
         axes[1].semilogx(hz, np.unwrap(np.angle(value)) * 180 / np.pi, ".", ms=3, color=MEASURED)
         for fit, color in zip(fits.orders, CYCLE, strict=False):
-            model = response_of(fit, grid)
+            model = per_unit * response_of(fit, grid)
             width = 1.8 if fit is fits.chosen else 0.8
             axes[0].loglog(grid, np.abs(model), color=color, lw=width, label=f"order {fit.order}")
             axes[1].semilogx(grid, np.unwrap(np.angle(model)) * 180 / np.pi, color=color, lw=width)
-    known = fits.model.origin
-    drive = base_unit(known.voltage_unit) + ("²" if fits.model.input_map.one_sided else "")
-    unit = f"{base_unit(known.displacement_unit)}/{drive}"
+    unit = f"{units.si.unit}/{grouped(shown_unit(units.force))}"
     finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"], 2)
     return axes[0].figure  # pyright: ignore[reportReturnType]
 

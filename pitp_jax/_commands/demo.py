@@ -6,6 +6,7 @@ from pathlib import Path
 from .._demo import files, joint
 from .._demo.protocol import run, tables
 from .._errors import BadInput
+from .._report.description import fallback_line
 from .console import ProgressBar, number, print_table, say
 from .outputs import check_outputs, staged
 
@@ -29,8 +30,12 @@ def demo(plant, out, quick, json_file=None) -> None:
     _check_recordings(Path(out), files.recordings(plant, quick))
     played = run(plant, quick=quick, say=say, progress=ProgressBar().update)
     made = tables(played)
-    with staged(folder=out, json_file=json_file, value={"tables": [asdict(table) for table in made]}) as stage:
+    fallback = fallback_line(played.training.notes)
+    value = {"tables": [asdict(table) for table in made], "fallback": fallback}
+    with staged(folder=out, json_file=json_file, value=value) as stage:
         files.write(played, stage)
+    if fallback:
+        print(f'{fallback} The column "this model" is of that model.\n')
     for table in made:
         print(table.title)
         rows = [[cell if isinstance(cell, str) else number(cell, 3) for cell in row] for row in table.rows]

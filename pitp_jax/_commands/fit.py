@@ -12,7 +12,7 @@ from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
 from .._record.record import Record
 from .._record.writing import write_text_atomic
-from .._report.description import describe, in_words
+from .._report.description import describe, fallback_line, in_words, sensor_line
 from .._simulate.prediction import predict
 from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.settings import preset_of
@@ -71,7 +71,10 @@ def fit(
         raise KeyboardInterrupt(f"the best complete model is in {out}")
     summary = describe(done.model)
     seconds, names = number(done.notes.get("seconds"), 3), done.notes.get("records", [r.name for r in read_in])
+    if line := fallback_line(done.notes):
+        print(line)
     print(f"trained a model of order {summary['order']} on {listed(names)} in {seconds} s")
+    print(sensor_line(done.model))
     for line in done.notes.get("left_out", ()):
         print(line)
     print_history(done.history)

@@ -20,6 +20,7 @@ from .._model.model import Model
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
 from .._report import html
+from .._report.description import fallback_line
 from .._report.html import tag
 from .._report.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, line, over, own_axes
 from .._report.numbers import figure, shown_unit, with_error
@@ -56,6 +57,7 @@ def fit_page(
     parts = [
         tag("p", f"Free runs of {name} beside {len(records)} recordings", "soft"),
         tag("h1", title),
+        *([tag("p", line)] if (line := fallback_line(model.origin.training)) else []),
         f'<div class="cards">{"".join(_cards(model, records, predictions, scores))}</div>',
         '<div class="figures">',
         html.picture("map", _map(records, errors), "Error by the drive's strongest frequency and by the stroke."),

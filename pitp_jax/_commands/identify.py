@@ -2,6 +2,7 @@
 
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
+from .._model.units import units_of
 from .._model_file.model_file import save
 from .._record.writing import write_text_atomic
 from .._report.description import describe
@@ -55,12 +56,12 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
             write_text_atomic(stage / REPORT, bode_page(identified, out))
     unit = read_in[0].displacement_unit
     print_orders(identified, unit)
-    print_model(summary)
+    print_model(identified.model, summary)
     if identified.chosen.delay:
         print(
             f"delay: {number(1e3 * identified.chosen.delay, 3)} +- {number(1e3 * identified.chosen.delay_stderr, 2)} ms"
         )
-    print_beginnings(identified.beginnings, unit)
+    print_beginnings(identified.beginnings, units_of(identified.model))
     for remark in identified.remarks:
         print(remark)
     if scores:

@@ -23,9 +23,10 @@ def info(model, others, json_file) -> None:
     if others:
         raise BadInput(f"info describes one model; to see what differs: pitp compare {model} {others[0]}")
     check_outputs(json_file, inputs=[model])
-    summary = traced(load(model))
+    loaded = load(model)
+    summary = traced(loaded)
     write_json(json_file, summary)
-    print_model(summary)
+    print_model(loaded, summary)
     print_lineage(summary)
 
 

@@ -5,15 +5,18 @@ import numpy as np
 from .._errors import BadInput
 from .._invert.feedforward_plan import Feedforward, feedforward
 from .._invert.playback import at_faster_rate, at_slower_rate
+from .._model.coordinate import Zero
+from .._model.units import units_of
 from .._model_file.model_file import load
 from .._record.reading import read_target
 from .._record.writing import write_csv
-from .._table.units import from_base, to_base
+from .._table.quantity import Quantity, Units
+from .._table.units import column_name, from_base, kind_of, spelt, to_base, units_of_kind
+from .amounts import in_base
 from .compatibility import check_kind
 from .console import number, say
 from .outputs import check_outputs, staged
 
-_UNITS = {"V": 1.0, "kV": 1e-3}
 _ROUNDING = 0.01  # % of range: what a rollout in single precision and a plan by the same model agree to
 
 
@@ -27,14 +30,13 @@ def invert(
         model: model file.
         target: file with the wanted trajectory.
         out: CSV to write; its clock starts at 0.
-        max_voltage: limit in V, or None for what the model was trained on.
-        max_slew: limit in V/s, or None for what the model was trained on.
-        max_displacement: limit in mm from the displacement at 0 V, or None.
+        max_voltage, max_slew: limits of the input (`Amount`), or None for those of the model's recordings.
+        max_displacement: limit from the position at 0 V, or None.
         zero: "rest", "sensor", or what the target is at 0 V, in its own unit.
-        start_input: V at the first and last sample.
-        rate: at which the voltage is played, Hz, or None for the target's.
-        unit: of the voltage written, V or kV.
-        input_scale: what the amplifier makes of one unit played; the voltage is divided by it.
+        start_input: at the first and last sample, or None for 0.
+        rate: at which the input is played, Hz, or None for the target's.
+        unit: of the input written, or None for V or that of the model's records.
+        input_scale: what the amplifier makes of one unit played; the input is divided by it.
         json_file: where to write the counts for machines, or None.
         reading: keyword arguments of `pitp.read_target`: columns, units, scale.
 
@@ -45,13 +47,17 @@ def invert(
     loaded = load(model)
     wanted = read_target(target, **reading)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
-    length = wanted.displacement_unit
-    zero = zero if isinstance(zero, str) else float(to_base(zero, length))
-    limits = {"max_voltage": max_voltage, "max_slew": max_slew, "zero": zero, "start_input": start_input}
+    units, length = units_of(loaded), wanted.displacement_unit
+    played = _unit_to_write(unit, units)
+    at_rest: Zero = zero if zero in ("rest", "sensor") else float(to_base(zero, length))
+    limits = {
+        "max_voltage": in_base(max_voltage, units.max_input, units.input),
+        "max_slew": in_base(max_slew, units.max_rate, units.input, rate=True),
+        "zero": at_rest,
+        "start_input": in_base(start_input, "--start-input", units.input) or 0.0,
+    }
     if max_displacement is not None:
-        if wanted.displacement_unit in ("V", "mV"):
-            raise BadInput(f"{target}: --max-displacement is in mm, and this output is in {wanted.displacement_unit}")
-        limits["max_displacement"] = 1e-3 * max_displacement
+        limits["max_displacement"] = in_base(max_displacement, units.max_output, units.limit)
     planned = at_faster_rate(feedforward(loaded, at_slower_rate(wanted, rate), **limits), rate)
     for warning in planned.warnings:
         say(f"warning: {' '.join(warning.split())}")
@@ -66,28 +72,44 @@ def invert(
     }
     columns = {
         "time_s": planned.time - planned.time[0],
-        f"voltage_{unit}": planned.voltage * (_UNITS[unit] / input_scale),
-        f"target_{length}": from_base(planned.wanted, length),
+        column_name("voltage", played.unit): played.shown(planned.voltage) / input_scale,
+        f"target_{length.replace(' ', '')}": from_base(planned.wanted, length),
         "infeasible": planned.infeasible,
         "saturated": planned.saturated,
     }
     with staged(file=out, json_file=json_file, value=result) as stage:
         write_csv(stage, columns)
-    _summarise(planned, out, input_scale)
+    _summarise(planned, out, played, input_scale)
+    if planned.limits:
+        print(f"limits: {planned.limits}")
 
 
-def _summarise(planned: Feedforward, out: str, input_scale: float) -> None:
-    low, high = float(planned.voltage.min()), float(planned.voltage.max())
+def _unit_to_write(unit: str | None, units: Units) -> Quantity:
+    """Return the input in the unit that is asked for.
+
+    Raises:
+        BadInput: a unit of another kind.
+    """
+    if unit is None:
+        return units.input
+    known = spelt(unit)
+    if known is None or kind_of(known) != kind_of(units.input.unit):
+        raise BadInput(f"--unit {unit}: the input of this model is in {', '.join(units_of_kind(units.input.unit))}")
+    return Quantity(known)
+
+
+def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: float) -> None:
+    values = played.shown(planned.voltage)
+    largest = number(float(values[np.argmax(np.abs(values))]))
     scaled = "" if input_scale == 1 else f" (divided by {number(input_scale)} in the file)"
-    print(f"{len(planned.time)} samples of voltage, {number(low)} to {number(high)} V{scaled}, in {out}")
+    print(f"largest input {largest} {played.unit}{scaled}: {len(values)} samples in {out}")
     own = float(planned.time[np.argmax(planned.target)])
     print(f"its clock starts at 0; the target begins at {own - planned.time[0]:.6g} s there, at {own:.6g} s of its own")
     print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
-    if (
-        planned.self_check_e_rms_percent >= _ROUNDING
-    ):  # below, it says that the inversion inverts, not how far it tracks
+    # a smaller error only shows that the inversion inverts, not how well the rig will track
+    if planned.self_check_e_rms_percent >= _ROUNDING:
         print(
-            f"self-check (the model's own rollout, not a prediction of tracking): e_rms "
-            f"{number(float(planned.self_check_e_rms_percent), 3)} %, by eq. 13 cut at the limits "
-            f"{number(float(planned.equation_e_rms_percent), 3)} %"
+            f"self-check (the model's own rollout, not a prediction of tracking): error "
+            f"{number(float(planned.self_check_e_rms_percent), 3)} % of range (e_rms); simply clipping the input "
+            f"would give {number(float(planned.equation_e_rms_percent), 3)} %"
         )

@@ -4,12 +4,16 @@ from pathlib import Path
 
 import numpy as np
 
+from .._model.units import units_of
 from .._model_file.model_file import load
 from .._plan.page import headline, page
 from .._plan.planning import REACHED, Plan
 from .._plan.planning import plan as make_plan
 from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
+from .._table.quantity import Quantity, Units
+from .._table.units import column_name, spelt
+from .amounts import Amount, in_base
 from .compatibility import check_belongs
 from .console import number, print_table
 from .outputs import check_outputs, staged, write_json
@@ -18,18 +22,21 @@ from .recordings import is_square, read_records
 PAGE, JSON = "plan.html", "plan.json"
 
 
-def plan(paths, out, choose_from, max_displacement, band, reading, json_file=None, **limits) -> None:
+def plan(
+    paths, out, choose_from, max_voltage, max_slew, max_displacement, band, reading, json_file=None, **more
+) -> None:
     """Plan, write the drives, the page and the JSON, and print the order.
 
     Args:
         paths: none, or a model file and the records it was trained on.
         out: folder to write to.
         choose_from: folder of existing recordings to rank instead, or None.
-        max_displacement: limit in mm from the displacement at 0 V, or None.
+        max_voltage, max_slew: limits of the input (`Amount`), or None for those of the model's recordings.
+        max_displacement: limit from the position at zero input, or None.
         band: lowest and highest frequency in Hz, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
         json_file: where to write plan.json once more, or None.
-        limits: max_voltage, max_slew, duration, rest, rate, alternate, seed of `pitp.plan`.
+        more: duration, rest, rate, alternate, seed of `pitp.plan`.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -43,32 +50,47 @@ def plan(paths, out, choose_from, max_displacement, band, reading, json_file=Non
     for taken in (read_in, others):
         if taken and model is not None:
             check_belongs(model, str(given), taken)
+    units = _first_units(max_voltage, max_displacement) if model is None else units_of(model)
     planned = make_plan(
-        model, read_in, choose_from=others, band=band and tuple(band),
-        max_displacement=None if max_displacement is None else 1e-3 * max_displacement, **limits,
+        model, read_in, choose_from=others, band=band and tuple(band), units=units, **more,
+        max_voltage=in_base(max_voltage, units.max_input, units.input),
+        max_slew=in_base(max_slew, units.max_rate, units.input, rate=True),
+        max_displacement=in_base(max_displacement, units.max_output, units.limit),
     )  # fmt: skip
     files = [f"{r.name.replace('/', '_')}.csv" for r in planned.recordings]
     check_outputs(json_file, folder=out, names=[PAGE, JSON, *files], inputs=[*paths, choose_from])
     summary = planned.as_json() | {"files": files}
     with staged(folder=out, json_file=json_file, value=summary) as stage:
         for file, r in zip(files, planned.recordings, strict=True):
-            write_csv(stage / file, {"time_s": r.time, "voltage_V": r.voltage})
+            drive = units.input
+            write_csv(stage / file, {"time_s": r.time, column_name("voltage", drive.unit): drive.shown(r.voltage)})
         write_text_atomic(stage / PAGE, page(planned, given or ""))
         write_json(stage / JSON, summary)
     _print(planned, given is not None)
     print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
 
 
+def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:
+    """Return the units of a first session: those of the limits, V and m where they have none."""
+    units = [spelt(given.unit) if given and given.unit else None for given in (largest, farthest)]
+    return Units(Quantity(units[0] or "V"), Quantity(units[1] or "m"))
+
+
 def _print(planned: Plan, modelled: bool) -> None:
+    drive, stroke = planned.limits.units.input, planned.limits.units.limit
     print(headline(planned, modelled))
     rows = [
-        (r.name, number(r.seconds), number(float(np.abs(r.voltage).max())), number(r.slew), number(1e3 * r.stroke, 3),
-         number(1e3 * r.stroke_half_damped, 3), "" if np.isinf(r.go_on) else number(1e3 * r.go_on, 3), r.purpose)
+        (r.name, number(r.seconds), number(float(drive.shown(np.abs(r.voltage).max()))), number(drive.shown(r.slew)),
+         number(stroke.shown(r.stroke), 3), number(stroke.shown(r.stroke_half_damped), 3),
+         "" if np.isinf(r.go_on) else number(stroke.shown(r.go_on), 3), r.purpose)
         for r in planned.recordings
     ]  # fmt: skip
     if rows:
-        strokes = ("stroke (mm)", "with half the damping", "play if the stroke is below")
-        print_table(("recording", "seconds", "max |V|", "max V/s", *strokes, "what it is for"), rows)
+        strokes = (f"stroke ({stroke.unit})", "with half the damping", "play if the stroke is below")
+        print_table(
+            ("recording", "seconds", f"largest ({drive.unit})", f"steepest ({drive.rate})", *strokes, "what it is for"),
+            rows,
+        )
     if any(np.isfinite(r.go_on) for r in planned.recordings):
         print(REACHED)
     for note in planned.notes:

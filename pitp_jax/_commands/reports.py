@@ -2,28 +2,37 @@
 
 import math
 
+from .._model.fitted import Fitted
+from .._model.units import units_of
 from .._record.initial_state import Beginning
-from .._report.description import in_words
+from .._report.description import in_words, sensor_line
+from .._table.quantity import Units
 from .._table.units import from_base
 from .console import number, print_table
 
 
-def print_model(summary: dict) -> None:
-    """The description of a model on standard output."""
+def print_model(model: Fitted, summary: dict) -> None:
+    """Print a model: its `describe` and what its sensor reads."""
+    units = units_of(model)
     print(f"{summary['kind']} model of order {summary['order']}, input map {summary['input_map']}")
+    if summary["fallback"]:
+        print(summary["fallback"])
     for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
+    if summary["kind"] == "trained":
+        print("coefficients and modes of the linear model from which training started:")
     rows = zip(summary["coefficients"], summary["coefficients_stderr"], summary["coefficients_unit"], strict=True)
     table = [(f"a{i}", number(a, 6), number(e, 2), unit) for i, (a, e, unit) in enumerate(rows)]
     print_table(("coefficient", "value", "std. error", "unit"), table)
     for mode in summary["modes"]:
         kind = "mode" if mode["oscillates"] else "real pole"
         print(f"{kind} at {number(mode['natural_hz'])} Hz, damping {number(mode['damping'], 3)}")
-    low, high = summary["voltage_range"]
     print(f"hold {summary['hold']}, {summary['substeps']} RK4 step(s) per sample of {number(summary['dt'])} s")
-    reversed_ = ", against the motion" if summary["polarity"] < 0 else ""
-    print(f"at 0 V the sensor reads {number(summary['offset'])} {summary['output_unit']}{reversed_}")
-    print(f"voltage seen: {number(low)} to {number(high)} V, up to {number(summary['max_slew'])} V/s")
+    print(sensor_line(model))
+    print(
+        f"{units.input_word} of the recordings: {units.input.range_text(*model.domain.voltage_range)}, "
+        f"at most {units.input.rate_text(model.domain.slew)}"
+    )
     if summary["identified_on"]:
         print(f"identified on {listed(summary['identified_on'])}")
     if summary["training"]:
@@ -58,7 +67,7 @@ def _short(value) -> str:
     return number(value) if isinstance(value, float) else str(value)
 
 
-def print_beginnings(beginnings: dict[str, Beginning], unit: str) -> None:
+def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
     """What begins otherwise than at rest, and the zeros and directions that differ from those of most records."""
     for kind, line in (
         ("held", "begin settled at a held drive: {}"),
@@ -67,14 +76,17 @@ def print_beginnings(beginnings: dict[str, Beginning], unit: str) -> None:
         if names := [name for name, b in beginnings.items() if b.begins == kind]:
             print(line.format(listed(names)))
     if not any(b.begins == "rest" for b in beginnings.values()):
-        print("no record begins at rest at 0 V: what the sensor reads there is the model's extrapolation, not measured")
-    print_sensors(beginnings, unit)
+        print(
+            f"No recording starts at rest at 0 {units.input.unit}: the reading there is extrapolated by the model, "
+            "not measured."
+        )
+    print_sensors(beginnings, units.output.unit)
 
 
 def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
     """Which records were read against the motion, and their zeros where these differ."""
     if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
-        print(f"read against the motion (sensor reversed): {listed(reversed_ones)}")
+        print(f"reversed sensor (reads less as the actuator extends): {listed(reversed_ones)}")
     if len({b.group for b in beginnings.values()}) > 1:
         rows = [
             (name, *(number(from_base(v, unit) if math.isfinite(v) else None, 4) for v in numbers))

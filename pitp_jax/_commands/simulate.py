@@ -9,12 +9,13 @@ import numpy as np
 from .._errors import ComputationFailed
 from .._model.coordinate import Zero
 from .._model.fitted import Fitted
+from .._model.units import units_of
 from .._model_file.model_file import load
 from .._record.sets import RATE_TOLERANCE
 from .._record.voltage_file import Drive, read_voltage
 from .._record.writing import write_csv
 from .._simulate.voltage_only import rollout
-from .._table.units import column_name, from_base, to_base
+from .._table.units import column_name, from_base
 from .console import number, print_table, say
 from .outputs import check_outputs, staged
 
@@ -40,8 +41,9 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     files = [f"{d.name.lstrip('/')}.csv" for d in drives]
     check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
     _tell(loaded, model, drives)
-    unit = loaded.origin.displacement_unit
-    at_rest: Zero = zero if zero in ("rest", "sensor") else float(to_base(zero, unit))
+    output = units_of(loaded).output
+    unit = output.unit
+    at_rest: Zero = zero if zero in ("rest", "sensor") else float(output.base(zero))
     runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=at_rest) for d in drives]
     rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
@@ -54,7 +56,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
          "diverged" if row["diverged"] else "") for name, row in rows.items()
     ])  # fmt: skip
     if all(row["diverged"] for row in rows.values()):
-        raise ComputationFailed(f"{model} diverged under every voltage; stay within the voltages it was made from")
+        raise ComputationFailed(f"{model} diverged under every input; stay within the inputs it was made from")
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
@@ -62,7 +64,7 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
     for drive in drives:
         for line in drive.remarks:
             say(line)
-    low, high = model.domain.voltage_range
+    (low, high), units = model.domain.voltage_range, units_of(model)
     for drive in drives:
         if abs(drive.dt / model.dt - 1) > RATE_TOLERANCE:
             say(
@@ -70,9 +72,10 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
                 f"{model.dt:.6g} s; expect larger errors where the sampling is coarser"
             )
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
-            say(f"warning: {drive.name} leaves the voltages {path} has seen ({low:.6g} to {high:.6g} V)")
+            seen = units.input.range_text(low, high, 6)
+            say(f"warning: {drive.name} leaves the {units.input_word} range of the recordings of {path} ({seen})")
         if drive.voltage[0] != 0:
-            say(f"{drive.name}: begins at {drive.voltage[0]:.6g} V, taken as settled there")
+            say(f"{drive.name}: starts at {units.input.text(drive.voltage[0], 6)}, taken as settled there")
 
 
 def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:

@@ -11,7 +11,11 @@ _GAP = {"before": "gap before", "after": "gap after", "noise_floor": "noise floo
 def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
     """Compare every number of two diagnoses, given as their JSON."""
     rows = [stated("verdict", a["verdict"], b["verdict"]), stated("effects", a["effects"], b["effects"])]
+    rows.append(stated("handed back", a.get("handed_back") or [], b.get("handed_back") or []))
+    first = [d["ranking"][0]["effect"] if d.get("ranking") else None for d in (a, b)]
+    rows.append(stated("first of the ranking", *first))
     rows += _effects(a, b)
+    rows += _parts(a.get("parts") or [], b.get("parts") or [], {*a["effects"], *b["effects"]})
     rows += [
         measured(words, _number(a["gap"].get(key)), _number(b["gap"].get(key)), "% of range", (None, None))
         for key, words in _GAP.items()
@@ -52,6 +56,20 @@ def _effects(a: dict, b: dict) -> list[Difference]:
                     f"{name}: {key}", _number(x.get("value")), _number(y.get("value")), unit.replace("1", ""), errors
                 )
             )
+    return rows
+
+
+def _parts(a: list[dict], b: list[dict], told: set[str]) -> list[Difference]:
+    """Compare the parameters of all parts of the handed-back models but the effects that a verdict names."""
+    sides = [{(p["effect"], p["form"]): p["parameters"] for p in parts if p["effect"] not in told} for parts in (a, b)]
+    rows = []
+    for key in dict.fromkeys([*sides[0], *sides[1]]):
+        for name in sides[0].get(key) or sides[1][key]:
+            x, y = (side.get(key, {}).get(name, {}) for side in sides)
+            errors = [(e["ci95"][1] - e["ci95"][0]) / 3.92 if e.get("ci95") else None for e in (x, y)]
+            values = (_number(x.get("value")), _number(y.get("value")))
+            unit = x.get("unit") or y.get("unit") or ""
+            rows.append(measured(f"{key[0]} ({key[1]}): {name}", *values, unit, (errors[0], errors[1])))
     return rows
 
 

@@ -1,16 +1,20 @@
-"""Compare two models: what they are, their coefficients by meaning, their modes and effects, what they were made from.
+"""Compare two models: what they do, what they are, their coefficients by meaning, their effects and their origin.
 
-    a_0 x + a_1 x' + a_2 x'' + ... = F      stiffness a_0, damping a_1, inertia a_2 (of the nominal)
+    a_0 x + a_1 x' + a_2 x'' + ... = F      stiffness a_0, damping a_1, inertia a_2 (of a linear model)
 
-Coefficients of different orders have different meanings beyond a_0; then the modes are compared instead.
+Coefficients are compared between two linear models alone: an encoder changes the tokens of a trained model over the
+stroke, so its responses are compared instead (`behaviour`). Coefficients of different orders have different meanings
+beyond a_0; then the modes are compared instead.
 """
 
 from typing import Any
 
 from .._model.fitted import Fitted
+from .._model.units import base_units, units_of
 from .._model_file.model_file import digest
 from .._report.description import describe
 from .._report.numbers import number
+from .behaviour import compare_behaviour
 from .result import Comparison, Difference, measured, stated
 
 _FACTS = {
@@ -27,13 +31,36 @@ def coefficient_meaning(i: int) -> str:
 
 
 def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
-    """Compare every fact and number of two models."""
-    one, two = describe(a), describe(b)
-    rows = [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
+    """Compare the responses, facts and numbers of two models."""
+    # both in the units of the first: one value in deg and one in rad would differ by 57
+    one, two = describe(a), describe(b, units_of(a) if _same_kinds(a, b) else None)
+    rows, why = compare_behaviour(a, b)
+    rows += _adapted_rows(a, b)
+    rows += [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
     rows.append(measured("zero of the sensor", one["offset"], two["offset"], one["output_unit"], (0.0, 0.0)))
-    rows += _coefficients(one, two) if one["order"] == two["order"] else _modes(one, two)
+    if one["kind"] == two["kind"] == "identified":
+        rows += _coefficients(one, two) if one["order"] == two["order"] else _modes(one, two)
     rows += _effects(one["effects"], two["effects"])
-    return Comparison("models", names, tuple(rows), tuple(_origin(a, b, names)))
+    return Comparison("models", names, tuple(rows), (*([why] if why else []), *_origin(a, b, names)))
+
+
+def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
+    """List the factors by which the last `adapt` of either model changed it, where the other model has none."""
+    rows = []
+    for k, (mine, other) in enumerate(((a, b), (b, a))):
+        for entry in mine.origin.adapted:
+            if entry in other.origin.adapted:
+                continue
+            for name, c in entry["changed"].items():
+                low, high = (float(end) - 1 for end in c["ci95"])
+                sides = (1.0, float(c["factor"])) if k else (float(c["factor"]), 1.0)
+                interval = (low, high) if k else (-high, -low)
+                rows.append(Difference(f"{name}: factor found by adapt", *sides, "", interval, low > 0 or high < 0))
+    return rows
+
+
+def _same_kinds(a: Fitted, b: Fitted) -> bool:
+    return base_units(units_of(a)) == base_units(units_of(b))
 
 
 def _coefficients(one: dict, two: dict) -> list[Difference]:

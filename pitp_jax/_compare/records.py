@@ -13,6 +13,7 @@ from .._errors import BadInput, ComputationFailed
 from .._identify import Identification, identify
 from .._record.initial_state import noise_std
 from .._record.record import Record
+from .._report.numbers import number
 from .._table.units import base_unit, from_base
 from .models import compare_models
 from .pairing import Pair, pair_records
@@ -87,7 +88,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     return [
         measured(f"{name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
         measured(f"{name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),
-        Difference(f"{name}: rms difference, beside the noise of both sensors", floor, difference, unit, None,
+        Difference(f"{name}: rms difference (noise: {number(floor, 2)} {unit})", "reference", difference, unit, None,
                    difference > _NOISES * floor),
     ]  # fmt: skip
 

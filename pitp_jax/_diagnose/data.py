@@ -20,8 +20,8 @@ from .._record.preprocess import force_band
 from .._record.record import Record
 from .._record.sets import session_clock
 from .._simulate.prediction import at_rate, begin, predict, reaches
-from .library import slots_of
-from .simulator import INDEX, Drive, Film, Simulator, root
+from .library import CORE, INDEX, rates_of, slots_of
+from .simulator import Drive, Film, Simulator, root
 
 PERIOD, COARSEST, BUDGET = 40.0, 16.0, 12_000  # samples a period of the fastest mode or drive; fewer where all exceed
 _ENOUGH = 5_000  # samples from which no further record is needed to tell a promising start
@@ -169,7 +169,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     dt = records[0].dt * k
     omega = _omega(nominal)
     substeps = int(np.clip(np.ceil(STEPS * omega * dt / (2 * np.pi)), 1, _MOST_STEPS))
-    simulator = Simulator(tuple(drives), square, float(model.scales.force), substeps, tuple(devices))
+    simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps, tuple(devices))
     case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
     return _beside(case, records) if foreign else case
 
@@ -221,7 +221,7 @@ def averaged(series: np.ndarray, k: int, rest: bool) -> np.ndarray:
 
 def _omega(slots: np.ndarray) -> float:
     """The frequency of an oscillating core, rad/s; 0 where it is damped or has no spring."""
-    a0, a1, a2 = (slots[INDEX[k]] for k in ("a0", "a1", "a2"))
+    a0, a1, a2 = (slots[INDEX[k]] for k in CORE)
     return float(np.sqrt(a0 / a2)) if a2 > 0 and a1 < 2 * np.sqrt(a0 * a2) else 0.0
 
 

@@ -23,7 +23,7 @@ from . import rules
 from .budget import Budget
 from .data import Case, build_case, excitations
 from .evidence import probability
-from .library import FREE, model_of
+from .library import CORE, FREE, INDEX, model_of
 from .next_experiment import Experiment, separate
 from .result import (
     Added,
@@ -42,7 +42,6 @@ from .result import (
 from .search import PARAMETERS, Hypothesis, Search
 from .select_records import usable
 from .shares import budget as budget_of
-from .simulator import INDEX
 from .term import Term, term_of
 from .verdict import Decision, decide
 from .where import locate, motions
@@ -313,23 +312,20 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         tried = [*sure[:3], *tried]
     tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
     before = _package_error(model, records)
-    omega = 1 / search.scale.tau
     for h in tried:
         if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
             continue
         # numbers shared by machines that differ foresee none of them
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
             continue
-        # in the package's own parts; what none of them can carry is not handed back
-        made, added, missing = model_of(search.case.nominal, h.fit.slots, model, omega)
-        if missing:
-            continue
+        # in the package's own parts
+        made, added = model_of(search.case.nominal, h.fit.slots, model, search.scale)
         made = replace(made, domain=made.domain.driven_by(records))
         made, after = _stable(made, records, before)
         if after < before and _bounded(made, records):
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
-            parts += ["parameters"] if set(h.fit.free) & {"a0", "a1", "a2"} else []
+            parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
             return h, (made, added), tuple(dict.fromkeys(parts))
     return search.given, (model, []), ()
 
@@ -380,9 +376,7 @@ def _moved(search: Search, handed: Hypothesis, errors: dict) -> tuple[Added, ...
 
 
 def _shift(case: Case, fit, model: Model) -> np.ndarray:
-    ratio = [
-        fit.slots[INDEX[k]] / case.nominal[INDEX[k]] if case.nominal[INDEX[k]] > 0 else 1.0 for k in ("a0", "a1", "a2")
-    ]
+    ratio = [fit.slots[INDEX[k]] / case.nominal[INDEX[k]] if case.nominal[INDEX[k]] > 0 else 1.0 for k in CORE]
     return np.array([*ratio, *[1.0] * max(model.order - 2, 0)])[: model.order + 1]
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from .budget import Budget
 from .data import Case
-from .simulator import HIGHEST, INDEX, LOGARITHM
+from .library import CORE, INDEX, LEAST, LOGARITHM, MOST
 
 _EPS = 1e-5  # of a record's range: below, an error is no evidence
 _STEP = 1e-4
@@ -91,9 +91,7 @@ def at(fit: Fit, z: np.ndarray, lowest: Mapping[str, float] = MappingProxyType({
     """Slots at other free coordinates, none below its `lowest`."""
     slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
     log = LOGARITHM[places]
-    slots[places] = np.where(log, np.exp(np.clip(z, -70, 70)), z)
-    for name, most in HIGHEST.items():
-        slots[INDEX[name]] = min(slots[INDEX[name]], most)
+    slots[places] = np.clip(np.where(log, np.exp(np.clip(z, -70, 70)), z), LEAST[places], MOST[places])
     for name in lowest.keys() & set(fit.free):
         slots[INDEX[name]] = max(slots[INDEX[name]], lowest[name])
     return slots
@@ -104,7 +102,7 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     size = len(case.series[record].output)
     if case.series[record].begins == "rest":
         return np.ones((size, 1)), np.zeros((1, 2))
-    a0, a1, a2 = (float(slots[INDEX[k]]) for k in ("a0", "a1", "a2"))
+    a0, a1, a2 = (float(slots[INDEX[k]]) for k in CORE)
     time = np.arange(size) * case.dt
     # the sensor's zero, then what the plant does by itself
     columns, begins = [np.ones(size)], [(0.0, 0.0)]

@@ -1,20 +1,24 @@
-"""The library: forms of every effect as slots with starts, and as the catalogue's rows once their numbers are fitted.
+"""The library: starts of every row that a search may add, and a model as the numbers of all rows and back.
 
-One form has one mechanism; a name may have several. `slots` are what a fit moves, each with a start, in the model's
-scaled coordinates (x over its scale, time in s, force over its scale, voltages in V). Twins by algebra share a tie.
+A form is one way to start an effect: a row of the catalogue with its numbers, in the model's scaled coordinates. One
+name of the search may have several. `slots` are the core's three coefficients, then the numbers of every row.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
 from .._effects import CATALOGUE, lookup
+from .._effects.effect import Effect
 from .._effects.found_term import term_row
+from .._effects.physical import in_scales
+from .._effects.spec import EffectSpec
+from .._model.drive import DirectDrive
 from .._model.encoder import ConstantEncoder
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model, linear_model
-from .simulator import INDEX, NAMES, OFF
 
 BORDER = 15.0  # tau omega: creep above, relaxation below
 GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
@@ -24,15 +28,37 @@ TWINS = (
     {"sensor_gain", "parameter_change"},
     {"delay", "sensor_lag"},
 )
+DAMPER = term_row(("x x'", "x^2 x'", "x' F"))
+_LINEAR = tuple(r for r in CATALOGUE if r.linear and r.form != "two lags")
 
 
 @dataclass(frozen=True)
 class Form:
-    """One way to write an effect: its name in the search, and start values of the slots it moves."""
+    """One way to start an effect.
+
+    Attributes:
+        name: of the search, which takes at most one form of a name.
+        start: values of the numbers that it sets, by their slots.
+    """
 
     name: str
     start: dict[str, float]
-    second: bool = False  # needs a mass
+    specs: tuple[EffectSpec, ...] = ()
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The numbers that are fitted: those that do not start where they do nothing."""
+        return tuple(k for k, v in self.start.items() if v != OFF[INDEX[k]] or SHAPE[INDEX[k]])
+
+    @property
+    def stiffness(self) -> float:
+        """Stiffness that it adds, in units of the core's."""
+        return sum(self.start[slots_of_row(spec)[0]] for spec in self.specs if spec.stiffens)
+
+    @property
+    def second(self) -> bool:
+        """Whether it needs a mass."""
+        return any(spec.needs_mass for spec in self.specs)
 
 
 @dataclass(frozen=True)
@@ -59,142 +85,126 @@ class Scale:
 
 def forms(s: Scale) -> list[Form]:
     """Every form with its starts."""
-    x, pull = s.reach, s.force
-    # a plant without damping of its own still gets one to measure others by
-    damping = max(s.a1, 0.1 * s.tau * max(s.a0, s.force / x))
-    all_forms = []
-
-    def add(name: str, *starts: dict[str, float], second: bool = False):
-        all_forms.extend(Form(name, start, second) for start in starts)
-
-    add("spring", *({"k3": c / x**2} for c in (0.1, 0.5, -0.1)), *({"k2": c / x} for c in (-0.2, 0.2)))
-    add(
-        "spring",
-        {"k2": 0.05 / x, "k3": 0.1 / x**2},
-        {"k3": 0.1 / x**2, "k5": 0.1 / x**4},
-        {"gent": 0.3 / x},
-        {"gent": 0.6 / x},
-        {"gent": 0.85 / x},
-    )
-    add(
-        "spring",
-        {"tanh": 0.6 / x},
-        {"expo": 0.5 / x},
-        *({"sine": c / x} for c in (0.5, 1.2, 2.5)),
-        {"root": 0.5, "reach": x},
-    )
-    for hard in (2.0, 20.0):
-        for far in (0.6, 0.9):
-            add("end_stop", {"stop": hard, "stop_at": s.bottom + far * (s.top - s.bottom)})
-        add("end_stop", {"low_stop": hard, "low_stop_at": s.top - 0.85 * (s.top - s.bottom)})
-        middle, half = (s.top + s.bottom) / 2, (s.top - s.bottom) / 2
-        add(
-            "end_stop",
-            {"stop": hard, "stop_at": middle + 0.75 * half, "low_stop": hard, "low_stop_at": middle - 0.75 * half},
-        )
-    if s.acceleration > 0:
-        add("slack", *({"slack": f / s.acceleration} for f in (1.3, 3.0)), second=True)
-    for strength, times in ((0.2, 3.0), (1.0, 3.0), (0.2, 20.0), (1.0, 20.0), (0.3, 100.0)):
-        add("viscoelastic", {"branch": strength, "branch_tau": times * s.tau})
-    add("viscoelastic", {"branch": 0.3, "branch_tau": 2 * s.tau, "branch2": 0.3, "branch2_tau": 30 * s.tau})
-    add("hysteresis", {"bouc": 5.0, "yield": 0.01 * x})
-    for width in (0.1, 0.5):
-        add("hysteresis", {"bouc": 0.3, "yield": width * x}, {"bouc": 0.5, "yield": width * x, "gamma": -0.5})
-        add("hysteresis", {"plays": 0.4, "plays_width": 0.6 * width * x})
-    add(
-        "hysteresis",
-        *({"drive_bouc": c * s.voltage, "drive_yield": f * s.area} for c in (0.5, -0.5) for f in (0.1, 0.5)),
-    )
-    add("hysteresis", {"bouc": 0.5, "yield": 0.5 * x, "gamma": 0.5})
-    add(
-        "hysteresis",
-        *({"play1": 0.1, "play2": 0.1, "play3": 0.1, "play4": 0.1, "play_range": f * s.voltage} for f in (0.5, 1.5)),
-    )
-    add(
-        "coulomb_friction",
-        *({"dry": f * pull} for f in (0.01, 0.05, 0.2)),
-        {"dry": 0.04 * pull, "rise": 0.5, "rise_speed": 0.1 * s.speed},
-        {"dry": 0.05 * pull, "dry_speed": 0.05 * s.speed},
-    )
-    add(
-        "coulomb_friction",
-        {"dry": 0.02 * pull, "dry_load": 0.1},
-        {"dry": 0.1 * pull, "dry_load": 0.3},
-        {"dry": 0.003 * pull, "dry_load": 0.05},
-    )
-    add("drag", *({"drag": f * damping / s.speed} for f in (0.3, 2.0)))
-    add("electrode_rc", *({"rc": f * s.tau} for f in (0.2, 1.0)))
-    add("slew_limit", *({"slew": f * s.slew} for f in (0.1, 0.4, 0.8)))
-    add("voltage_clip", *({"clip": f * s.voltage} for f in (0.55, 0.8, 0.93)))
-    add("voltage_offset", *({"offset": f * s.voltage} for f in (-0.05, 0.05)))
-    add("dead_zone", *({"dead": f * s.voltage} for f in (0.05, 0.2)))
-    add("delay", *({"delay": f} for f in (s.dt, 0.1 * s.tau, 0.5 * s.tau)))
-    add("charge", *({"charge": c, "charge_tau": f * s.tau} for c in (-0.15, 0.15) for f in (5.0, 50.0)))
-    add("stretch_coupling", *({"stretch": c / x} for c in (0.1, -0.1)), {"stretch_exp": -1 / x})
-    add("dielectric_saturation", *({"saturation": f / pull} for f in (0.1, 0.6)))
-    add("second_mode", *({"mode_gain": 0.3, "mode_w": f / s.tau, "mode_zeta": 0.05} for f in (0.6, 1.6, 3.5)))
-    # a second mass hangs on a first: on none, it is a core of another order
-    hung = ({"mode_force": 0.2, "mode_w": f / s.tau, "mode_zeta": 0.05} for f in (0.6, 1.6, 3.5))
-    add("second_mode", *hung, second=True)
-    if s.session > 1.5 * s.duration:
-        add("stiffness_drift", *({"drift": c, "drift_time": 0.3 * s.session} for c in (0.1, -0.1)))
-    add("sensor_lag", *({"lag": f * s.tau} for f in (0.2, 1.0)))
-    add(
-        "sensor_nonlinearity",
-        {"s2": 0.05 / x},
-        {"s2": -0.05 / x},
-        {"s3": 0.03 / x**2},
-        {"s2": 0.03 / x, "s3": 0.03 / x**2},
-        {"bend": 0.5 / x},
-        {"fold": 1.0},
-    )
-    add("backlash", *({"backlash": f * x} for f in (0.04, 0.2, 0.5)))
-    add("backlash", *({"backlash": 0.1 * x, "coast": f / s.tau} for f in (0.05, 0.5)))
-    add("mullins", *({"mullins": c, "mullins_length": 0.5 * x} for c in (0.15,)))
-    add("sensor_gain", {"gain": 0.05})
+    made = []
+    for name, spec, *starts in _starts(s):
+        for numbers in starts:
+            made.append(Form(name, dict(zip(slots_of_row(spec), numbers, strict=True)), (spec,)))
     if s.a2 <= 0:
-        add("added_mass", *({"a2": f * s.tau * damping} for f in (0.05, 0.5)))
-    add(
-        FREE,
-        *({"place_damping": f * damping / x} for f in (-0.3, 0.5)),
-        *({"place_damping2": f * damping / x**2} for f in (0.3, 2.0)),
-    )
-    add(FREE, *({"field_damping": f * damping / pull} for f in (-0.3, 0.5)))
-    return all_forms
+        damping = _damping(s)
+        made += [Form("added_mass", {"a2": f * s.tau * damping}) for f in (0.05, 0.5)]
+    return made
+
+
+def slots_of_row(spec: EffectSpec) -> tuple[str, ...]:
+    """The slots of a row's numbers."""
+    return tuple(f"{spec.key}, {p.name}" for p in spec.parameters)
+
+
+def _damping(s: Scale) -> float:
+    # a plant without damping of its own still gets one to measure others by
+    return max(s.a1, 0.1 * s.tau * max(s.a0, s.force / s.reach))
+
+
+def _starts(s: Scale) -> Iterator[tuple]:
+    """Name, row, and numbers of every start."""
+    x, pull, tau, volts, damping = s.reach, s.force, s.tau, s.voltage, _damping(s)
+    span, middle = s.top - s.bottom, (s.top + s.bottom) / 2
+    yield "spring", lookup("stiffening", "cubic"), (0.1 / x**2,), (0.5 / x**2,)
+    yield "spring", lookup("softening", "quadratic"), (0.2 / x,)
+    terms = (0, -0.1, 0), (0.2, 0, 0), (0.05, 0.1, 0), (0, 0.1, 0.1)
+    yield "spring", lookup("stiffening", "polynomial"), *((c2 / x, c3 / x**2, c5 / x**4) for c2, c3, c5 in terms)
+    yield "spring", lookup("stiffening", "limited chain"), (0.3 / x,), (0.6 / x,), (0.85 / x,)
+    yield "spring", lookup("softening", "saturating"), (0.6 / x,)
+    yield "spring", lookup("softening", "exponential"), (0.5 / x,)
+    yield "spring", lookup("softening", "gravity"), (0.5 / x,), (1.2 / x,), (2.5 / x,)
+    yield "spring", lookup("softening", "root"), (1 / x,)
+    yield "end_stop", lookup("end_stop", "above"), *((k, s.bottom + f * span) for k in (2.0, 20.0) for f in (0.6, 0.9))
+    yield "end_stop", lookup("end_stop", "below"), *((k, 0.85 * span - s.top) for k in (2.0, 20.0))
+    each = lookup("end_stop", "each side")
+    yield "end_stop", each, *((k, middle + 0.375 * span, 0.375 * span - middle) for k in (2.0, 20.0))
+    if s.acceleration > 0:
+        yield "slack", lookup("slack", "free fall"), *((f / s.acceleration,) for f in (1.3, 3.0))
+    branch = [(k, f * tau) for k, f in ((0.2, 3.0), (1.0, 3.0), (0.2, 20.0), (1.0, 20.0), (0.3, 100.0))]
+    yield "viscoelastic", lookup("creep", "one branch"), *branch
+    yield "hysteresis", lookup("hysteresis", "Dahl"), (5.0, 0.01 * x), *((0.3, w * x) for w in (0.1, 0.5))
+    signed = lookup("hysteresis", "Bouc-Wen, either sign")
+    yield "hysteresis", signed, *((0.5, w * x, g) for w, g in ((0.1, -0.5), (0.5, -0.5), (0.5, 0.5)))
+    yield "hysteresis", lookup("hysteresis", "plays"), *((0.4, 0.6 * w * x) for w in (0.1, 0.5))
+    integral = lookup("hysteresis", "Dahl of the command's integral")
+    yield "hysteresis", integral, *((c * volts, f * s.area) for c in (0.5, -0.5) for f in (0.1, 0.5))
+    yield "hysteresis", lookup("hysteresis", "plays of the drive"), *((*4 * (0.1,), f * volts) for f in (0.5, 1.5))
+    yield "coulomb_friction", lookup("coulomb_friction", "Coulomb"), *((f * pull,) for f in (0.01, 0.05, 0.2))
+    yield "coulomb_friction", lookup("coulomb_friction", "Stribeck"), (0.04 * pull, 0.5, 0.1 * s.speed)
+    yield "coulomb_friction", lookup("coulomb_friction", "smooth"), (0.05 * pull, 0.05 * s.speed)
+    loaded = lookup("coulomb_friction", "loaded by the spring")
+    yield "coulomb_friction", loaded, *((f * pull, mu) for f, mu in ((0.02, 0.1), (0.1, 0.3), (0.003, 0.05)))
+    yield "drag", lookup("drag"), *((f * damping / s.speed,) for f in (0.3, 2.0))
+    yield "electrode_rc", lookup("electrode_rc"), (0.2 * tau,), (tau,)
+    yield "slew_limit", lookup("slew_limit"), *((1 / (f * s.slew),) for f in (0.1, 0.4, 0.8))
+    yield "voltage_clip", lookup("voltage_clip"), *((1 / (f * volts),) for f in (0.55, 0.8, 0.93))
+    yield "voltage_offset", lookup("voltage_offset"), (-0.05 * volts,), (0.05 * volts,)
+    yield "dead_zone", lookup("dead_zone"), (0.05 * volts,), (0.2 * volts,)
+    yield "delay", lookup("delay"), (s.dt,), (0.1 * tau,), (0.5 * tau,)
+    for charge in ("charge_leak", "charge_retention"):
+        yield "charge", lookup(charge), (0.15, 5 * tau), (0.15, 50 * tau)
+    yield "stretch_coupling", lookup("stretch_coupling", "linear"), (0.1 / x,), (-0.1 / x,)
+    yield "stretch_coupling", lookup("stretch_coupling", "exponential"), (-1 / x,)
+    yield "dielectric_saturation", lookup("dielectric_saturation"), (0.1 / pull,), (0.6 / pull,)
+    modes = [(f / tau, 0.05) for f in (0.6, 1.6, 3.5)]
+    yield "second_mode", lookup("second_mode", "between film and sensor"), *((0.3, *m) for m in modes)
+    # a second mass hangs on a first: on none, it is a core of another order
+    yield "second_mode", lookup("second_mode", "hung on"), *((0.2, *m) for m in modes)
+    if s.session > 1.5 * s.duration:
+        yield "stiffness_drift", lookup("stiffness_drift"), (0.1, 0.3 * s.session), (-0.1, 0.3 * s.session)
+    yield "sensor_lag", lookup("sensor_lag", "one lag"), (0.2 * tau,), (tau,)
+    curve = [(c2 / x, c3 / x**2) for c2, c3 in ((0.05, 0), (-0.05, 0), (0, 0.03), (0.03, 0.03))]
+    yield "sensor_nonlinearity", lookup("sensor_nonlinearity", "quadratic and cubic"), *curve
+    yield "sensor_nonlinearity", lookup("sensor_nonlinearity", "saturating"), (0.5 / x,)
+    yield "sensor_nonlinearity", lookup("sensor_nonlinearity", "folded"), (0.0,)
+    yield "backlash", lookup("backlash", "play"), *((f * x,) for f in (0.04, 0.2, 0.5))
+    yield "backlash", lookup("backlash", "coasting"), (0.1 * x, 0.05 / tau), (0.1 * x, 0.5 / tau)
+    yield "mullins", lookup("mullins"), (0.15, 0.5 * x)
+    yield "sensor_gain", lookup("sensor_gain"), (0.05,)
+    by_place = [(f * damping / x, 0, 0) for f in (-0.3, 0.5)] + [(0, f * damping / x**2, 0) for f in (0.3, 2.0)]
+    yield FREE, DAMPER, *by_place, *((0, 0, f * damping / pull) for f in (-0.3, 0.5))
+
+
+_UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0})
+_STARTED = {spec for _, spec, *_ in _starts(_UNIT)} | {lookup("relaxation", "one branch"), *_LINEAR}
+# the rows that a hypothesis may hold, in the order in which they act
+ROWS: tuple[EffectSpec, ...] = (*(r for r in CATALOGUE if r in _STARTED), DAMPER)
+CORE = ("a0", "a1", "a2")
+_NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
+NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))
+INDEX = {name: k for k, name in enumerate(NAMES)}
+OFF = np.array([0.0] * 3 + [off for spec in ROWS for off in spec.off])
+LOGARITHM = np.array([True] * 3 + [p.positive for p in _NUMBERS])
+LEAST = np.array([-np.inf] * 3 + [p.least for p in _NUMBERS])
+MOST = np.array([np.inf] * 3 + [p.most for p in _NUMBERS])
+COSTLY = np.array([False] * 3 + [spec.costly and p.off is not None for spec in ROWS for p in spec.parameters])
+SLOW = tuple(name for name, p in zip(NAMES[3:], _NUMBERS, strict=True) if p.slow)
+_ENDS = np.cumsum([3, *(len(r.parameters) for r in ROWS)])
+PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1:], strict=False)}
+# numbers that do nothing where the strength beside them is off
+SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
+(DELAY,), (LAG,), (FILTER, FILTER_ZETA) = (
+    slots_of_row(lookup(*key)) for key in (("delay",), ("sensor_lag", "one lag"), ("sensor_lag", "second order"))
+)
+BRANCHES = slots_of_row(lookup("creep", "one branch")), slots_of_row(lookup("relaxation", "one branch"))
+
+
+_INTEGRAL = lookup("hysteresis", "Dahl of the command's integral")
+_GROUPS = {spec: name for name, spec, *_ in _starts(_UNIT)} | {lookup("relaxation", "one branch"): "viscoelastic"}
 
 
 def named(name: str, slots: np.ndarray, scale: Scale) -> str:
     """The catalogue's name of a fitted form: signs and time constants decide those that share one."""
-    v = {k: slots[INDEX[k]] for k in NAMES}
-    if name == "viscoelastic":
-        taus = [t for k, t in ((v["branch"], v["branch_tau"]), (v["branch2"], v["branch2_tau"])) if k]
-        return "creep" if max(taus) > BORDER * scale.tau else "relaxation"
-    if name == "hysteresis" and v["bouc"] > 0 and v["yield"] < GIVE:
-        return "coulomb_friction"
-    if name == "hysteresis" and v["drive_bouc"] and v["drive_yield"] < GIVE * scale.area:
+    mine = [spec(*slots[PLACES[spec]]) for spec in ROWS if _GROUPS.get(spec) == name and is_on(spec, slots)]
+    labels = [_reported(e, slots[0], scale).name for e in mine if e.spec != DAMPER]
+    if any(e.spec == _INTEGRAL and e.width < GIVE * scale.area for e in mine):
         return "voltage_offset"  # a loop that is run through at once is the level it ends at
-    if name == "charge":
-        return "charge_leak" if v["charge"] < 0 else "charge_retention"
-    if name == "spring":
-        places = np.array([scale.bottom, (scale.top + scale.bottom) / 2, scale.top])
-        step = 1e-3 * (scale.top - scale.bottom)
-        tangent = (spring(v, places + step) - spring(v, places - step)) / (2 * step)
-        return "stiffening" if (tangent[0] + tangent[2]) / 2 > tangent[1] else "softening"
-    return name
-
-
-def spring(v: dict, x: np.ndarray) -> np.ndarray:
-    """Restoring force over a_0 of the spring's slots."""
-    r = np.minimum((v["gent"] * x) ** 2, 0.97**2)
-    f = x + v["k2"] * x**2 + v["k3"] * x**3 + v["k5"] * x**5 + x * r / (1 - r)
-    f = f + v["root"] * (np.sign(x) * np.sqrt(np.abs(x) * v["reach"]) - x)
-    if v["tanh"]:
-        f = f + 0.97 * (np.tanh(v["tanh"] * x) / v["tanh"] - x)
-    if v["expo"]:
-        f = f - np.expm1(-v["expo"] * x) / v["expo"] - x
-    if v["sine"]:
-        f = f + np.sin(v["sine"] * x) / v["sine"] - x
-    return f
+    # of two memories the slower one
+    return min(labels, default=name)
 
 
 def family(name: str) -> str:
@@ -202,153 +212,103 @@ def family(name: str) -> str:
     return next((c.family for c in CATALOGUE if c.name == name), "parametric" if name != FREE else "found")
 
 
-# -- the catalogue's rows ----------------------------------------------------------------------------------------------
-
-# (name, form): slots of its numbers, in their order; "1/" where the row stores the inverse, "-" the opposite sign
-ROWS: dict[tuple[str, str], tuple[str, ...]] = {
-    ("electrode_rc", "one lag"): ("rc",),
-    ("slew_limit", "rate limit"): ("1/slew",),
-    ("voltage_clip", "hard"): ("1/clip",),
-    ("voltage_offset", "constant"): ("offset",),
-    ("dead_zone", "symmetric"): ("dead",),
-    ("delay", "pure"): ("delay",),
-    ("charge_leak", "one trap"): ("-charge", "charge_tau"),
-    ("charge_retention", "one store"): ("charge", "charge_tau"),
-    ("dielectric_saturation", "rational"): ("saturation",),
-    ("stretch_coupling", "linear"): ("stretch",),
-    ("stretch_coupling", "exponential"): ("stretch_exp",),
-    ("stiffening", "limited chain"): ("gent",),
-    ("softening", "saturating"): ("tanh",),
-    ("softening", "exponential"): ("expo",),
-    ("softening", "gravity"): ("sine",),
-    ("end_stop", "above"): ("stop", "stop_at"),
-    ("end_stop", "below"): ("low_stop", "-low_stop_at"),
-    ("mullins", "exponential"): ("mullins", "mullins_length"),
-    ("stiffness_drift", "settling"): ("drift", "drift_time"),
-    ("hysteresis", "Dahl"): ("bouc", "yield"),
-    ("hysteresis", "plays"): ("plays", "plays_width"),
-    ("hysteresis", "plays of the drive"): ("play1", "play2", "play3", "play4", "play_range"),
-    ("hysteresis", "Dahl of the command's integral"): ("drive_bouc", "drive_yield"),
-    ("drag", "quadratic"): ("drag",),
-    ("coulomb_friction", "Coulomb"): ("dry",),
-    ("coulomb_friction", "loaded by the spring"): ("dry", "dry_load"),
-    ("coulomb_friction", "smooth"): ("dry", "dry_speed"),
-    ("coulomb_friction", "Stribeck"): ("dry", "rise", "rise_speed"),
-    ("slack", "free fall"): ("slack",),
-    ("second_mode", "hung on"): ("mode_force", "mode_w", "mode_zeta"),
-    ("second_mode", "between film and sensor"): ("mode_gain", "mode_w", "mode_zeta"),
-    ("backlash", "play"): ("backlash",),
-    ("backlash", "coasting"): ("backlash", "coast"),
-    ("sensor_lag", "one lag"): ("lag",),
-    ("sensor_lag", "second order"): ("filter", "filter_zeta"),
-    ("sensor_gain", "share"): ("gain",),
-    ("sensor_nonlinearity", "quadratic and cubic"): ("s2", "s3"),
-    ("sensor_nonlinearity", "saturating"): ("bend",),
-    ("sensor_nonlinearity", "quadratic"): ("s2",),
-    ("sensor_nonlinearity", "cubic"): ("s3",),
-}
-# numbers that do nothing where the strength beside them is off
-_SHAPES = set(
-    "charge_tau play_range reach stop_at low_stop_at mullins_length drift_time branch_tau branch2_tau yield "
-    "plays_width rise_speed mode_w mode_zeta filter_zeta drive_yield".split()
-)
-_BRANCHES = (("branch", "branch_tau"), ("branch2", "branch2_tau"))
-_TERMS = {
-    "x^2": "k2", "x^3": "k3", "x^5": "k5", "x x'": "place_damping", "x^2 x'": "place_damping2", "x' F": "field_damping",
-}  # fmt: skip
+def is_on(spec: EffectSpec, slots: np.ndarray) -> bool:
+    """Whether a row does anything at these numbers."""
+    pairs = zip(spec.parameters, slots[PLACES[spec]], strict=True)
+    return any(p.off is not None and v != p.off for p, v in pairs)
 
 
-def row(name: str, form: str):
-    """The catalogue's row, or None where it has none."""
-    return next((c for c in CATALOGUE if (c.name, c.form) == (name, form)), None)
-
-
-def _factor(parameter, rates: np.ndarray) -> float:
-    """From a number per s (the simulator's) to the model's scaled one: its rates are powers of the state's scales."""
-    return float(rates[0] ** -parameter.speed * (rates[0] * rates[min(1, len(rates) - 1)]) ** -parameter.acceleration)
-
-
-def _slot(code: str) -> str:
-    return code.removeprefix("-").removeprefix("1/")
-
-
-def _number(slots: np.ndarray, code: str) -> float:
-    value = slots[INDEX[_slot(code)]]
-    return -value if code[0] == "-" else 1 / value if code.startswith("1/") else value
-
-
-def effects_of(slots: np.ndarray, model: Model, omega: float) -> tuple[list[tuple], list[str]]:
-    """The catalogue's effects that these slots are, each with its numbers' slots, and slots that no row has."""
-    on = {k for k in NAMES if slots[INDEX[k]] != OFF[INDEX[k]]} - {"a0", "a1", "a2"}
-    rates, effects, used = np.asarray(model.scales.rates, float), [], set()
-
-    def add(name: str, form: str, codes: tuple[str, ...]) -> None:
-        spec, keys = row(name, form), {_slot(c) for c in codes}
-        if spec is not None and not keys & used:
-            values = zip(spec.parameters, codes, strict=True)
-            effects.append((spec(*(_number(slots, c) * _factor(p, rates) for p, c in values)), codes))
-            used.update(keys)
-
-    if slots[INDEX["bouc"]] > 0 and "bouc" in on:
-        kappa, give, gamma = (slots[INDEX[k]] for k in ("bouc", "yield", "gamma"))
-        if gamma:  # the simulator bounds it
-            loop = lookup("hysteresis", "Bouc-Wen, either sign")(kappa, give, 1.5 * np.tanh(gamma / 1.5))
-        elif give < GIVE:
-            loop = lookup("coulomb_friction", "bristles")(slots[INDEX["a0"]] * kappa * give, give)
+def effects_of(slots: np.ndarray, scale: Scale) -> list[tuple[Effect, tuple[str, ...]]]:
+    """The effects that these slots are, each as the row that it is reported as, with its numbers' slots."""
+    found = []
+    for spec in ROWS:
+        values, names = slots[PLACES[spec]], slots_of_row(spec)
+        if not is_on(spec, slots):
+            continue
+        if spec == DAMPER:
+            on = [k for k, v in enumerate(values) if v]
+            row = term_row(tuple(spec.functions[k] for k in on))
+            found.append((row(*values[on]), tuple(names[k] for k in on)))
         else:
-            loop = lookup("hysteresis", "Dahl")(kappa, give)
-        codes = ("bouc", "yield", "gamma")[: 3 if gamma else 2]
-        effects.append((loop, codes))
-        used.update(codes)
-    for (name, form), codes in sorted(ROWS.items(), key=lambda item: -len(item[1])):  # the fullest form that fits
-        signed = name != "charge_leak" or slots[INDEX["charge"]] < 0
-        if {_slot(c) for c in codes} - _SHAPES <= on - used and signed:
-            add(name, form, codes)
-    for strength, tau in _BRANCHES:
-        if strength in on:
-            add("creep" if slots[INDEX[tau]] * omega > BORDER else "relaxation", "one branch", (strength, tau))
-    terms = {text: slot for text, slot in _TERMS.items() if slot in on - used}
-    if terms:
-        effects.append((_term(slots, terms, rates), tuple(terms.values())))
-        used.update(terms.values())
-    place = {(c.name, c.form): k for k, c in enumerate(CATALOGUE)}
-    effects.sort(key=lambda pair: place.get((pair[0].name, pair[0].form), len(place)))
-    return effects, sorted(on - used - _SHAPES)
+            found.append((_reported(spec(*values), slots[0], scale), names))
+    return found
 
 
-def _term(slots: np.ndarray, chosen: dict[str, str], rates: np.ndarray):
-    """Springs, dampers and friction by load as a sum of functions; `chosen`: the slot of each."""
-    spec = term_row(tuple(chosen))
-    unit = {slot: slots[INDEX["a0"]] if slot in ("k2", "k3", "k5") else 1.0 for slot in chosen.values()}
-    numbers = zip(chosen.values(), spec.parameters, strict=True)
-    return spec(*(float(slots[INDEX[slot]] * unit[slot] * _factor(p, rates)) for slot, p in numbers))
+def _reported(effect: Effect, k: float, scale: Scale) -> Effect:
+    """The same effect as the row of the name that its numbers give it; k: of the core."""
+    numbers = [float(v) for _, v in effect.numbers()]
+    if effect.name in ("creep", "relaxation"):
+        return lookup("creep" if numbers[1] > BORDER * scale.tau else "relaxation", effect.form)(*numbers)
+    if effect.form == "Dahl" and numbers[1] < GIVE:
+        return lookup("coulomb_friction", "bristles")(k * numbers[0] * numbers[1], numbers[1])
+    if effect.form == "polynomial":
+        places = np.array([scale.bottom, (scale.top + scale.bottom) / 2, scale.top])
+        c2, c3, c5 = numbers
+        slope = np.polyval([5 * c5, 0, 3 * c3, 2 * c2, 0], places)
+        name = "stiffening" if (slope[0] + slope[2]) / 2 > slope[1] else "softening"
+        return lookup(name, "polynomial")(*numbers)
+    return effect
 
 
 def slots_of(model: Model) -> tuple[np.ndarray, bool]:
     """The nominal's slots, and whether it has parts that are none (a trained encoder, other effects)."""
     slots = OFF.copy()
     core, lag, filtered = sections(model.physical_coefficients)
-    scaled = core * model.scales.state[0] / model.scales.force
-    for k, value in zip(("a0", "a1", "a2"), (*scaled, 0.0)[:3] if len(scaled) < 3 else scaled, strict=True):
-        slots[INDEX[k]] = value
-    slots[INDEX["lag"]] = lag
+    slots[: min(len(core), 3)] = (core * model.scales.state[0] / model.scales.force)[:3]
+    slots[INDEX[LAG]] = lag
     if filtered:
-        slots[INDEX["filter"]], slots[INDEX["filter_zeta"]] = filtered
+        slots[INDEX[FILTER]], slots[INDEX[FILTER_ZETA]] = filtered
     if model.hold == "zoh":
-        slots[INDEX["delay"]] += model.dt / 2
-    foreign = not isinstance(model.encoder, ConstantEncoder) or type(model.drive).__name__ != "DirectDrive"
-    rates = np.asarray(model.scales.rates, float)
+        slots[INDEX[DELAY]] += model.dt / 2
+    foreign = not isinstance(model.encoder, ConstantEncoder) or not isinstance(model.drive, DirectDrive)
     for e in model.effects:
-        codes = ROWS.get((e.name, e.form))
-        taken = codes and any(slots[INDEX[_slot(c)]] != OFF[INDEX[_slot(c)]] and e.name != "delay" for c in codes)
-        if not codes or taken:
+        place = PLACES.get(e.spec)
+        if place is None or (is_on(e.spec, slots) and not e.delays):
             foreign = True
             continue
-        for code, (p, value) in zip(codes, e.numbers(), strict=True):
-            value = float(value) / _factor(p, rates)
-            value = -value if code[0] == "-" else 1 / value if code.startswith("1/") else value
-            slots[INDEX[_slot(code)]] = value + (slots[INDEX["delay"]] if code == "delay" else 0.0)
+        # delays add up
+        slots[place] = np.array([float(v) for _, v in e.numbers()]) + (slots[place] if e.delays else 0.0)
     return slots, foreign
+
+
+def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
+    """The nominal with these slots in place of its own, and what was added, each with its numbers' slots."""
+    slots = slots.copy()
+    for k in (DELAY, LAG, FILTER):  # what a fit has pushed to nothing is not there
+        slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
+    slots[:3] = _no_faster(slots[:3], 2 / model.dt)
+    changed = {r for r in ROWS if not np.array_equal(slots[PLACES[r]], nominal[PLACES[r]])}
+    if model.order <= 2 and ((slots[:3] > 0) == (nominal[:3] > 0)).all():
+        factors = np.where(nominal[:3] > 0, slots[:3] / np.where(nominal[:3] > 0, nominal[:3], 1), 1)
+        change = OFF.copy()
+        change[:3] = slots[:3]
+        for r in changed:
+            change[PLACES[r]] = slots[PLACES[r]]
+        if model.hold == "zoh" and change[INDEX[DELAY]]:  # half a sample is the hold's
+            change[INDEX[DELAY]] = max(change[INDEX[DELAY]] - model.dt / 2, 0.0)
+        # the nominal keeps its own parts; those that moved are made anew
+        own = tuple(e for e in model.effects if e.spec not in changed)
+        added = effects_of(change, scale)
+        whole = replace(model.changed(factors[: model.order + 1]), effects=(*own, *(e for e, _ in added)))
+        return whole, added
+    size, force, rates = np.asarray(model.scales.state, float), float(model.scales.force), rates_of(model)
+    a = slots[:3] * force / size[0]
+    a = a if a[2] > 0 else a[:2]
+    state = size[: len(a)] if len(size) >= len(a) else size[0] / scale.tau ** np.arange(len(a))
+    plain = linear_model(
+        a, input_map=model.input_map, state_scale=state, force_scale=force, output=model.output, hold="foh",
+        substeps=model.substeps, domain=model.domain,
+    )  # fmt: skip
+    simulated = tuple(size[0] * np.cumprod([1.0, *rates])), force
+    added = [(in_scales(e, simulated, (state, force)), names) for e, names in effects_of(slots, scale)]
+    whole = replace(plain, effects=tuple(e for e, _ in added))
+    return cast(Model, Fitted(whole, fitted_of(model).origin)), added
+
+
+def rates_of(model: Model) -> tuple[float, float]:
+    """The rates of the scales of x' and x'' in a simulation (1/s), whatever the model's order."""
+    rates = np.asarray(model.scales.rates, float)
+    return float(rates[0]), float(rates[min(1, len(rates) - 1)])
 
 
 def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | None]:
@@ -380,51 +340,6 @@ def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | No
     return core_a, lag, filtered
 
 
-def model_of(
-    case_nominal: np.ndarray, slots: np.ndarray, model: Model, omega: float
-) -> tuple[Model, list[tuple], list[str]]:
-    """The nominal with these slots in place of its own; what was added with its slots; and what no row can carry."""
-    core, behind = ("a0", "a1", "a2"), ("delay", "lag", "filter", "filter_zeta")
-    places = [INDEX[k] for k in core]
-    slots = slots.copy()
-    for k in ("delay", "lag", "filter"):  # what a fit has pushed to nothing is not there
-        slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
-    slots[places] = _no_faster(slots[places], 2 / model.dt)
-    change = slots.copy()
-    same = (slots[places] > 0) == (case_nominal[places] > 0)
-    if model.order <= 2 and same.all():
-        factors = np.where(
-            case_nominal[places] > 0, slots[places] / np.where(case_nominal[places] > 0, case_nominal[places], 1), 1
-        )
-        for k in NAMES:  # the nominal keeps its own parts; those that moved are made anew
-            if k not in core and slots[INDEX[k]] == case_nominal[INDEX[k]]:
-                change[INDEX[k]] = (
-                    OFF[INDEX[k]] if k not in behind or case_nominal[INDEX[k]] == OFF[INDEX[k]] else change[INDEX[k]]
-                )
-        moved = [k for k in behind if slots[INDEX[k]] != case_nominal[INDEX[k]]]
-        if model.hold == "zoh" and "delay" in moved:
-            change[INDEX["delay"]] = max(change[INDEX["delay"]] - model.dt / 2, 0.0)
-        own = tuple(e for e in model.effects if not (moved and (e.name, e.form) in _BEHIND))
-        for k in () if moved else behind:
-            change[INDEX[k]] = OFF[INDEX[k]]
-        added, missing = effects_of(change, model, omega)
-        new = [e for e, codes in added if not set(codes) <= set(behind) or moved]
-        whole = replace(model.changed(factors[: model.order + 1]), effects=(*own, *new))
-        return whole, added, missing
-    added, missing = effects_of(change, model, omega)
-    scale, force = np.asarray(model.scales.state, float), float(model.scales.force)
-    a = slots[places] * force / scale[0]
-    a = a if a[2] > 0 else a[:2]
-    rate = omega if omega > 0 else 1.0
-    state = scale[: len(a)] if len(scale) >= len(a) else scale[0] * rate ** np.arange(len(a))
-    plain = linear_model(
-        a, input_map=model.input_map, state_scale=state, force_scale=force, output=model.output, hold="foh",
-        substeps=model.substeps, domain=model.domain,
-    )  # fmt: skip
-    whole = replace(plain, effects=tuple(e for e, _ in effects_of(change, plain, omega)[0]))
-    return cast(Model, Fitted(whole, fitted_of(model).origin)), added, missing
-
-
 def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
     """Move the poles beyond `most` (1/s) in to it and leave the slow end of the response as it was.
 
@@ -440,6 +355,3 @@ def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
     moved = np.zeros_like(a)
     moved[: order + 1] = slower * a[slowest] / slower[slowest]
     return moved
-
-
-_BEHIND = {("delay", "pure"), ("sensor_lag", "one lag"), ("sensor_lag", "second order")}

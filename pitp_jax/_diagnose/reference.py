@@ -10,17 +10,20 @@ No plays: a reference that holds a mechanism steals its name. It is a bar, not a
 them cannot follow friction.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.signal import bilinear, lfilter
 
 from .data import Case
 from .evidence import Evidence, evidence
+from .library import CORE, INDEX
 from .search import Hypothesis
-from .simulator import INDEX
 
 _PENALTIES = np.geomspace(1e-6, 1.0, 7)
 _FAMILIES = ("LG", "LSG", "LV")
 _TAUS = 8
+_ROWS = 20_000  # rows that are fitted
 
 
 def _lowpass(w: np.ndarray, dt: float, tau: float) -> np.ndarray:
@@ -56,7 +59,7 @@ class _Features:
         sx = np.std(np.concatenate(runs)) + 1e-12
         speeds = [np.gradient(r, d.dt) for r, d in zip(runs, drives, strict=True)]
         sv = np.std(np.concatenate(speeds)) + 1e-12
-        a0, a1, a2 = (h.fit.slots[INDEX[k]] for k in ("a0", "a1", "a2"))
+        a0, a1, a2 = (h.fit.slots[INDEX[k]] for k in CORE)
         # a plant without a spring has no static gain to scale by
         unit = a0 if a0 > 0 else a1 / case.dt / 100
         poly = [a2 / unit, a1 / unit, a0 / unit] if a2 > 0 else [a1 / unit, a0 / unit]
@@ -99,33 +102,77 @@ def reference(case: Case, h: Hypothesis, floors: np.ndarray) -> Evidence:
 
 
 def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndarray) -> list[Evidence]:
+    """Out-of-fold evidence of every penalty.
+
+    Moments are taken once of every stretch of rows that the same folds see; the fit without a fold adds its stretches.
+    """
+    folds, weights = range(len(case.folds)), 1 / np.sqrt(h.evidence.mse)  # records weigh as in the log score
+    masks = [case.masks(fold) for fold in folds]
+    bits = [np.sum([(m[k] > 0).astype(np.int64) << f for f, m in enumerate(masks)], 0) for k in range(len(columns))]
+    # neighbours say the same: of a long case every so many rows are fitted, and all are judged
+    step = -(-sum(map(len, columns)) // _ROWS)
+    moments = [_moments(x, y, b, step) for x, y, b in zip(columns, h.fit.residuals, bits, strict=True)]
     rows = [[np.full(len(s.output), np.nan) for s in case.series] for _ in _PENALTIES]
-    # records weigh by what is left of them, as in the log score
-    weights = 1 / np.sqrt(h.evidence.mse)
-    for fold in range(len(case.folds)):
-        xs, ys = [], []
-        for k, mask in enumerate(case.masks(fold)):
-            seen = (mask > 0) & np.isfinite(h.residuals[k])
-            if seen.any():
-                x = columns[k][seen]
-                xs.append((x - x.mean(0)) * weights[k])
-                ys.append((h.fit.residuals[k][seen] - h.fit.residuals[k][seen].mean()) * weights[k])
-        if not xs:
+    for fold in folds:
+        solved = _solved([[m for seen, m in parts.items() if seen >> fold & 1] for parts in moments], weights)
+        if solved is None:
             continue
-        x, y = np.concatenate(xs), np.concatenate(ys)
-        # unit deviation: one penalty for columns of any scale
-        size = x.std(0) + 1e-9
-        low, high = x.min(0) / size / weights.min(), x.max(0) / size / weights.min()
-        # factored once, for all penalties
-        value, axes = np.linalg.eigh(x.T @ x / len(x) / np.outer(size, size))
-        aim = axes.T @ (x.T @ y / len(x) / size)
-        for i, penalty in enumerate(_PENALTIES):
-            w = axes @ (aim / (np.maximum(value, 0) + penalty))
-            for k, tested in enumerate(case.tested(fold)):
-                if tested.any():
-                    # clipped beside what was seen in the fit: outside a product of three grows without end
-                    z = (columns[k] - columns[k][tested].mean(0)) / size
-                    e = h.residuals[k] - np.clip(z, 1.5 * low - 1e-9, 1.5 * high + 1e-9) @ w
-                    rows[i][k][tested] = e[tested] - (0.0 if case.blocks > 1 else np.nanmean(e[tested]))
+        w, size, low, high = solved
+        for k, tested in enumerate(case.tested(fold)):
+            if tested.any():
+                x = columns[k][tested]
+                # clipped beside what was seen in the fit: outside a product of three grows without end
+                z = np.clip((x - x.mean(0)) / size, 1.5 * low - 1e-9, 1.5 * high + 1e-9)
+                e = h.residuals[k][tested, None] - z @ w
+                e = e - (0.0 if case.blocks > 1 else np.nanmean(e, 0))
+                for i in range(len(_PENALTIES)):
+                    rows[i][k][tested] = e[:, i]
     least = np.sqrt(h.evidence.least)
     return [evidence(r, np.sqrt(floors), least, case.blocks) for r in rows]
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Sums over some rows of a record: their number, x, x x', x y, y; and the least and the largest of x."""
+
+    size: int
+    x: np.ndarray
+    xx: np.ndarray
+    xy: np.ndarray
+    y: float
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _moments(x: np.ndarray, y: np.ndarray, seen: np.ndarray, step: int) -> dict[int, _Moments]:
+    """Moments of every `step`-th row, by the folds that see them (bits of `seen`)."""
+    x, y, seen = x[::step], y[::step], (seen * np.isfinite(y))[::step]
+    # about the record's own mean: squares of what lies far from zero would cancel
+    centred, parts = x - (x[seen > 0].mean(0) if (seen > 0).any() else 0.0), {}
+    for bits in np.unique(seen[seen > 0]):
+        a, b = centred[seen == bits], y[seen == bits]
+        parts[int(bits)] = _Moments(len(a), a.sum(0), a.T @ a, a.T @ b, float(b.sum()), a.min(0), a.max(0))
+    return parts
+
+
+def _solved(records: list[list[_Moments]], weights: np.ndarray):
+    """Ridge of the standardised columns: weights (columns, penalties), sizes, least and largest; None: no rows."""
+    n, xx, xy, low, high = 0, 0.0, 0.0, np.inf, -np.inf
+    for parts, w in zip(records, weights, strict=True):
+        if not parts:
+            continue
+        size, x, y = sum(m.size for m in parts), sum(m.x for m in parts), sum(m.y for m in parts)
+        mean = x / size  # every record is centred by itself
+        n, xx = n + size, xx + w**2 * (sum(m.xx for m in parts) - np.outer(mean, x))
+        xy = xy + w**2 * (sum(m.xy for m in parts) - mean * y)
+        low = np.minimum(low, w * (np.min([m.low for m in parts], 0) - mean))
+        high = np.maximum(high, w * (np.max([m.high for m in parts], 0) - mean))
+    if not n:
+        return None
+    # unit deviation: one penalty for columns of any scale
+    size = np.sqrt(np.maximum(np.diag(xx) / n, 0.0)) + 1e-9
+    # factored once, for all penalties
+    value, axes = np.linalg.eigh(xx / n / np.outer(size, size))
+    aim = axes.T @ (xy / n / size)
+    w = axes @ (aim[:, None] / (np.maximum(value, 0)[:, None] + _PENALTIES))
+    return w, size, low / size / weights.min(), high / size / weights.min()

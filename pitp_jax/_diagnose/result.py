@@ -4,7 +4,7 @@ closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,13 +14,13 @@ from .._record.record import Record
 from .._simulate.prediction import predict
 from .evidence import probability
 from .fit import Fit
-from .library import effects_of, family
+from .library import CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, OFF, effects_of, family
 from .search import Hypothesis, Search
 from .shares import energies
-from .simulator import INDEX, LOGARITHM, OFF
 
 GAP = 1.1  # times the floor: no gap to close up to there
 _BLOCKS = 30
+_PLAIN = {DELAY: "delay", LAG: "lag", FILTER: "filter"}  # as the page names them
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,9 @@ class Ranked:
         train, heldout: error left, % of range, of the fit to all records and out of fold.
         closed_fraction, ci95: as in `Gap`.
         probability: P that it beats the linear model.
+
+    `heldout` and `probability` are nan, and `closed_fraction` and `ci95` None, where the fit to all records leaves more
+    than the third-best candidate leaves out of fold: it was not refitted without each fold.
     """
 
     effect: str
@@ -149,24 +152,24 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
     return dict(zip(fit.free, np.sqrt(np.maximum(variance, 0)).tolist(), strict=True))
 
 
-def in_units(model: Model, effect, codes: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
-    """Parameters of one effect in physical units; `codes`: the slots they are."""
+def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
+    """Parameters of one effect in physical units; `names`: the slots they are."""
     numbers, rows = effect.numbers(), {}
     for k, (p, value) in enumerate(numbers):
         number, unit = physical(model, p, float(value))
-        slot = codes[k].removeprefix("-").removeprefix("1/") if k < len(codes) else None
+        slot = names[k]
         error = None
         if slot in errors and np.isfinite(number):
             size = 1.0 if LOGARITHM[INDEX[slot]] else 1 / max(abs(fit.value(slot)), 1e-300)
             error = abs(number) * size * errors[slot]
-        name = f"c{k + 1}" if effect.name == "found_term" and k < len(codes) else p.name
+        name = f"c{k + 1}" if effect.name == "found_term" else p.name
         rows[name] = {"value": float(number), "unit": unit, "stderr": error}
     return rows
 
 
 def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
     """The effects beyond the nominal, with their numbers."""
-    return tuple(Added(e.name, e.form, in_units(model, e, codes, fit, errors)) for e, codes in added)
+    return tuple(Added(e.name, e.form, in_units(model, e, names, fit, errors)) for e, names in added)
 
 
 def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
@@ -175,7 +178,7 @@ def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
     for k in search.movable:
         if k in fit.free:
             value = fit.value(k) / nominal[INDEX[k]]
-            key = f"{k[0]}_{k[1]} over given" if k in ("a0", "a1", "a2") else f"{k} over given"
+            key = f"{k[0]}_{k[1]} over given" if k in CORE else f"{_PLAIN[k]} over given"
             rows[key] = {"value": float(value), "unit": "1", "stderr": value * errors[k] if k in errors else None}
     return rows
 
@@ -184,24 +187,28 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     """Every name's best form by itself, best first."""
     rows = []
     before = percent(search, search.base)
-    for h in search.level(1):
-        label = h.labels[0]
+    judged = search.level(1)
+    others = sorted((f for f in search.waiting.values() if len(f.names) == 1), key=lambda f: f.cost)
+    for fit, label in [(h.fit, h.labels[0]) for h in judged] + [(f, search.labels(f)[0]) for f in others]:
         # what the form moved alone: the base's own delay and lags are none of it
-        same = h.fit.slots == search.base.fit.slots
-        same[[INDEX[k] for k in ("delay", "lag", "filter")]] |= label not in ("delay", "sensor_lag")
-        slots = np.where(same, OFF, h.fit.slots)
-        slots[INDEX["a0"]] = h.fit.value("a0")
-        effects, _ = effects_of(slots, search.case.model, 1 / search.scale.tau)
+        same = fit.slots == search.base.fit.slots
+        same[[INDEX[k] for k in (DELAY, LAG, FILTER)]] |= label not in ("delay", "sensor_lag")
+        slots = np.where(same, OFF, fit.slots)
+        slots[:3] = fit.slots[:3]
+        effects = effects_of(slots, search.scale)
         mine = next(((e, c) for e, c in effects if e.name in (label, "found_term")), None)
         # each takes slopes of its own: of the first three, which a reader compares
-        errors = errors_of(search, h.fit) if len(rows) < 3 else {}
-        numbers = in_units(search.case.model, *mine, h.fit, errors) if mine else factors_of(search, h.fit, errors)
-        after, moved = percent(search, h), label == "parameter_change"
-        rows.append(Ranked(
-            label, family(label), mine[0].form if mine else "refitted coefficients" if moved else "of the library",
-            numbers, _train(search, h.fit), after, closed(before, after, low), interval(search, search.base, h, low),
-            probability(h.evidence, search.base.evidence),
-        ))  # fmt: skip
+        errors = errors_of(search, fit) if len(rows) < 3 else {}
+        numbers = in_units(search.case.model, *mine, fit, errors) if mine else factors_of(search, fit, errors)
+        moved = label == "parameter_change"
+        form = mine[0].form if mine else "refitted coefficients" if moved else "of the library"
+        row = Ranked(label, family(label), form, numbers, _train(search, fit), float("nan"), None, None, float("nan"))
+        if len(rows) < len(judged):
+            h = judged[len(rows)]
+            after, sure = percent(search, h), probability(h.evidence, search.base.evidence)
+            ci95 = interval(search, search.base, h, low)
+            row = replace(row, heldout=after, closed_fraction=closed(before, after, low), ci95=ci95, probability=sure)
+        rows.append(row)
     return tuple(rows)
 
 

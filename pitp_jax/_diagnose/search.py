@@ -1,8 +1,10 @@
 """Search: sets of effects, forward by a beam of two with a backward step, each scored out of fold.
 
 Level d holds, for every front of level d - 1 and every name beside it, the best form: all starts take a few steps, the
-best two go on to their optimum, and are refitted without each fold. A set pays if its error is below FIRST (then
-FURTHER for every name) of the last that paid, with P >= SURE; a level that does not pay is stepped over.
+best two go on to their optimum. Sets are then refitted without each fold, in order of their in-sample error, until that
+exceeds the third-best out-of-fold error: the sets behind it cannot be among the best three. A set pays if its error is
+below FIRST (then FURTHER for every name) of the last that paid, with P >= SURE; a level that does not pay is stepped
+over.
 """
 
 from collections.abc import Callable, Sequence, Set
@@ -15,10 +17,25 @@ from .budget import Budget
 from .data import Case
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
-from .library import Form, Scale, forms, named
-from .simulator import INDEX, OFF
+from .library import (
+    BRANCHES,
+    CORE,
+    DELAY,
+    FILTER,
+    FILTER_ZETA,
+    INDEX,
+    LAG,
+    SLOW,
+    Form,
+    Scale,
+    forms,
+    named,
+)
 
-BEAM, DEPTH, NAMES = 2, 4, 8  # fronts, names of a set, names that are fitted beside each front
+BEAM, DEPTH = 2, 4  # fronts, names of a set
+_FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and beside each further front
+_CERTAIN = 4  # hypotheses that go to their optimum whatever their first steps gain
+_RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
 _AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
@@ -61,7 +78,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
     a = np.concatenate(
         [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
     )
-    a0, a1, a2 = (base.value(k) for k in ("a0", "a1", "a2"))
+    a0, a1, a2 = (base.value(k) for k in CORE)
     # the natural period's, else the slowest pole's, of whatever the base has
     tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
     tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
@@ -102,11 +119,13 @@ class Search:
         self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
+        self.waiting: dict[frozenset, Fit] = {}  # at their optimum, not refitted without folds
+        self._climbed: set[tuple[str, ...]] = set()  # a front's names and the one added: fitted before
         # of the nominal's linear part what is there at all
-        self.core = tuple(k for k in ("a0", "a1", "a2", "delay", "lag", "filter") if case.nominal[INDEX[k]] > 0)
+        self.core = tuple(k for k in (*CORE, DELAY, LAG, FILTER) if case.nominal[INDEX[k]] > 0)
         # a delay shorter than a thinned step is the hold's: a longer one is a name, and no number that has moved
-        short = not refit and case.nominal[INDEX["delay"]] < case.dt
-        self.movable = tuple(k for k in self.core if not (short and k == "delay"))
+        short = not refit and case.nominal[INDEX[DELAY]] < case.dt
+        self.movable = tuple(k for k in self.core if not (short and k == DELAY))
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
         self.fitter.fit([given], 0)
         self.given = self._scored([given])[0]
@@ -116,11 +135,11 @@ class Search:
         self.scale = scale_of(case, base.fit)
         self.every[frozenset()] = base
         # a memory of the drive that is faster than the plant is a filter of it, no charge
-        self.fitter.lowest = {"charge_tau": self.scale.tau}
+        self.fitter.lowest = dict.fromkeys(SLOW, self.scale.tau)
         self.library = [
             f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)
         ]
-        self.library = [f for f in self.library if not (f.name == "delay" and "delay" in self.core and refit)]
+        self.library = [f for f in self.library if not (f.name == "delay" and DELAY in self.core and refit)]
         if refit:
             self.library = [
                 f
@@ -144,13 +163,12 @@ class Search:
     # -- fits ----------------------------------------------------------------------------------------------------------
 
     def _scored(self, fits: Sequence[Fit]) -> list[Hypothesis]:
-        hypotheses = []
-        for fit, rows in zip(fits, self.fitter.refitted_without(fits, _FOLD_STEPS), strict=True):
-            labels = tuple(
-                "parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names
-            )
-            hypotheses.append(Hypothesis(fit, labels, rows, self.weigh(rows)))
-        return hypotheses
+        rows = self.fitter.refitted_without(fits, _FOLD_STEPS)
+        return [Hypothesis(f, self.labels(f), r, self.weigh(r)) for f, r in zip(fits, rows, strict=True)]
+
+    def labels(self, fit: Fit) -> tuple[str, ...]:
+        """Catalogue names of a fit."""
+        return tuple("parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
 
     def _linear(self) -> Hypothesis:
         """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
@@ -180,7 +198,7 @@ class Search:
 
     def _structure(self, free: tuple[str, ...], values: dict[str, float]) -> Fit:
         slots = self.case.nominal.copy()
-        for k in ("delay", "lag", "filter", "a2"):
+        for k in (DELAY, LAG, FILTER, "a2"):
             slots[INDEX[k]] *= k in free or (not self.refit and k in self.core)
         for k, v in values.items():
             slots[INDEX[k]] = v
@@ -188,56 +206,61 @@ class Search:
 
     def _structures(self) -> list[Fit]:
         """Orders one to four: a core with and without a mass, a delay, a lag or a second-order filter behind it."""
-        v = {k: self.case.nominal[INDEX[k]] for k in ("a0", "a1", "a2", "lag", "filter", "filter_zeta")}
-        dt, late = self.case.dt, self.case.nominal[INDEX["delay"]]
-        own, core = self.core, tuple(k for k in self.core if k not in ("lag", "filter"))
+        v = {k: self.case.nominal[INDEX[k]] for k in (*CORE, LAG, FILTER, FILTER_ZETA)}
+        dt, late = self.case.dt, self.case.nominal[INDEX[DELAY]]
+        own, core = self.core, tuple(k for k in self.core if k not in (LAG, FILTER))
         # the nominal's whole lateness at slow drives as one time constant, of a plant with a spring
-        tau = max(v["a1"] / v["a0"] + v["lag"] + 2 * v["filter_zeta"] * v["filter"], dt) if v["a0"] > 0 else 0.0
+        tau = max(v["a1"] / v["a0"] + v[LAG] + 2 * v[FILTER_ZETA] * v[FILTER], dt) if v["a0"] > 0 else 0.0
         fits = []
         for faster in (0.5, 2.0):
             fits.append(self._structure(own, {"a1": v["a1"] * faster, "a2": v["a2"] * faster**2}))
         if not late:
-            fits.append(self._structure((*own, "delay"), {"delay": dt}))
+            fits.append(self._structure((*own, DELAY), {DELAY: dt}))
         if tau and ("a2" not in core or core != own):
             for share in (0.03, 0.3):
                 numbers = {"a1": v["a0"] * tau, "a2": share * v["a0"] * tau**2}
                 fits.append(self._structure((*(k for k in core if k != "a2"), "a2"), numbers))
         if tau and own != ("a0", "a1"):
             fits.append(self._structure(("a0", "a1"), {"a1": v["a0"] * tau}))
-            fits.append(self._structure(("a0", "a1", "delay"), {"a1": v["a0"] * tau, "delay": late or dt}))
-        if "lag" not in own and "filter" not in own:
-            numbers = {"lag": 0.3 * max(tau, dt)}, {"filter": 0.2 * max(tau, dt), "filter_zeta": 0.3}
+            fits.append(self._structure(("a0", "a1", DELAY), {"a1": v["a0"] * tau, DELAY: late or dt}))
+        if LAG not in own and FILTER not in own:
+            numbers = {LAG: 0.3 * max(tau, dt)}, {FILTER: 0.2 * max(tau, dt), FILTER_ZETA: 0.3}
             fits += [self._structure((*own, *extra), extra) for extra in numbers]
         return fits
 
-    def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> list[Hypothesis]:
-        """Names beside every front, each by its best form."""
+    def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> None:
+        """Names beside every front, each by its best form, judged out of fold."""
         groups: dict[frozenset, list[Fit]] = {}
         below: dict[int, Fit] = {}
         for front in fronts:
             for form in self.library:
                 key = frozenset([*front.names, form.name])
-                if form.name in {*front.names, *without} or key in self.every:
+                if form.name in {*front.names, *without} or key in self.every or key in self.waiting:
                     continue
                 groups.setdefault(key, []).append(start := self._started(front.fit, form))
                 below[id(start)] = front.fit
-        # at the first level every name is fitted: nothing is known yet of what it may hide
-        groups = self._foremost(groups, below, NAMES * len(fronts) if fronts[0].names else len(groups))
-        keys = list(groups)
+        groups = self._foremost(groups, below, _SETS * len(fronts) if fronts[0].names else _FIRST_SETS)
+        # beside a front that was fitted before a hypothesis ends where it ended then
+        fresh = {key: [f for f in g if f.names not in self._climbed] for key, g in groups.items()}
+        keys = [key for key, g in fresh.items() if g]
         # what promises most first; without a limit of time all of them side by side
-        size, tried = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, []
+        size = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME
         for first in range(0, len(keys), max(size, 1)):
-            some = {key: groups[key] for key in keys[first : first + size]}
+            some = {key: fresh[key] for key in keys[first : first + size]}
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            tried += self._climbed(some)
-        return tried
+            self._climb(some)
+        self.judge(len(fronts[0].names) + 1, without)
 
-    def _climbed(self, groups: dict[frozenset, list[Fit]]) -> list[Hypothesis]:
-        """The optimum of every set that helps, judged out of fold."""
+    def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
+        """Fit every hypothesis that lowers the error of the one below it to its optimum, where it waits to be judged.
+
+        First steps see a few records only: the best hypotheses go on even where these steps help no other record.
+        """
         for f in (starts := [f for g in groups.values() for f in g]):
             f.fold = PREVIEW
+            self._climbed.add(f.names)
         self.fitter.fit(starts, _FIRST_STEPS)
         groups = {
             key: [
@@ -247,16 +270,48 @@ class Search:
             for key, g in groups.items()
         }
         self.fitter.fit([f for g in groups.values() for f in g], 0)
-        for key, group in groups.items():
-            # only what lowers the error of the set below it goes on
-            least = [self.every[key - {f.names[-1]}].fit.cost - 2 * rules.GAIN * self.samples for f in group]
-            groups[key] = [f for f, most in zip(group, least, strict=True) if f.cost < most]
+        order = sorted(groups, key=lambda key: min((f.cost for f in groups[key]), default=np.inf))
+        gaining = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
+        groups = gaining | {key: gaining[key] or groups[key] for key in order[:_CERTAIN]}
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
-        chosen = self._richer([self._plainest(g) for g in groups.values() if g])
-        scored = [h for h in self._scored(chosen) if not self.exclude & set(h.labels)]
-        for h in scored:
+        groups = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
+        for fit in self._richer([self._plainest(g) for g in groups.values() if g]):
+            if not self.exclude & set(self.labels(fit)):
+                self.waiting[frozenset(fit.names)] = fit
+
+    def _gains(self, fit: Fit) -> bool:
+        """Return whether a fit leaves GAIN less than the hypothesis below it."""
+        below = self.every[frozenset(fit.names[:-1])].fit.cost
+        return fit.cost < below - 2 * rules.GAIN * self.samples
+
+    def judge(self, depth: int, without: Set[str] = frozenset()) -> None:
+        """Refit waiting hypotheses of so many names without each fold, until the best three of these are certain.
+
+        A fit leaves no more in sample than out of fold. So the order of their in-sample errors is followed, and what
+        leaves more in sample than the third best leaves out of fold goes on waiting.
+        """
+        fits = [f for f in self.waiting.values() if len(f.names) == depth and not without & set(f.names)]
+        errors = {id(f): self.weigh(f.residuals).rms for f in fits}
+        fits.sort(key=lambda f: errors[id(f)])
+        while fits:
+            best = self.level(depth, without)[:_RANKED]
+            if len(best) == _RANKED and errors[id(fits[0])] >= best[-1].rms:
+                break
+            count = max(_RANKED - len(best), 1)
+            self._settle(fits[:count])
+            fits = fits[count:]
+
+    def judged(self, names: Set[str]) -> Hypothesis | None:
+        """Return the hypothesis of these names, refitted without each fold now if it was not; None: not tried."""
+        key = frozenset(names)
+        if key in self.waiting:
+            self._settle([self.waiting[key]])
+        return self.every.get(key)
+
+    def _settle(self, fits: Sequence[Fit]) -> None:
+        for h in self._scored(fits):
             self.every[frozenset(h.names)] = h
-        return scored
+            self.waiting.pop(frozenset(h.names), None)
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
         """The form with the fewest numbers of those that leave at most GAIN more than the best."""
@@ -267,14 +322,14 @@ class Search:
         """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
-            if f.names[-1] != "viscoelastic" or "branch2" in f.free:
+            if f.names[-1] != "viscoelastic":
                 continue
             # a decade apart: nearer, two branches are one of a time constant between them
             for ratio in (0.1, 10.0):
                 slots = f.slots.copy()
-                slots[INDEX["branch2"]] = 0.3 * f.value("branch")
-                slots[INDEX["branch2_tau"]] = ratio * f.value("branch_tau")
-                free = (*f.free, "branch2", "branch2_tau")
+                slots[INDEX[BRANCHES[1][0]]] = 0.3 * f.value(BRANCHES[0][0])
+                slots[INDEX[BRANCHES[1][1]]] = ratio * f.value(BRANCHES[0][1])
+                free = (*f.free, *BRANCHES[1])
                 more.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
@@ -303,11 +358,10 @@ class Search:
         for k, v in form.start.items():
             slots[INDEX[k]] = v
         # what adds stiffness begins with as much less of the core, so that the start is as stiff as the base
-        stiff = 1 + slots[INDEX["bouc"]] if "bouc" in form.start else 1.0
-        free = tuple(dict.fromkeys((*front.free, *(k for k in form.start if k not in ("fold", "reach")))))
+        stiff = 1 + form.stiffness
+        free = tuple(dict.fromkeys((*front.free, *form.free)))
         if stiff > 1.05 and "a0" in free:
-            for k in ("a0", "a1", "a2"):
-                slots[INDEX[k]] /= stiff
+            slots[:3] /= stiff
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     def each_alone(self) -> Evidence | None:
@@ -375,7 +429,7 @@ class Search:
         self._backward()
         self.fewer_moved()
 
-    def level(self, depth: int, without: set | frozenset = frozenset()) -> list[Hypothesis]:
+    def level(self, depth: int, without: Set[str] = frozenset()) -> list[Hypothesis]:
         """Sets of so many names, best first."""
         sets = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
         return sorted(sets, key=lambda h: h.rms)
@@ -401,13 +455,12 @@ class Search:
             if (moved and linear) or any(k in f.start for f in keep):
                 slots[INDEX[k]] = fit.slots[INDEX[k]]
                 free.append(k)
-        for k in ("fold", "reach"):
-            slots[INDEX[k]] = fit.slots[INDEX[k]] if any(k in f.start for f in keep) else OFF[INDEX[k]]
         names = tuple(n for n in fit.names if n in key)
         one = fit.anew(names=names, free=tuple(dict.fromkeys(free)), slots=slots)
         (done,) = self.fitter.fit([one], _STEPS)
+        done = min((done, self.waiting.get(key, done)), key=lambda f: f.cost)
         if np.isfinite(done.cost):
-            self.every[key] = self._scored([done])[0]
+            self._settle([done])
 
     def best(self) -> Hypothesis:
         """The last set that pays."""
@@ -456,16 +509,14 @@ class Search:
             have = frozenset(step.names)
         return steps
 
-    def without(self, name: str, depth: int) -> Hypothesis:
-        """The best set of at most so many names that lacks a name, searched anew: it finds the twins."""
-        lacking = {name}
+    def without(self, names: Set[str], depth: int) -> None:
+        """Search sets of at most so many names that lack some names anew: this finds their twins."""
+        self.judge(1, names)
         for d in range(2, depth + 1):
-            fronts = self.level(d - 1, lacking)[:BEAM]
-            if fronts and self.budget.allows(f"rivals of {name}"):
-                self.extend(fronts, lacking)
-        return min(
-            (h for h in self.every.values() if name not in h.names and len(h.names) <= depth), key=lambda h: h.rms
-        )
+            fronts = self.level(d - 1, names)[:BEAM]
+            if fronts and self.budget.allows(f"rivals of {' and '.join(sorted(names))}"):
+                self.extend(fronts, names)
+            self.judge(d, names)
 
 
 def _written(h: Hypothesis) -> str:

@@ -71,7 +71,7 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
 
 
 def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
-    alone = [search.every.get(frozenset([n])) for n in chosen.names]
+    alone = [search.judged({n}) for n in chosen.names]
     if any(h is None for h in alone):
         return named
     e = energies([search.base.evidence, *[h.evidence for h in alone if h is not None], chosen.evidence], spans) / whole

@@ -1,73 +1,33 @@
-"""One free-run simulator for every hypothesis: effects are slots of one parameter vector, each with a value for "off".
+"""Free runs of many parameter vectors: the catalogue's own rows around an exact linear core.
 
     a_0 x + a_1 x' + a_2 x'' = F c(x) - f(x, x', z),   F = map(V) / force scale,   y = sensor(x)
 
 The linear part is exact for a force that runs linearly over a step, (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0), for any
-order up to two, damped or not, with a spring or without (a_0 = 0). The other forces act at the middle of the step,
-linearly implicit along their own tangent: f = f(x_m, v_m) / (1 + f' b_x / 2 + f'_v b_x / h). Dry friction takes what
-stops the motion within the step and no more than its level. Memories advance exactly for x linear over a step. An
-integrator with numerical damping (0.04 at 20 samples a period) once decided 5 of 18 outcomes.
+order up to two, damped or not, with a spring or without (a_0 = 0). Smooth forces act at the middle of the step,
+linearly implicit along their own tangent: f = f(x_m, v_m) / (1 + f' b_x / 2 + f'_v b_x / h). Friction and slack act
+last, on the motion that all other forces leave. An integrator with numerical damping (0.04 at 20 samples a period)
+decided 5 of 18 outcomes.
 
-Lanes (parameters beside a record) are columns of flat arrays; blocks of them run under one compiled program.
+The step is written for one parameter vector beside one record, and is mapped over all of a block: its numbers are the
+last axis. Few programs serve all blocks.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # lanes a block, steps a call, blocks at a time
+from .._effects.effect import Effect, Instant
+from .library import COSTLY, DELAY, INDEX, OFF, PLACES, ROWS
+
+WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # simulations a block, steps a call, blocks at a time
 FAR = 1e4  # scaled displacement from which a run has diverged
-_NEVER = 1e30
-# slots whose forces take exponentials or many states: lanes without any run in a program of half the cost
-_COSTLY = (
-    "play1 play2 play3 play4 stretch_exp tanh expo sine root mullins drift bouc plays rise dry_speed drive_bouc bend"
-).split()
-
-# name: (value that switches it off, whether it is fitted by its logarithm)
-SLOTS: dict[str, tuple[float, bool]] = {
-    "a0": (0.0, True), "a1": (0.0, True), "a2": (0.0, True), "delay": (0.0, True),
-    "rc": (0.0, True), "slew": (_NEVER, True), "clip": (_NEVER, True), "offset": (0.0, False), "dead": (0.0, True),
-    "charge": (0.0, False), "charge_tau": (1.0, True), "saturation": (0.0, True), "play1": (0.0, False),
-    "play2": (0.0, False), "play3": (0.0, False), "play4": (0.0, False), "play_range": (1.0, True),
-    "stretch": (0.0, False), "stretch_exp": (0.0, False), "k2": (0.0, False), "k3": (0.0, False), "k5": (0.0, False),
-    "reach": (1.0, True), "gent": (0.0, True), "tanh": (0.0, True),
-    "expo": (0.0, False), "sine": (0.0, True), "root": (0.0, False), "stop": (0.0, True), "stop_at": (1.0, False),
-    "low_stop": (0.0, True), "low_stop_at": (-1.0, False), "mullins": (0.0, False), "mullins_length": (1.0, True),
-    "drift": (0.0, False), "drift_time": (1.0, True), "branch": (0.0, False), "branch_tau": (1.0, True),
-    "branch2": (0.0, False), "branch2_tau": (1.0, True), "bouc": (0.0, False), "yield": (1.0, True),
-    "gamma": (0.0, False), "plays": (0.0, True), "plays_width": (1.0, True), "drag": (0.0, True), "dry": (0.0, True),
-    "dry_speed": (0.0, True), "drive_bouc": (0.0, False), "drive_yield": (1.0, True), "rise": (0.0, True),
-    "rise_speed": (1.0, True), "dry_load": (0.0, True), "place_damping": (0.0, False), "place_damping2": (0.0, False),
-    "field_damping": (0.0, False), "slack": (0.0, True), "mode_gain": (0.0, False), "mode_force": (0.0, True),
-    "mode_w": (1.0, True), "mode_zeta": (0.1, True), "backlash": (0.0, True), "coast": (0.0, True), "lag": (0.0, True),
-    "filter": (0.0, True), "filter_zeta": (1.0, True), "gain": (0.0, False), "s2": (0.0, False), "s3": (0.0, False),
-    "fold": (0.0, False), "bend": (0.0, True),
-}  # fmt: skip
-NAMES = tuple(SLOTS)
-INDEX = {name: k for k, name in enumerate(NAMES)}
-OFF = np.array([off for off, _ in SLOTS.values()])
-LOGARITHM = np.array([log for _, log in SLOTS.values()])
-
-HIGHEST = {"mode_zeta": 0.5}  # an overdamped second mode is a relaxation or a delay by another name
-
-_CONSTANTS = (
-    "e11 e12 e21 e22 bx dx bv dv second h a0 a1 rc_keep rc_ramp slew clip offset dead charge q_keep q_ramp "
-    "saturation play1 play2 play3 play4 play_range force stretch stretch_exp k2 k3 k5 reach "
-    "gent tanh expo sine root stop stop_at low_stop low_stop_at mullins mullins_length drift drift_time age reached "
-    "branch z_keep z_ramp z_half branch2 y_keep y_ramp y_half bouc yield gamma plays plays_width drag dry "
-    "dry_speed drive_bouc drive_yield rise rise_speed dry_load place_damping place_damping2 field_damping slack "
-    "mode_gain mode_force mode_w mode_zeta m11 m12 m21 m22 mb1 md1 mb2 md2 backlash coast coast_keep coast_way "
-    "o_keep o_ramp lagged n11 n12 n21 n22 nb1 nd1 nb2 nd2 filtered gain s2 s3 fold bend "
-).split()
-_PLACE = {name: k for k, name in enumerate(_CONSTANTS)}
-_STATES = "x v vm zd rc slewed q p1 p2 p3 p4 z z2 w b1 b2 b3 b4 most my mv play pv lag fy fv".split()
-_PLAYS, _DRIVE_PLAYS = (0.15, 0.4, 1.0, 2.2), (0.04, 0.125, 0.25, 0.4)
+_CHEAP = tuple(r for r in ROWS if not r.costly)
 
 
 @dataclass(frozen=True)
@@ -132,6 +92,7 @@ class Simulator:
         drives: one per record.
         square: whether F = V^2 (else V).
         force_scale: of F.
+        rates: 1/s, of the scales of x' and x, and of x'' and x'.
         substeps: steps a sample.
         devices: blocks run on these in turn; none: on the default one.
     """
@@ -139,16 +100,17 @@ class Simulator:
     drives: tuple[Drive, ...]
     square: bool
     force_scale: float
+    rates: tuple[float, float]
     substeps: int
     devices: tuple = ()
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
-        """Scaled outputs (T,) of slots (lanes, slots) beside a record and from a start (x, v) each; nan if diverged."""
+        """Simulate slots (lanes, numbers), each beside a record from a start (x, v): scaled y (T,), nan if diverged."""
         places = np.asarray(records, int)
-        costly = (slots[:, [INDEX[k] for k in _COSTLY]] != OFF[[INDEX[k] for k in _COSTLY]]).any(1)
+        costly = (slots != OFF)[:, COSTLY].any(1)
         steps = np.array([len(d.voltage) for d in self.drives])[places]
         # alike ones side by side: blocks then share lengths, delays and the cheap program
-        order = np.lexsort((slots[:, INDEX["delay"]], places, -steps, costly))
+        order = np.lexsort((slots[:, INDEX[DELAY]], places, -steps, costly))
         blocks, place = [], 0
         while place < len(order):
             mixed = costly[order[place]]
@@ -175,17 +137,19 @@ class Simulator:
         # copies of the last lane fill the block: programs have few widths
         fill = np.concatenate([np.arange(lanes), np.full(width - lanes, lanes - 1)])
         slots, records, starts = slots[fill], records[fill], starts[fill]
-        sizes = [len(self.drives[r].voltage) for r in records]
+        drives = [self.drives[r] for r in records]
+        sizes = [len(d.voltage) for d in drives]
         steps = -(-max(sizes) * self.substeps // CHUNK) * CHUNK
-        inputs = self._inputs(slots, records, steps)
-        constants = self._constants(slots, records)
-        played = [self.drives[r].before for r in records]
-        before = np.array([inputs[0, k] if p is None else p for k, p in enumerate(played)], float)
-        program = self.square, costly
+        inputs, h = self._inputs(slots, records, steps), np.array([d.dt for d in drives]) / self.substeps
+        before = np.array([inputs[0, k] if d.before is None else d.before for k, d in enumerate(drives)], float)
+        session = np.array([(d.age, d.reached) for d in drives])
+        how = self.square, 1 / self.force_scale, self.rates
         with jax.enable_x64(True):
-            state, pieces = _begin(self.square, constants, before, inputs[0], starts.T), []
+            plant = _plant(slots[:, :3], h)
+            effects, once, state = _begin(ROWS if costly else _CHEAP, slots.T, h, starts.T, before, session.T)
+            pieces = []
             for first in range(0, steps, CHUNK):
-                state, y = _advance(*program, constants, state, inputs[first : first + CHUNK + 1], float(first))
+                state, y = _advance(how, effects, once, plant, state, inputs[first : first + CHUNK + 1])
                 pieces.append(np.asarray(y))
         y = np.concatenate(pieces)[:: self.substeps]
         return [y[: sizes[k], k] for k in range(lanes)]
@@ -193,7 +157,7 @@ class Simulator:
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
         """Delayed input at every step's ends, shape (steps + 1, lanes); its force runs straight between nodes."""
         # one delayed input for all lanes that share record and delay
-        pairs, which = np.unique(np.stack([records, slots[:, INDEX["delay"]]], 1), axis=0, return_inverse=True)
+        pairs, which = np.unique(np.stack([records, slots[:, INDEX[DELAY]]], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
             drive = self.drives[int(record)]
@@ -221,50 +185,10 @@ class Simulator:
         before = float(drive.before or 0.0)
         return before + (column - before) * (np.sqrt(share) if self.square and not before else share)
 
-    def _constants(self, slots: np.ndarray, records: np.ndarray) -> np.ndarray:
-        s = dict(zip(NAMES, slots.T, strict=True))
-        h = np.array([self.drives[r].dt for r in records]) / self.substeps
-        c = {name: s[name] for name in _CONSTANTS if name in s}
-        second = s["a2"] > 0
-        e, b, d = step_response(s["a0"], s["a1"], s["a2"], h)
-        c |= {"e11": e[:, 0, 0], "e12": e[:, 0, 1], "e21": e[:, 1, 0], "e22": e[:, 1, 1]}
-        c |= {"bx": b[:, 0], "bv": b[:, 1], "dx": d[:, 0], "dv": d[:, 1], "second": second, "h": h}
-        c["force"] = np.full(len(h), 1 / self.force_scale)
-        c["age"], c["reached"] = (np.array([getattr(self.drives[r], k) for r in records]) for k in ("age", "reached"))
-        for name, tau in (
-            ("rc", s["rc"]),
-            ("q", s["charge_tau"]),
-            ("z", s["branch_tau"]),
-            ("y", s["branch2_tau"]),
-            ("o", s["lag"]),
-        ):
-            c[f"{name}_keep"], c[f"{name}_ramp"] = _lag(tau, h)
-        c["z_half"], c["y_half"] = (-np.expm1(-h / 2 / s[k]) for k in ("branch_tau", "branch2_tau"))
-        for name, w, zeta in (
-            ("m", s["mode_w"], s["mode_zeta"]),
-            ("n", 1 / np.maximum(s["filter"], 1e-9), s["filter_zeta"]),
-        ):
-            e, b, d = step_response(np.ones_like(h), 2 * zeta / w, 1 / w**2, h)
-            c |= {f"{name}{i + 1}{j + 1}": e[:, i, j] for i in (0, 1) for j in (0, 1)}
-            c |= {f"{name}b{i + 1}": b[:, i] for i in (0, 1)} | {f"{name}d{i + 1}": d[:, i] for i in (0, 1)}
-        slowed = np.exp(-np.minimum(s["coast"] * h, 700))
-        c["coast_keep"], c["coast_way"] = slowed, (1 - slowed) / np.maximum(s["coast"], 1e-300)
-        c["lagged"], c["filtered"] = s["lag"] > 0, s["filter"] > 0
-        c["gamma"] = 1.5 * np.tanh(s["gamma"] / 1.5)  # unbounded it is a saturating spring of any shape
-        return np.stack([np.asarray(c[name], float) for name in _CONSTANTS])
-
 
 def root(force: np.ndarray) -> np.ndarray:
     """V of V|V|."""
     return np.sign(force) * np.sqrt(np.abs(force))
-
-
-def _lag(tau: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(keep, ramp) of tau z' = w - z over h for w linear: z+ = keep z + (ramp - keep) w_0 + (1 - ramp) w_1."""
-    # a time constant of zero: the lag follows at once
-    r = h / np.maximum(tau, 1e-12)
-    keep = np.exp(-np.minimum(r, 700))
-    return keep, -np.expm1(-np.minimum(r, 700)) / np.maximum(r, 1e-300) * (r < 1e9) * (tau > 0)
 
 
 def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -296,196 +220,131 @@ def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return total[:, :2, :2], total[:, :2, 2], total[:, :2, 3]
 
 
-def _bouc(z, dx, size, gamma):
-    """Bouc-Wen, n = 1, exact while the signs hold: dz = dx (1 - (sgn dx + gamma sgn z) z / size); gamma 0 is Dahl."""
-    q = (jnp.sign(dx) + gamma * jnp.sign(z)) / size
-    r = jnp.clip(q * dx, -50.0, 50.0)
-    small = jnp.abs(r) < 1e-6
-    return z * jnp.exp(-r) + dx * jnp.where(small, 1 - r / 2, -jnp.expm1(-r) / jnp.where(small, 1.0, r))
+class Plant(NamedTuple):
+    """The linear core, a number each: coefficients, E, b and d of its step, and the length of that (s)."""
+
+    a0: Any
+    a1: Any
+    a2: Any
+    e11: Any
+    e12: Any
+    e21: Any
+    e22: Any
+    bx: Any
+    bv: Any
+    dx: Any
+    dv: Any
+    h: Any
 
 
-def _follow(keep, ramp, z, before, after):
-    return keep * z + (ramp - keep) * before + (1 - ramp) * after
+def _plant(core: np.ndarray, h: np.ndarray) -> Plant:
+    a0, a1, a2 = core.T
+    e, b, d = step_response(a0, a1, a2, h)
+    return Plant(a0, a1, a2, *e.reshape(-1, 4).T, *b.T, *d.T, h=h)
 
 
-def _film(square, c, rc, slewed, q, volts):
-    """The scaled force behind the drive's effects."""
-    v = jnp.clip(slewed, -c["clip"], c["clip"]) + c["offset"]
-    v = jnp.where(c["dead"] > 0, jnp.sign(v) * jnp.maximum(jnp.abs(v) - c["dead"], 0.0), v)
-    v = v + c["charge"] * q
-    f = (v * v if square else v) * c["force"]
-    return f / (1 + c["saturation"] * jnp.abs(f))
+@dataclass(frozen=True)
+class Middle(Instant):
+    """The middle of a step of the exact core, with the velocity and the acceleration of that step.
 
+    Attributes:
+        highest, free, reply: of the step, as those of an `Instant`.
+    """
 
-def _unpack(constants):
-    return {name: constants[k] for name, k in _PLACE.items()}
+    highest: Any = 0.0
+    free: Any = 0.0
+    reply: Any = 1.0
+
+    @property
+    def order(self) -> int:
+        """Order of the core, which may lack a mass all the same."""
+        return 2
+
+    @property
+    def v(self):
+        """Scaled x'."""
+        return self.state[1]
 
 
 @partial(jax.jit, static_argnums=0)
-def _begin(square, constants, volts, first, start):
-    """The state at a first sample: x and v as given, memories settled at what was played before it."""
-    c = _unpack(constants)
-    x, v = start
-    # a drive that jumps at its first sample is there at once; only a lag or a slew limit keeps the film behind it
-    film = jnp.where(c["rc_ramp"] > 0, volts, first)
-    slewed = jnp.where(c["slew"] < _NEVER, volts, film)
-    q = jnp.where(c["charge"] > 0, jnp.abs(volts), volts)
-    zero = jnp.zeros_like(x)
-    settled = {
-        "x": x,
-        "v": v,
-        "vm": v,
-        "zd": zero,
-        "rc": film,
-        "slewed": slewed,
-        "q": q,
-        "w": zero,
-        "mv": zero,
-        "pv": zero,
-        "fv": zero,
-    }
-    settled |= {f"p{k}": volts for k in (1, 2, 3, 4)} | {"most": jnp.maximum(jnp.abs(x), c["reached"])}
-    return tuple(settled.get(k, x) for k in _STATES)
+@partial(jax.vmap, in_axes=(None, *(-1,) * 5), out_axes=-1)
+def _begin(rows, slots, h, start, volts, session):
+    """Set up effects, what their memories compute once, and the first state: x, v, x' of the last step, memories.
+
+    Memories are settled at what was played before.
+    """
+    effects, parts, y = [r(*slots[PLACES[r]]) for r in rows], [], start[0]
+    for e in effects:
+        z = e.start(volts if e.port == "IN" else y if e.port == "OUT" else start[0], session[0])
+        parts.append(e.resumed(z, session[1]))
+        y = e.apply(y, parts[-1]) if e.port == "OUT" else y
+    return effects, [e.once(h) for e in effects], (start[0], start[1], start[1], parts)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _advance(square, costly, constants, state, volts, clock):
-    c = _unpack(constants)
-    h, second, weights = c["h"], c["second"] > 0, [c[f"play{k}"] for k in (1, 2, 3, 4)]
+@partial(jax.jit, static_argnums=0)
+def _advance(how, effects, once, plant, state, volts):
+    step = jax.vmap(partial(_step, *how), in_axes=-1, out_axes=-1)
+    read = jax.vmap(_reading, in_axes=-1, out_axes=-1)
 
-    def rarer(x, dx, time, s):
-        """The forces that take exponentials or many states."""
-        t, p, g = c["tanh"] * x, c["sine"] * x, jnp.clip(c["expo"] * x, -3.0, 6.0)
-        near = [jnp.abs(r) < 0.03 for r in (t, p, g)]  # a ratio by its series
-        t1, p1, g1 = (jnp.where(n, 1.0, r) for n, r in zip(near, (t, p, g), strict=True))
-        tanh = jnp.where(near[0], -t * t / 3, jnp.tanh(t) / t1 - 1)
-        sine = jnp.where(near[1], -p * p / 6, jnp.sin(p) / p1 - 1)
-        expo = jnp.where(near[2], -g / 2 + g * g / 6, -jnp.expm1(-g) / g1 - 1)
-        size = jnp.abs(x)
-        shape = x * (0.97 * tanh + expo + sine)
-        shape = shape + c["root"] * (jnp.sign(x) * jnp.sqrt(size * c["reach"] + 1e-12) - x)
-        shape = shape + c["mullins"] * jnp.expm1(-jnp.maximum(s["most"], size) / c["mullins_length"]) * x
-        shape = shape + c["drift"] * jnp.expm1(-(c["age"] + time) / c["drift_time"]) * x
-        shape = shape + c["bouc"] * _bouc(s["w"], dx, c["yield"], c["gamma"])
-        inside = [
-            jnp.clip(s[f"b{k + 1}"], x - w * c["plays_width"], x + w * c["plays_width"]) for k, w in enumerate(_PLAYS)
-        ]
-        return shape + c["plays"] * (x - sum(inside) / 4)
-
-    def forces(x, v, force, time, s):
-        """The restoring and dissipative forces at the middle of a step but for dry friction."""
-        dx = x - s["x"]
-        r = c["gent"] * x
-        top = 0.97**2
-        square_ = jnp.minimum(r * r, top)
-        gent = square_ / (1 - square_) + (r * r - square_) / (1 - top) ** 2
-        shape = x * (c["k2"] * x + c["k3"] * x * x + c["k5"] * x**4 + gent)
-        shape = shape + c["stop"] * jnp.maximum(x - c["stop_at"], 0.0)
-        shape = shape - c["low_stop"] * jnp.maximum(c["low_stop_at"] - x, 0.0)
-        shape = (
-            shape + c["branch"] * (x - s["z"]) * (1 - c["z_half"]) + c["branch2"] * (x - s["z2"]) * (1 - c["y_half"])
-        )
-        # a mass on a spring and a damper: z = q + r q', q the oscillator of the sensor's mode, r = 2 zeta / omega,
-        # f = kappa (x - z + r (x' - z')), q and q' at the middle of the step
-        w, r = c["mode_w"], 2 * c["mode_zeta"] / c["mode_w"]
-        q = s["my"] + h / 2 * s["mv"]
-        q1 = s["mv"] + h / 2 * (w * w * (x - q) - r * w * w * s["mv"])
-        q2 = w * w * (x - q - r * q1)
-        shape = shape + c["mode_force"] * (x - q - r * q1 + r * (v - q1 - r * q2))
-        shape = shape + rarer(x, dx, time, s) if costly else shape
-        damping = (
-            c["drag"] * jnp.abs(v) + c["place_damping"] * x + c["place_damping2"] * x * x + c["field_damping"] * force
-        )
-        return c["a0"] * shape + damping * v
-
-    def smoothed(dry, level, free):
-        """Level tanh(v / speed) at the end of the step, v = free - reply f: two Newton steps from its ramp."""
-        reply, speed = jnp.where(second, c["bv"], c["bx"] / h), jnp.maximum(c["dry_speed"], 1e-30)
-        most = reply * level
-        v = jnp.where(jnp.abs(free) < speed + most, free * speed / (speed + most), free - jnp.sign(free) * most)
-        for _ in range(2):
-            t = jnp.tanh(v / speed)
-            v = v - (v + most * t - free) / (1 + most / speed * (1 - t * t))
-        return jnp.where(c["dry_speed"] > 0, level * jnp.tanh(v / speed), dry)
-
-    def step(carry, ends):
-        s: dict[str, Any] = dict(zip(_STATES, carry, strict=True))
-        before, after, time = ends
-        n = dict(s)
-        # the drive: lag, then slew limit, then what is stored or remembered of it
-        n["rc"] = _follow(c["rc_keep"], c["rc_ramp"], s["rc"], before, after)
-        most = c["slew"] * h
-        n["slewed"] = s["slewed"] + jnp.clip(n["rc"] - s["slewed"], -most, most)
-        held = [jnp.where(c["charge"] > 0, jnp.abs(u), u) for u in (before, after)]
-        n["q"] = _follow(c["q_keep"], c["q_ramp"], s["q"], *held)
-        v0, v1 = u0, u1 = s["slewed"], n["slewed"]
-        for k, (w, width) in enumerate(zip(weights, _DRIVE_PLAYS, strict=True) if costly else ()):
-            half = width * c["play_range"]
-            n[f"p{k + 1}"] = jnp.clip(s[f"p{k + 1}"], u1 - half, u1 + half)
-            v0, v1 = v0 + w * (s[f"p{k + 1}"] - u0), v1 + w * (n[f"p{k + 1}"] - u1)
-        if costly:
-            n["zd"] = _bouc(s["zd"], h * (u0 + u1) / 2, c["drive_yield"], 0.0)
-            v0, v1 = (v + c["drive_bouc"] * z / c["drive_yield"] for v, z in ((v0, s["zd"]), (v1, n["zd"])))
-        p0 = _film(square, c, s["rc"], v0, s["q"], before)
-        p1 = _film(square, c, n["rc"], v1, n["q"], after)
-        # where the step will be half way, as at the end of the last one
-        ahead = s["x"] + h / 2 * s["vm"]
-        couple = jnp.maximum(1 + c["stretch"] * ahead, 0.05)
-        couple = couple * jnp.exp(jnp.clip(c["stretch_exp"] * ahead, -8.0, 8.0)) if costly else couple
-        p0, p1 = p0 * couple, p1 * couple
-        # the linear plant's own step, exact for a force that runs straight
-        x = c["e11"] * s["x"] + c["e12"] * s["v"] + c["bx"] * p0 + c["dx"] * (p1 - p0)
-        v = c["e21"] * s["x"] + c["e22"] * s["v"] + c["bv"] * p0 + c["dv"] * (p1 - p0)
-        middle, speed, push = (s["x"] + x) / 2, (x - s["x"]) / h, (p0 + p1) / 2
-        # what else pulls, at the middle of that step, and how it answers to being moved
-        f, slope = jax.jvp(lambda x, v: forces(x, v, push, time, s), (middle, speed), (c["bx"] / 2, c["bx"] / h))
-        f = f / (1 + jnp.maximum(slope, -0.5))
-        x, v = x - c["bx"] * f, v - c["bv"] * f
-        # friction last: it takes what would stop the motion that all others leave
-        level = c["dry"] * (1 + c["rise"] * jnp.exp(-((speed / c["rise_speed"]) ** 2)) if costly else 1.0)
-        level = level + c["dry_load"] * c["a0"] * jnp.abs(middle)
-        stops = jnp.where(second, v / jnp.where(second, c["bv"], 1.0), (x - s["x"]) / c["bx"])
-        dry = jnp.clip(stops, -level, level)
-        dry = smoothed(dry, level, jnp.where(second, v, (x - s["x"]) / h)) if costly else dry
-        x, v = x - c["bx"] * dry, v - c["bv"] * dry
-        # nothing pulls back faster than it falls
-        least = s["v"] - h / jnp.maximum(c["slack"], 1e-30)
-        falls = (v < least) & (c["slack"] > 0) & second
-        x, v = jnp.where(falls, s["x"] + h / 2 * (s["v"] + least), x), jnp.where(falls, least, v)
-        # nan compares false: it is lost, too
-        lost = ~(jnp.abs(x) < FAR)
-        n["x"], n["v"] = jnp.where(lost, FAR, x), jnp.where(lost, 0.0, v)
-        x, past = n["x"], s["x"]
-        n["vm"] = (x - past) / h
-        n["z"] = _follow(c["z_keep"], c["z_ramp"], s["z"], past, x)
-        n["z2"] = _follow(c["y_keep"], c["y_ramp"], s["z2"], past, x)
-        if costly:
-            n["w"] = _bouc(s["w"], x - past, c["yield"], c["gamma"])
-            for k, w in enumerate(_PLAYS):
-                n[f"b{k + 1}"] = jnp.clip(s[f"b{k + 1}"], x - w * c["plays_width"], x + w * c["plays_width"])
-            n["most"] = jnp.maximum(s["most"], jnp.abs(x))
-        # the sensor's side: a mode, backlash, lag and filter, one behind the other
-        n["my"] = c["m11"] * s["my"] + c["m12"] * s["mv"] + c["mb1"] * past + c["md1"] * (x - past)
-        n["mv"] = c["m21"] * s["my"] + c["m22"] * s["mv"] + c["mb2"] * past + c["md2"] * (x - past)
-        old, new = past + c["mode_gain"] * (s["my"] - past), x + c["mode_gain"] * (n["my"] - x)
-        alone = s["play"] + jnp.where(c["coast"] > 0, c["coast_way"] * s["pv"], 0.0)
-        n["play"] = jnp.clip(alone, new - c["backlash"] / 2, new + c["backlash"] / 2)
-        n["pv"] = jnp.where(n["play"] == alone, s["pv"] * c["coast_keep"], (new - old) / h)
-        old, new = jnp.clip(s["play"], old - c["backlash"] / 2, old + c["backlash"] / 2), n["play"]
-        n["lag"] = jnp.where(c["lagged"] > 0, _follow(c["o_keep"], c["o_ramp"], s["lag"], old, new), new)
-        old, new = s["lag"], n["lag"]
-        n["fy"] = c["n11"] * s["fy"] + c["n12"] * s["fv"] + c["nb1"] * old + c["nd1"] * (new - old)
-        n["fv"] = c["n21"] * s["fy"] + c["n22"] * s["fv"] + c["nb2"] * old + c["nd2"] * (new - old)
-        return tuple(n[k] for k in _STATES)
-
-    def along(state, row):
-        k, before, after = row
+    def along(state, ends):
         lost = jnp.abs(state[0]) >= FAR
-        y = jnp.where(c["filtered"] > 0, state[_STATES.index("fy")], state[_STATES.index("lag")])
-        y = y * (1 + c["gain"] + c["s2"] * y + c["s3"] * y * y)
-        y = jnp.where(c["fold"] != 0, jnp.abs(y), y)
-        if costly:
-            y = jnp.where(c["bend"] > 0, jnp.tanh(c["bend"] * y) / jnp.maximum(c["bend"], 1e-6), y)
-        return step(state, (before, after, (k + 0.5) * h)), jnp.where(lost, jnp.nan, y)
+        return step(effects, once, plant, state, *ends), jnp.where(lost, jnp.nan, read(effects, state))
 
-    return jax.lax.scan(along, state, (clock + jnp.arange(len(volts) - 1), volts[:-1], volts[1:]))
+    return jax.lax.scan(along, state, (volts[:-1], volts[1:]))
+
+
+def _reading(effects: list[Effect], state):
+    y = state[0]
+    for e, z in zip(effects, state[3], strict=True):
+        y = e.apply(y, z) if e.port == "OUT" else y
+    return y
+
+
+def _step(square, unit, rates, effects: list[Effect], once, plant: Plant, state, before, after):
+    (x, v, speed, old), p, h = state, plant, plant.h
+    new, ends, second = list(old), (before, after), p.a2 > 0
+    for k, effect in enumerate(effects):
+        if effect.port == "IN" and not effect.delays:
+            new[k] = effect.advance(old[k], *ends, h, once[k])
+            ends = effect.apply(ends[0], old[k]), effect.apply(ends[1], new[k])
+    push = [(w * w if square else w) * unit for w in ends]
+    for effect in effects:
+        if effect.port == "SQ":
+            # where the step will be half way, as at the end of the last one
+            push = [effect.apply(f, x + h / 2 * speed) for f in push]
+    # the linear plant's own step, exact for a force that runs straight
+    x1 = p.e11 * x + p.e12 * v + p.bx * push[0] + p.dx * (push[1] - push[0])
+    v1 = p.e21 * x + p.e22 * v + p.bv * push[0] + p.dv * (push[1] - push[0])
+
+    def middle(x1, v1) -> Middle:
+        """The middle of the step as it stands; at order 1 x' is what the step makes of the force."""
+        reply, free = jnp.where(second, p.bv, p.bx / h) / rates[0], jnp.where(second, v1, (x1 - x) / h) / rates[0]
+        inertia, highest = h * rates[1] / reply, (v1 - v) / (h * rates[0] * rates[1])
+        place, tokens = ((x + x1) / 2, (x1 - x) / h / rates[0]), (p.a0, p.a1, inertia)
+        force, own = (push[0] + push[1]) / 2, (p.a0, p.a1, p.a2)
+        return Middle(place, own, rates, force, h, tokens, 0.0, highest=highest, free=free, reply=reply)
+
+    now = middle(x1, v1)
+
+    def forces(place, speed):
+        here = replace(now, state=(place, speed / rates[0]))
+        acting = [k for k, e in enumerate(effects) if e.forces and not e.resolved]
+        return sum(effects[k].act(old[k], here, once[k]).offset for k in acting)
+
+    # what else pulls, at the middle of that step, and how it answers to being moved
+    f, slope = jax.jvp(forces, ((x + x1) / 2, (x1 - x) / h), (p.bx / 2, p.bx / h))
+    f = f / (1 + jnp.maximum(slope, -0.5))
+    x1, v1 = x1 - p.bx * f, v1 - p.bv * f
+    for k, effect in enumerate(effects):
+        if effect.resolved:
+            f = effect.act(old[k], middle(x1, v1), once[k]).offset
+            x1, v1 = x1 - p.bx * f, v1 - p.bv * f
+    lost = ~(jnp.abs(x1) < FAR)  # nan compares false: it is lost, too
+    x1, v1 = jnp.where(lost, FAR, x1), jnp.where(lost, 0.0, v1)
+    y = x, x1
+    for k, effect in enumerate(effects):
+        if effect.port not in ("IN", "SQ"):
+            new[k] = effect.advance(old[k], *(y if effect.port == "OUT" else (x, x1)), h, once[k])
+            if effect.port == "OUT":
+                y = effect.apply(y[0], old[k]), effect.apply(y[1], new[k])
+    return x1, v1, (x1 - x) / h, new

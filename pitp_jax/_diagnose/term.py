@@ -38,13 +38,13 @@ class Term:
 
 def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: dict, gap: Gap) -> Term | None:
     """The term of the model that is handed back; None where it has none."""
-    pair = next(((e, codes) for e, codes in made[1] if e.name == "found_term"), None)
+    pair = next(((e, names) for e, names in made[1] if e.name == "found_term"), None)
     if pair is None:
         return None
-    effect, codes = pair
-    rows = in_units(made[0], effect, codes, handed.fit, errors)
+    effect, names = pair
+    rows = in_units(made[0], effect, names, handed.fit, errors)
     kept = {}
-    for name, row in list(rows.items())[: len(codes)]:
+    for name, row in list(rows.items())[: len(names)]:
         near = [row["value"] - 1.96 * row["stderr"], row["value"] + 1.96 * row["stderr"]] if row["stderr"] else None
         kept[name] = row | {"ci95": near}
     beside = [e for e, _ in made[1] if e is not effect]

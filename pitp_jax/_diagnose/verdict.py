@@ -153,8 +153,7 @@ def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
 
 def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     """The best set no larger than the chosen one that lacks some names, searched anew."""
-    for name in without:
-        search.without(name, len(chosen.names))
+    search.without(without, len(chosen.names))
     labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
     lacking = [
         h

@@ -21,8 +21,8 @@ from .._record.preprocess import preprocess
 from .._record.record import Record
 from .._table.units import from_base
 from .data import Case
+from .library import CORE, INDEX
 from .search import Scale
-from .simulator import INDEX
 from .steady_tone import steady_tone
 
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
@@ -70,7 +70,7 @@ class Seen(NamedTuple):
 def motions(case: Case, scale: Scale) -> Seen:
     """Derivatives and missing forces along the measured motion; `scale`: of the search."""
     along, dt = [], case.dt
-    a = [case.nominal[INDEX[k]] for k in ("a0", "a1", "a2")]
+    a = [case.nominal[INDEX[k]] for k in CORE]
     omega = 1 / scale.tau
     for s, d in zip(case.series, case.simulator.drives, strict=True):
         place = np.arange(len(s.output))

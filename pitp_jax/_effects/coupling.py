@@ -15,11 +15,12 @@ _ALONG = Parameter("b", "1/x", length=-1, positive=False, off=0.0)
 _INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
 
-def _stretched(form: str, title: str, equation: str, factor: Callable) -> EffectSpec:
+def _stretched(form: str, title: str, equation: str, factor: Callable, costly: bool = False) -> EffectSpec:
     """Build a row: F times a factor of x that stays positive, undone by division."""
     return EffectSpec(
         "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ",
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
+        costly=costly,
     )  # fmt: skip
 
 
@@ -61,7 +62,7 @@ COUPLING = (
     ),
     _stretched(
         "exponential", "Electrodes that zip up pull less and less, or more and more, as they move.", "F exp(b x)",
-        lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
+        lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)), costly=True,
     ),
     EffectSpec(
         "dielectric_saturation", "rational", (_INVERSE,), "At high field more voltage no longer brings its full force.",

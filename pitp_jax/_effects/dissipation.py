@@ -20,12 +20,8 @@ def dry(now: Instant, level):
 
     A sign of the velocity would overshoot and chatter at every step where the motion stands still.
     """
-    if now.order == 2:
-        # rest: the force that would bring x' to zero by the end of the step
-        rest = now.tokens[2] * (now.state[1] / (now.h * now.rates[1]) + now.highest)
-        return jnp.clip(rest, -level, level)
-    if now.order == 1 and now.last is None:  # without a mass whatever else pulls is what moves it
-        return jnp.clip(now.tokens[1] * now.highest, -level, level)
+    if now.order <= 2 and now.last is None:
+        return jnp.clip(now.free / now.reply, -level, level)
     # x' is not the force's to stop within a step
     return level * jnp.tanh(100.0 * now.v)
 
@@ -34,11 +30,7 @@ def _smooth(p, now: Instant):
     """Compute F_c tanh(x' / v_s) at the step's end, so that v_s may be small; as it stands along a given motion."""
     if now.order > 2 or now.last is not None:
         return p.level * jnp.tanh(now.v / p.speed)
-    # x' without the friction, and its answer to a force over the step
-    if now.order == 1:
-        reply, free = 1 / now.tokens[1], now.highest
-    else:
-        reply, free = now.h * now.rates[1] / now.tokens[2], now.state[1] + now.h * now.rates[1] * now.highest
+    reply, free = now.reply, now.free
     most, knee = reply * p.level, p.speed + reply * p.level
     # the answer for tanh cut to a ramp, then two Newton steps of  v + most tanh(v / v_s) = free
     v = jnp.where(jnp.abs(free) < knee, free * p.speed / knee, free - jnp.sign(free) * most)
@@ -77,35 +69,35 @@ DRAG = (
 FRICTION = (
     EffectSpec(
         "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction holds the motion back by the same force at any speed.",
-        "f = level sgn(x')", "dissipation", "C",
+        "f = level sgn(x')", "dissipation", "C", resolved=True,
         law=lambda p, now: dry(now, p.level),
     ),
     EffectSpec(
         "coulomb_friction", "loaded by the spring", (_LEVEL, Parameter("mu", off=0.0)),
         "Dry friction that grows with the force of the spring, as of a loaded gear.", "f = (level + mu |k x|) sgn(x')",
-        "dissipation", "C",
+        "dissipation", "C", resolved=True,
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x)),
     ),
     EffectSpec(
         "coulomb_friction", "loaded by spring and mass", (_LEVEL, Parameter("mu", off=0.0)),
         "Dry friction that grows with the force of spring and mass together.",
-        "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", "dissipation", "C",
+        "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", "dissipation", "C", resolved=True,
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x + now.inertial)),
     ),
     EffectSpec(
         "coulomb_friction", "smooth", (_LEVEL, Parameter("speed", "x/s", speed=1)),
         "Dry friction that creeps under a small force.", "f = level tanh(x' / speed)", "dissipation", "C",
-        law=_smooth,
+        law=_smooth, resolved=True, costly=True,
     ),
     EffectSpec(
         "coulomb_friction", "Stribeck", (_LEVEL, Parameter("rise"), Parameter("speed", "x/s", speed=1)),
         "Dry friction that is larger at low speed.", "f = level (1 + rise exp(-(x' / speed)^2)) sgn(x')",
-        "dissipation", "C", law=_stribeck,
+        "dissipation", "C", resolved=True, law=_stribeck, costly=True,
     ),
     EffectSpec(
         "coulomb_friction", "bristles", (_LEVEL, Parameter("give", "x", length=1)),
         "Dry friction whose contact gives a little before it slides (Dahl 1968).",
-        "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"),
+        "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"), costly=True,
         law=lambda p, now: p.level * now.z[0] / p.give,
     ),
 )  # fmt: skip

@@ -20,6 +20,8 @@ from .spec import EffectSpec, Parameter
 _LADDER = (0.8, 0.15, 0.05)  # of tau: the slowest modes of a diffusion line, gathered in three lags
 _ROUND = 0.99  # of the limit of a rounded clip: as far as it is undone
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
+# a memory of the drive that is faster than the plant is a filter of it, not a charge
+_STORE = Parameter("tau", "s", slow=True)
 
 
 def last_lag(p, w, z):
@@ -93,17 +95,17 @@ DRIVE = (
     ),
     EffectSpec(
         "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts T later.",
-        "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, law=lambda p, u, z: u,
+        "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, linear=True, law=lambda p, u, z: u,
         # to a period of the resonance: behind a bus or a filter it may be that late
     ),
     EffectSpec(
-        "charge_leak", "one trap", (Parameter("kappa", off=0.0), Parameter("tau", "s")),
+        "charge_leak", "one trap", (Parameter("kappa", off=0.0), _STORE),
         "Charge creeps into the film and takes away part of a held voltage.", "V = u - kappa q, tau q' = u - q",
         "drive", "IN", kernel=lags(1.0),
         law=lambda p, u, z: u - p.kappa * z[0],
     ),
     EffectSpec(
-        "charge_retention", "one store", (Parameter("k", off=0.0), Parameter("tau", "s")),
+        "charge_retention", "one store", (Parameter("k", off=0.0), _STORE),
         "Charge stays in the film and goes on pulling when the voltage is gone.", "V = u + q, tau q' = k |u| - q",
         "drive", "IN", kernel=lags(1.0, of=lambda p, u: p.k * jnp.abs(u)),
         law=lambda p, u, z: u + z[0],
@@ -113,14 +115,14 @@ DRIVE = (
         (*(Parameter(f"w{k}", positive=False, off=0.0) for k in (1, 2, 3, 4)), Parameter("width", "V")),
         "The film polarises along a loop that is the same at every frequency.",
         "V = u + sum_j w_j (z_j - u), z_j plays of u of half width (0.04, 0.125, 0.25, 0.4) width", "dissipation", "IN",
-        kernel=play(0.04, 0.125, 0.25, 0.4),
+        costly=True, kernel=play(0.04, 0.125, 0.25, 0.4),
         law=lambda p, u, z: u + p.w1 * (z[0] - u) + p.w2 * (z[1] - u) + p.w3 * (z[2] - u) + p.w4 * (z[3] - u),
     ),
     EffectSpec(
         "hysteresis", "Dahl of the command's integral",
         (Parameter("level", "V", positive=False, off=0.0), Parameter("width", "V s")),
         "Where the command is a speed, a force builds up over the way that it asks for and then stays.",
-        "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN", kernel=dahl_of_integral(),
+        "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN", costly=True, kernel=dahl_of_integral(),
         law=lambda p, u, z: u + p.level * z[0],
     ),
 )  # fmt: skip

@@ -86,6 +86,16 @@ class Instant:
         return (self.force - self.offset - self.tokens[:n] @ self.state) / self.tokens[n]
 
     @property
+    def free(self):
+        """Scaled x' at the end of the step without the force that is asked for."""
+        return self.highest if self.order == 1 else self.state[1] + self.h * self.rates[1] * self.highest
+
+    @property
+    def reply(self):
+        """By how much a unit of scaled force slows x' until the end of the step."""
+        return 1 / self.tokens[1] if self.order == 1 else self.h * self.rates[1] / self.tokens[2]
+
+    @property
     def inertial(self):
         """Scaled a_2 x'' of the frozen step; none below order 2."""
         if self.order < 2:
@@ -170,19 +180,25 @@ class Effect:
         """Set the states where the session has gone to |X| = `reached` before."""
         return self.kernel.resumed(self.p, z, reached)
 
-    def advance(self, z, before, after, h) -> Float[Array, " states"]:
-        """Advance the states: w ran linearly from `before` to `after` in h seconds."""
-        return self.kernel.advance(self.p, z, before, after, h)
+    def once(self, h) -> Any:
+        """Compute the numbers of its memory that depend on the step alone (h, s), so that a loop need not."""
+        return self.kernel.once(self.p, h)
+
+    def advance(self, z, before, after, h, once=None) -> Float[Array, " states"]:
+        """Advance the states: w ran linearly from `before` to `after` in h seconds; `once`: of this h."""
+        return self.kernel.advance(self.p, z, before, after, self.once(h) if once is None else once)
 
     def apply(self, w, beside):
         """Compute what leaves the port where w enters; `beside`: the states (IN, OUT), the displacement (SQ)."""
         return self.spec.law(self.p, w, beside)
 
-    def act(self, z, now: Instant) -> Instant:
-        """Put the effect's force into the frozen equation."""
+    def act(self, z, now: Instant, once=None) -> Instant:
+        """Put the effect's force into the frozen equation; `once`: of the step's h."""
         p, spec = self.p, self.spec
         # along a given motion the states are those of the instant; a step's force is read half a step on
-        now = replace(now, z=z if now.last is not None else self.kernel.ahead(p, z, now))
+        if now.last is None:
+            z = self.kernel.ahead(p, z, replace(now, h=self.once(now.h) if once is None else once))
+        now = replace(now, z=z)
         if spec.mass:  # first: the acceleration that a law reads is then that of the changed mass
             now = now.heavier(spec.mass(p, now))
         return now.pulled(spec.law(p, now))

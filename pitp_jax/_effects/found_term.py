@@ -186,7 +186,7 @@ def term_row(functions: tuple[str, ...]) -> EffectSpec:
         "found_term", "sum of functions", (*(LIBRARY[name].parameter for name in functions), *(KNEES[k] for k in held)),
         "An equation found in the data, where no name fits.", "f = sum_j c_j phi_j(x, x', F, z), tau z' = x - z",
         "found", "K", law=law, mass=mass if any(LIBRARY[name].inertial for name in functions) else None,
-        kernel=Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), with_tau(lag.advance)),
+        kernel=Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), with_tau(lag.advance), once=with_tau(lag.once)),
         driven=any(LIBRARY[name].powers[3] for name in functions),
         arrays=(("c", len(functions)), ("knees", len(held))), functions=functions,
     )  # fmt: skip

@@ -32,7 +32,8 @@ def _hung(p, now: Instant):
     return now.k * p.kappa * (now.x - q - r * speed + r * (now.rates[0] * now.v - speed - r * acceleration))
 
 
-MODE = Parameter("omega", "rad/s"), Parameter("zeta")
+# an overdamped second mode is a relaxation or a delay by another name
+MODE = Parameter("omega", "rad/s"), Parameter("zeta", most=0.5)
 
 MASSES = (
     EffectSpec(
@@ -51,7 +52,7 @@ MASSES = (
         "second_mode", "hung on", (Parameter("kappa", off=0.0), *MODE),
         "A second mass hangs on the first one by a spring and a damper.",
         "f = k kappa (x - z + r (x' - z')), z'' = omega^2 (x - z + r (x' - z')), r = 2 zeta / omega", "inertia", "M",
-        kernel=oscillator(), law=_hung,
+        kernel=oscillator(), law=_hung, needs_mass=True,
     ),
     EffectSpec(
         "second_mode", "come loose", (Parameter("p", off=0.0), *MODE),
@@ -90,15 +91,15 @@ _FALL = Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False)
 SLACK = (
     EffectSpec(
         "slack", "free fall", (_FALL,), "The load is only pulled, and falls freely where the actuator lets go.",
-        "x'' >= -g, inverse = 1 / g", "stiffness", "M", law=_free_fall(1.0),
+        "x'' >= -g, inverse = 1 / g", "stiffness", "M", resolved=True, needs_mass=True, law=_free_fall(1.0),
     ),
     EffectSpec(
         "slack", "free fall, hanging", (_FALL,), "A hanging load is only pulled, and falls in the direction of motion.",
-        "x'' <= g, inverse = 1 / g", "stiffness", "M", law=_free_fall(-1.0),
+        "x'' <= g, inverse = 1 / g", "stiffness", "M", resolved=True, needs_mass=True, law=_free_fall(-1.0),
     ),
     EffectSpec(
         "slack", "free fall, soft", (_FALL, Parameter("softness")), "The load is only pulled, and lets go gradually.",
         "x'' = -g + w log(1 + exp((a + g) / w)), a without it, w = softness g, inverse = 1 / g", "stiffness", "M",
-        law=_soft_fall,
+        law=_soft_fall, resolved=True, needs_mass=True,
     ),
 )  # fmt: skip

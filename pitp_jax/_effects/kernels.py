@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._model.drive import slope
-from .._numerics.linear_recurrence import lag_after
+from .._numerics.linear_recurrence import lag_followed, lag_weights
 
 
 def _same(p, z, *others):
@@ -38,6 +38,7 @@ class Kernel:
         advance: fn(p, z, before, after, h), the states after w ran linearly from `before` to `after` in h seconds.
         ahead: fn(p, z, now), the states half a step on, which a frozen step's force reads.
         resumed: fn(p, z, reached), the states where the session has gone to |x| = `reached` before; most forget.
+        once: fn(p, h), what `advance` takes for h and `ahead` for now.h: h, or numbers that a loop computes once.
     """
 
     size: int
@@ -45,6 +46,7 @@ class Kernel:
     advance: Callable[..., Any] = _same
     ahead: Callable[..., Any] = _same
     resumed: Callable[..., Any] = _same
+    once: Callable[..., Any] = lambda p, h: h
 
 
 NOTHING = Kernel(0, lambda p, w, age: jnp.zeros((0,)))
@@ -57,21 +59,26 @@ def lags(*ratios: float, in_a_row: bool = False, of: Callable = lambda p, w: w) 
     def taus(p):  # the smallest number stands for no lag, and keeps h / tau finite
         return [jnp.maximum(r * p.tau, 1e-9) for r in ratios]
 
-    def advance(p, z, before, after, h):
+    def once(p, h):
+        tau = jnp.stack(taus(p))
+        return (*lag_weights(tau, h), -jnp.expm1(-h / 2 / tau))
+
+    def advance(p, z, before, after, weights):
         before, after = of(p, before), of(p, after)
+        settle, ramp, _ = weights
         if not in_a_row:
-            return lag_after(z, before, after, jnp.stack(taus(p)), h)
+            return lag_followed(z, before, after, settle, ramp)
         chain = []
-        for state, tau in zip(z, taus(p), strict=True):
-            chain.append(lag_after(state, before, after, tau, h))
+        for k, state in enumerate(z):
+            chain.append(lag_followed(state, before, after, settle[k], ramp[k]))
             # the first is exact; the next takes its output as linear over the step
             before, after = state, chain[-1]
         return jnp.stack(chain)
 
     def ahead(p, z, now):  # x taken as held over half a step: its end is not known yet
-        return z + (now.x - z) * -jnp.expm1(-now.h / 2 / jnp.stack(taus(p)))
+        return z + (now.x - z) * now.h[2]
 
-    return Kernel(len(ratios), lambda p, w, age: jnp.full((len(ratios),), of(p, w)), advance, ahead)
+    return Kernel(len(ratios), lambda p, w, age: jnp.full((len(ratios),), of(p, w)), advance, ahead, once=once)
 
 
 def lead(values: Float[Array, " time"], dt: float, *taus) -> Float[Array, " time"]:
@@ -114,13 +121,17 @@ def play(*ratios: float) -> Kernel:
 def coasting() -> Kernel:
     """Build a play of half the width whose follower keeps its speed until either end catches it: (z, z')."""
 
-    def advance(p, z, before, after, h):
+    def once(p, h):
         slowed = jnp.exp(-p.rate * h)
-        alone = z[0] + z[1] * (1 - slowed) / jnp.maximum(p.rate, 1e-9)
+        return h, slowed, (1 - slowed) / jnp.maximum(p.rate, 1e-9)
+
+    def advance(p, z, before, after, weights):
+        h, slowed, way = weights
+        alone = z[0] + z[1] * way
         caught = jnp.clip(alone, after - p.width / 2, after + p.width / 2)
         return jnp.stack([caught, jnp.where(caught == alone, z[1] * slowed, (after - before) / h)])
 
-    return Kernel(2, lambda p, w, age: jnp.stack([w, 0.0 * w]), advance)
+    return Kernel(2, lambda p, w, age: jnp.stack([w, 0.0 * w]), advance, once=once)
 
 
 def _travelled(advance: Callable) -> Kernel:

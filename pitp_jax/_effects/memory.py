@@ -43,32 +43,34 @@ LOOPS = (
     EffectSpec(
         "hysteresis", "plays", _WIDTH, "Rubbing inside the material makes a loop that is the same at every frequency.",
         "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
+        costly=True,
         # widths about evenly apart in their logarithm: the loop is rounded like a real one, by four numbers in one
         kernel=play(0.15, 0.4, 1.0, 2.2),
         law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
     ),
     EffectSpec(
         "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each turn and then stays.",
-        "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
-        law=lambda p, now: now.k * p.kappa * now.z[0],
+        "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", costly=True, kernel=dahl(),
+        stiffens=True, law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     EffectSpec(
         "hysteresis", "Bouc-Wen", _WIDTH, "Part of the spring yields and slips.",
-        "f = k kappa (z - x), dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
+        "f = k kappa (z - x), dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", costly=True, kernel=dahl(),
         law=lambda p, now: now.k * p.kappa * (now.z[0] - now.x),
     ),
     EffectSpec(
         "hysteresis", "Wen", (*_WIDTH, Parameter("sharpness")),
         "A spring that yields as smoothly or sharply as n says.",
         "f = k kappa z, dz = dx (1 - |z / width|^n) on loading, dx on unloading, n = sharpness", "dissipation", "K",
-        kernel=bouc_wen(lambda p: 1.0, lambda p: 0.0, lambda p: p.sharpness),
+        costly=True, kernel=bouc_wen(lambda p: 1.0, lambda p: 0.0, lambda p: p.sharpness),
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     EffectSpec(
-        "hysteresis", "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False)),
+        # beyond its bounds gamma makes a spring of any shape
+        "hysteresis", "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False, least=-1.5, most=1.5)),
         "A loop that gets softer, or with gamma below -1 harder, the further it is run through.",
-        "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K",
-        kernel=bouc_wen(lambda p: p.gamma + 1, lambda p: p.gamma - 1, lambda p: 1.0),
+        "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K", costly=True,
+        kernel=bouc_wen(lambda p: p.gamma + 1, lambda p: p.gamma - 1, lambda p: 1.0), stiffens=True,
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
 )  # fmt: skip
@@ -78,11 +80,11 @@ DRIFT = (
     EffectSpec(
         "stiffness_drift", "settling", (Parameter("d", positive=False, off=0.0), Parameter("time", "s")),
         "The stiffness changes as the session goes on, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
-        kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
+        costly=True, kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
     ),
     EffectSpec(
         "stiffness_drift", "steady", (Parameter("rate", "1/s", positive=False, off=0.0),),
-        "The stiffness changes steadily over the session.", "f = -k rate t x", "drift", "T", kernel=CLOCK,
+        "The stiffness changes steadily over the session.", "f = -k rate t x", "drift", "T", costly=True, kernel=CLOCK,
         law=lambda p, now: -now.k * p.rate * now.z[0] * now.x,
     ),
 )  # fmt: skip

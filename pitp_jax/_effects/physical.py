@@ -1,13 +1,14 @@
 """Convert an effect's numbers to physical units, and to a model of other scales.
 
-physical = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: the model's scales of state and force
+base value = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: the model's scales of state and force
 """
 
 from collections.abc import Iterable
 
-from .._model.fitted import Fitted, fitted_of
+from .._model.fitted import Fitted
 from .._model.model import Model
-from .._table.units import base_unit
+from .._model.units import units_of
+from .._table.quantity import Units
 from .effect import Effect
 from .spec import Parameter
 
@@ -23,12 +24,7 @@ def in_scales(effect: Effect, old: tuple, new: tuple) -> Effect:
     return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 
 
-def physical(model: Model | Fitted, p: Parameter, value: float) -> tuple[float, str]:
-    """Convert a number stored in an effect to physical units."""
-    origin = fitted_of(model).origin  # m and V where there is none
-    unit = p.unit.replace("x", base_unit(origin.displacement_unit))
-    if p.force:  # behind a linear input map the force is a voltage
-        unit = unit.replace("V^2", model.input_map.unit)
-    drive = base_unit(origin.voltage_unit)  # a robot's command is no voltage
-    unit = unit.replace("V", drive) if drive != "V" else unit
-    return value * physical_factor(p, model.scales.state, model.scales.force), unit
+def physical(model: Model | Fitted, p: Parameter, value: float, units: Units | None = None) -> tuple[float, str]:
+    """Convert a number stored in an effect to the units of its model (`units_of`), or to others of the same kind."""
+    factor, unit = (units_of(model) if units is None else units).parameter(p.unit, p.force)
+    return value * physical_factor(p, model.scales.state, model.scales.force) * factor, unit

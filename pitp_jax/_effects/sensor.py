@@ -59,6 +59,7 @@ SENSOR = (
     EffectSpec(
         "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
         "The sensor reads ever less of the motion towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
+        costly=True,
         law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
         # beyond its range the sensor could not read what is asked for: the last place that it could
         inverse=lambda p, y, dt: jnp.where(
@@ -88,7 +89,7 @@ SENSOR = (
     ),
     EffectSpec(
         "sensor_lag", "one lag", (_TAU,), "The sensor answers late.", "tau y' = x - y", "sensor", "OUT",
-        kernel=lags(1.0), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau),
+        kernel=lags(1.0), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True,
     ),
     EffectSpec(
         "sensor_lag", "two lags", (_TAU,), "The sensor answers late, by two equal lags.",
@@ -99,7 +100,7 @@ SENSOR = (
         "sensor_lag", "second order", (_TAU, Parameter("zeta")),
         "The sensor is a low-pass filter, or stands on a soft mount.",
         "tau^2 y'' + 2 zeta tau y' + y = x", "sensor", "OUT",
-        kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order,
+        kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True,
         # at tau = 0 the oscillator stands at its bound, and would be read instead of x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),

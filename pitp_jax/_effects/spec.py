@@ -31,6 +31,8 @@ class Parameter:
         positive: fitted by its logarithm (else as it is).
         off: where the effect vanishes; None: the number does not matter where another one is off.
         linear: the effect is proportional to it (asked of the first parameter only).
+        least, most: bounds of a fit, in the model's scaled coordinates.
+        slow: a time constant that is fitted no shorter than the plant's own.
     """
 
     name: str
@@ -42,6 +44,9 @@ class Parameter:
     positive: bool = True
     off: float | None = None
     linear: bool = True
+    least: float = -np.inf
+    most: float = np.inf
+    slow: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,11 @@ class EffectSpec:
         solvable: fn(p), false where solving a law with a memory would grow without end: what leaves is then handed on.
         passes: fn(p, series, dt), true where some drive gives this film voltage (IN).
         driven: its force depends on that of the film, for which an inverse then solves.
+        costly: a step of it takes exponentials or many states; the search simulates such sets apart.
+        resolved: friction and slack, whose force is found within a step on the motion that all other forces leave.
+        linear: a part of a linear model (what delays or filters drive or reading).
+        stiffens: its first number is a stiffness beside the nominal's, in units of that.
+        needs_mass: it means nothing for a nominal of order one.
         arrays: of a found term: names and sizes of the arrays its numbers are stored in.
         functions: of a found term: what it sums.
     """
@@ -84,6 +94,11 @@ class EffectSpec:
     solvable: Callable[..., Any] | None = field(default=None, compare=False)
     passes: Callable[..., Any] | None = field(default=None, compare=False)
     driven: bool = field(default=False, compare=False)
+    costly: bool = field(default=False, compare=False)
+    resolved: bool = field(default=False, compare=False)
+    linear: bool = field(default=False, compare=False)
+    stiffens: bool = field(default=False, compare=False)
+    needs_mass: bool = field(default=False, compare=False)
     arrays: tuple[tuple[str, int], ...] = field(default=(), compare=False)
     functions: tuple[str, ...] = field(default=(), compare=False)
 

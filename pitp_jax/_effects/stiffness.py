@@ -1,8 +1,8 @@
 """Add springs that are not linear (port K), k = sigma_0 of the nominal; forces f beside k x.
 
-stiffening  k c x^3,   k c x |x / x_r|^p,   k x (1/(1 - (x/L)^2) - 1)
+stiffening  k c x^3,   k c x |x / x_r|^p,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
-            k (L (sqrt(1 + 2|x|/L) - 1) sgn(x) - x)
+            k (L (sqrt(1 + 2|x|/L) - 1) sgn(x) - x),   k (c2 x^2 + c3 x^3 + c5 x^5)
 mullins     -k d (1 - exp(-m/L)) x,   m = max |x| so far
 end_stop    k kappa max(x - x_s, 0),   k kappa max(x - x_s, 0)^(3/2) max(1 + lambda x', 0)   (Hunt and Crossley)
 
@@ -63,6 +63,14 @@ def _root(p, now):
     return now.k * now.x * _ratio(r, lambda r: jnp.sqrt(1 + 2 * r) - 1, -r / 2 + r**2 / 2)
 
 
+def _polynomial(name: str, title: str) -> EffectSpec:
+    """Build a row of a spring whose terms may have either sign."""
+    return EffectSpec(
+        name, "polynomial", _POLYNOMIAL, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)", "stiffness", "K",
+        law=lambda p, now: now.k * now.x**2 * (p.c2 + now.x * (p.c3 + p.c5 * now.x**2)),
+    )  # fmt: skip
+
+
 def _hertz(depth):
     # linear again where it is deeper than any contact: the slope is bounded, so the step stays stable
     deep = jnp.maximum(depth, 0.0)
@@ -74,11 +82,15 @@ def _contact(p, depth, speed):
     return _hertz(depth) * jnp.clip(1 + p.loss * speed, 0.0, 10.0)
 
 
-_STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1))
+_STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1, positive=False))
 _BUMPER = (
     Parameter("kappa", "1/x^(1/2)", length=-0.5, off=0.0),
     Parameter("place", "x", length=1),
     Parameter("loss", "s/x", speed=-1),
+)
+# the tangent at the ends of the motion decides which of the two names a polynomial has
+_POLYNOMIAL = tuple(
+    Parameter(f"c{n}", f"1/x^{n - 1}" if n > 2 else "1/x", length=1 - n, positive=False, off=0.0) for n in (2, 3, 5)
 )
 _CURVATURE = (Parameter("curvature", "1/x", length=-1, off=0.0, linear=False),)
 
@@ -98,37 +110,39 @@ SPRINGS = (
         "f = k x (1 / (1 - r^2) - 1), r = |x| / L, curvature = 1 / L", "stiffness", "K",
         law=_gent,
     ),
+    _polynomial("stiffening", "The spring gets harder towards the ends of the motion."),
     EffectSpec(
         "softening", "quadratic", (Parameter("c", "1/x", length=-1, off=0.0),),
         "The spring gets softer the further it is moved.",
         "f = -k c x^2, no further than where the spring's slope is a tenth of k", "stiffness", "K",
         law=_quadratic,
     ),
+    _polynomial("softening", "The spring gets softer towards the ends of the motion."),
     EffectSpec(
         "softening", "saturating", _CURVATURE, "The spring's force stops growing at large displacements.",
         "f = 0.97 k (L tanh(x / L) - x), curvature = 1 / L", "stiffness", "K",
-        law=_saturating,
+        law=_saturating, costly=True,
     ),
     EffectSpec(
         "softening", "exponential", (Parameter("b", "1/x", length=-1, off=0.0, linear=False),),
         "The spring gets softer the further it is stretched, and harder the other way.",
         "f = k ((1 - exp(-b x)) / b - x)", "stiffness", "K",
-        law=_exponential,
+        law=_exponential, costly=True,
     ),
     EffectSpec(
         "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, which pulls less the further it turns.",
-        "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K",
+        "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K", costly=True,
         law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
     ),
     EffectSpec(
         "softening", "root", _CURVATURE, "The spring's force grows as the root of a large displacement.",
         "f = k (L (sqrt(1 + 2 |x| / L) - 1) sgn(x) - x), curvature = 1 / L", "stiffness", "K",
-        law=_root,
+        law=_root, costly=True,
     ),
     EffectSpec(
         "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),
         "What was stretched further before is softer since.",
-        "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST,
+        "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST, costly=True,
         law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.length) * now.x,
     ),
     EffectSpec(
@@ -142,12 +156,13 @@ SPRINGS = (
         law=lambda p, now: -now.k * p.kappa * jnp.maximum(-now.x - p.place, 0.0),
     ),
     EffectSpec(
-        "end_stop", "both sides", _STOP, "On either side the motion runs into something stiff.",
+        "end_stop", "both sides", (_STOP[0], Parameter("place", "x", length=1)),
+        "On either side the motion runs into something stiff.",
         "f = k kappa (max(x - place, 0) - max(-x - place, 0))", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.place, p.place)),
     ),
     EffectSpec(
-        "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1)),
+        "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1, positive=False)),
         "On each side, at a place of its own, the motion runs into something stiff.",
         "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),

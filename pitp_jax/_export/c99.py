@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import __version__
 from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
@@ -132,15 +133,16 @@ def substitutions(plan: Plan) -> dict[str, str]:
         "force_unit": "V^2" if model.input_map.one_sided else "V", "reference_order": str(model.order + 1),
         "reference_ms": f"{1e3 * plan.reference_time:.3g}",
         "late": str(steps.predict(model, plan.dt).late),
-        "title": f"{identifier}: written by pitp_jax; do not edit, write it again.",
+        "title": f"{identifier}: written by pitp_jax {__version__}; do not edit, write it again.",
     }  # fmt: skip
 
 
 def loop_text(gains: PIGains) -> str:
     """Describe the closed loop in one line."""
-    known = np.isfinite(gains.max_sensitivity)
+    if np.isinf(gains.time_constant):
+        return "no controller, the feedforward alone"
     margins = f"gain margin {gains.gain_margin:.3g}, maximum sensitivity {gains.max_sensitivity:.3g}"
-    return f"closed-loop time constant {gains.time_constant:.3g} s" + (f", {margins}" if known else "")
+    return f"closed-loop time constant {gains.time_constant:.3g} s, {margins}"
 
 
 def sizes(plan: Plan) -> dict[str, str]:

@@ -62,7 +62,7 @@ def export_fmu(
     if fmi not in _MISSING:
         raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")
     # a co-simulation sets an input at the beginning of a step and keeps it: what comes next is not known
-    plan = planning.plan(model, name, rate, precision, held=True)
+    plan = planning.plan(model, name, rate, precision, np.inf, held=True)
     cost = rate_error(plan)
     with whole_folder(folder) as stage:
         inside = stage / "inside"

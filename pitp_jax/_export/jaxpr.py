@@ -267,7 +267,8 @@ def _count(make, params, args, equation):
 def _scanned(make, params, args, equation):
     """Write a scan out, or as a loop where it is long and gives nothing but its last carry."""
     jaxpr, consts = _opened(params["jaxpr"])
-    fixed, carried, length = params["num_consts"], params["num_carry"], params["length"]
+    length = params["length"]
+    fixed, carried = _scan_sizes(jaxpr, equation)
     known, carry, rows = args[:fixed], args[fixed : fixed + carried], args[fixed + carried :]
     if len(jaxpr.outvars) == carried and length > 4:
         loop = _loop(make, (jaxpr, consts), known, carry, rows, length)
@@ -279,6 +280,20 @@ def _scanned(make, params, args, equation):
         outputs = _run(make, jaxpr, consts, [*known, *carry, *(r[t] for r in rows)])
         carry, gathered[t] = outputs[:carried], outputs[carried:]
     return [*carry, *(np.stack(column) for column in zip(*gathered, strict=True))]
+
+
+def _scan_sizes(body: Jaxpr, scan) -> tuple[int, int]:
+    """Return how many inputs of a scan are constants, and how many are its carry.
+
+    JAX keeps these numbers under names that change from release to release. The shapes do not change: only what is
+    scanned over or stacked has one axis more outside the body than inside it.
+    """
+
+    def same_rank(outside, inside) -> int:
+        return sum(a.aval.ndim == b.aval.ndim for a, b in zip(outside, inside, strict=True))
+
+    carried = same_rank(scan.outvars, body.outvars)
+    return same_rank(scan.invars, body.invars) - carried, carried
 
 
 def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, length: int):

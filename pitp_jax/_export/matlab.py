@@ -5,6 +5,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from .._model.fitted import Fitted
 from .._model.model import Model
 from . import plan as planning
@@ -30,7 +32,7 @@ def export_matlab(
     Examples:
         >>> pitp.export_matlab(model, folder / "matlab")  # doctest: +SKIP
     """
-    plan = planning.plan(model, name, rate, "double")
+    plan = planning.plan(model, name, rate, "double", np.inf)
     cost = rate_error(plan)
     with whole_folder(folder) as stage:
         for way, written, outputs in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2)):

@@ -28,8 +28,9 @@ from .._model.programs import in_double
 from .._numerics.spline_derivative import derivatives
 from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
+from .equilibria import stroke
 from .jaxpr import program
-from .pi_gains import PIGains, pi_gains, stroke
+from .pi_gains import PIGains, pi_gains
 from .scalars import Program
 
 SAMPLES = 1000
@@ -59,7 +60,7 @@ class Plan:
         name: of files and functions, an identifier.
         single: float instead of double.
         held: the voltage stands over a step (`steps.predict`).
-        time_constant: of the closed loop, s; None: what `pi_gains` takes.
+        time_constant: of the closed loop, s; None: what `pi_gains` takes; inf: no controller.
     """
 
     model: Model

@@ -52,7 +52,7 @@ def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) 
             f"a pole at {slowest / (2 * np.pi):.2g} Hz is slower than these records: {3 / slowest:.2g} s would show it"
         )
     if not any(b.begins == "rest" or _near_zero(d) for b, d in zip(problem.beginnings, problem.drive, strict=True)):
-        said.append("no record begins at 0 V or comes near it: the displacement there cannot be known, 0 is a guess")
+        said.append("no recording starts at zero input or near it: the output there cannot be known, 0 is a guess")
     if fit.delay > _BOUND * problem.seconds / 4:
         said.append(
             f"the delay stands at the longest that is sought, {problem.seconds / 4:.3g} s, a quarter of the longest "

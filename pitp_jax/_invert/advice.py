@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from .._metrics import e_rms_percent
 from .._model.model import Model
 from .._record.reading import Target
+from .._table.quantity import Units
 from .limits import Limits
 from .target_path import Path
 
@@ -40,7 +41,7 @@ def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float]
     return None
 
 
-def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path) -> tuple[str, ...]:
+def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path, units: Units) -> tuple[str, ...]:
     """Write lines about a target before it is planned."""
     warnings = ()
     if target.dt > 1.01 * model.dt:
@@ -60,29 +61,32 @@ def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path) -> t
         warnings += ("the target's first state is out of reach within the slew limit, its start is cut: begin at rest",)
     if not path.reached:
         warnings += (
-            "no voltage within the limits swings the actuator into the target's first state: "
-            "it begins with an error; let it start at rest, or raise --max-voltage",
+            f"no {units.input_word} within the limits swings the actuator into the target's first state: "
+            f"it starts with an error; let it start at rest, or raise {units.max_input}",
         )
     return warnings
 
 
 def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
-    """Write a line where the target begins far from where the machine stands."""
+    """Write a line where the first sample of the target is played far from the input at the ends."""
     if abs(voltage - limits.ends) <= _FAR * limits.high:
         return ()
+    shown = limits.units.input
     return (
-        f"the target begins where the model needs {voltage:.4g} V: a lead-in of {seconds:.3g} s takes it there from "
-        f"{limits.ends:g} V; let it begin at rest to do without",
+        f"the target's first sample needs {shown.text(voltage)}: a lead-in of {seconds:.3g} s from "
+        f"{shown.text(limits.ends)} was added",
     )
 
 
-def on_smoothing(model: Model, wanted: np.ndarray, dt: float, percent: float, missed: float) -> tuple[str, ...]:
-    """Write a line on what is played of a target that is not smooth; `missed`: rms, m."""
+def on_smoothing(
+    model: Model, wanted: np.ndarray, dt: float, percent: float, missed: float, units: Units
+) -> tuple[str, ...]:
+    """Write a line on what is played of a target that is not smooth; `missed`: rms, base unit."""
     if roughness(wanted, dt, model) == 0 or not percent > 0:
         return ()
     return (
-        f"its corners and its noise are played smoothed: the model's rollout is {missed:.2g} m (rms) off the target, "
-        f"{percent:.2g} % of its range",
+        f"its corners and its noise are played smoothed: the model's rollout is {units.output.text(missed, 2)} (rms) "
+        f"off the target, {percent:.2g} % of its range",
     )
 
 
@@ -91,13 +95,13 @@ def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, 
     lines = ()
     if infeasible > _WORTH_A_LINE:
         lines += (
-            f"{100 * infeasible:.0f} % of the target needs the actuator to push, or a faster drive: "
-            "raise the mean, lower the frequency or the amplitude",
+            f"{100 * infeasible:.0f} % of the target asks for a force that no {limits.units.input_word} makes: "
+            "lower its frequency or its amplitude, or shift its mean in the direction in which the actuator extends",
         )
     if saturated > _WORTH_A_LINE:
         lines += (
-            f"{100 * saturated:.0f} % of the target's voltage is cut, by {limits.range_text} or {limits.slew:.3g} V/s: "
-            "ask for less, or raise the limit if the rig allows it",
+            f"{100 * saturated:.0f} % of the target's {limits.units.input_word} is cut, by {limits.range_text} or "
+            f"{limits.units.input.rate_text(limits.slew, 3)}: ask for less, or raise the limit if the rig allows it",
         )
     return lines
 
@@ -106,15 +110,15 @@ def on_stroke(wanted: np.ndarray, reached: float, limits: Limits) -> tuple[str, 
     """Write lines where the target goes farther than the membrane may, or the plan does in spite of the bound."""
     if not np.isfinite(limits.farthest):
         return ()
-    lines, most = (), 1e3 * limits.farthest
-    beyond = float((np.abs(wanted) > limits.farthest).mean())
+    shown, lines = limits.units.limit, ()
+    most, beyond = shown.text(limits.farthest), float((np.abs(wanted) > limits.farthest).mean())
     if beyond > 0:
         lines += (
-            f"{100 * beyond:.2g} % of the target lies beyond --max-displacement {most:g} mm: the plan stays within",
+            f"{100 * beyond:.2g} % of the target lies beyond {limits.units.max_output} {most}: the plan stays within",
         )
     if reached > limits.farthest:
         lines += (
-            f"the model's rollout reaches {1e3 * reached:.4g} mm in spite of --max-displacement {most:g} mm: "
+            f"the model's rollout reaches {shown.text(reached)} in spite of {limits.units.max_output} {most}: "
             "ask for a slower or smaller motion",
         )
     return lines

@@ -16,6 +16,7 @@ from .._errors import BadInput
 from .._model.coordinate import Zero, to_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
+from .._model.units import units_of
 from .._record.reading import Target
 from .._shown import Shown
 from .._simulate.batched_rollout import fast_rollout
@@ -48,6 +49,7 @@ class Feedforward(Shown):
             much that is missed.
         equation_e_rms_percent: the same for eq. 13 cut at the limits, before shooting.
         warnings: one line each.
+        limits: those that were in force, in words.
     """
 
     time: np.ndarray
@@ -60,6 +62,7 @@ class Feedforward(Shown):
     self_check_e_rms_percent: float
     equation_e_rms_percent: float
     warnings: tuple[str, ...]
+    limits: str = ""
 
 
 def feedforward(
@@ -99,13 +102,13 @@ def feedforward(
         >>> plan.self_check_e_rms_percent < 1
         True
     """
-    model = model_of(model)
-    limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input)
+    model, units = model_of(model), units_of(model)
+    limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
     model = at_rate(model, target.dt)
     wanted = np.asarray(to_model(model, target.displacement, zero))
     start, stands = standing(model, start_input, target.dt)
     path = extend(wanted, target.dt, model, limits, stands)
-    warnings += on_target(model, target, wanted, path)
+    warnings += on_target(model, target, wanted, path, units)
     first, last = path.target.start, path.target.stop
     # the session's clock at the first sample played; nothing was done to the actuator before it began
     age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
@@ -127,16 +130,16 @@ def feedforward(
     inside[first:last] = True
     ramp = np.zeros(len(inside) - last, bool)
     infeasible, saturated = np.append(cut.infeasible, ramp), np.append(cut.saturated, ramp)
-    warnings += on_start(float(cut.voltage[first]), first * target.dt, limits)
+    warnings += on_start(float(best.voltage[first]), first * target.dt, limits)
     warnings += on_reach(infeasible[inside].mean(), saturated[inside].mean(), limits)
     warnings += on_stroke(wanted, float(np.abs(best.reading).max()), limits)
     error = course.error(best)
     if np.isnan(error):
         warnings += (
             f"the target holds one value, eq. 15 has no range: "
-            f"the model's rollout is {course.missed(best):.2g} m off it",
+            f"the model's rollout is {units.output.text(course.missed(best), 2)} off it",
         )
-    warnings += on_smoothing(model, wanted, target.dt, error, course.missed(best))
+    warnings += on_smoothing(model, wanted, target.dt, error, course.missed(best), units)
     return Feedforward(
         time=target.time[0] + (np.arange(len(best.voltage)) - first) * target.dt,
         voltage=best.voltage,
@@ -148,6 +151,7 @@ def feedforward(
         self_check_e_rms_percent=error,
         equation_e_rms_percent=course.error(cut),
         warnings=warnings,
+        limits=limits.text,
     )
 
 

@@ -9,19 +9,25 @@ import numpy as np
 
 from .._errors import BadInput
 from .._model.model import Model
+from .._table.quantity import Units
 
 _BIPOLAR = 0.1  # of the largest voltage
+_VOLTS = Units()
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Voltage range (V), slew (V/s), the displacement from 0 V either way (m), and the voltage at both ends (V)."""
+    """Input range, slew, displacement from the position at zero input either way, and the input at both ends.
+
+    All in base units (V, V/s, m); `units` is for messages.
+    """
 
     low: float
     high: float
     slew: float
     farthest: float = np.inf
     ends: float = 0.0
+    units: Units = Units()
 
     @property
     def unnoticed(self) -> float:
@@ -30,8 +36,17 @@ class Limits:
 
     @property
     def range_text(self) -> str:
-        """The range in words; from zero volts on only its end."""
-        return f"{self.high:g} V" if self.low == 0 else f"{self.low:g} to {self.high:g} V"
+        """The range in words; from zero on only its end."""
+        shown = self.units.input
+        return shown.text(self.high) if self.low == 0 else shown.range_text(self.low, self.high)
+
+    @property
+    def text(self) -> str:
+        """All limits in force, in words."""
+        parts = [self.units.input.range_text(self.low, self.high), f"at most {self.units.input.rate_text(self.slew)}"]
+        if np.isfinite(self.farthest):
+            parts.append(f"{self.units.output_word} within {self.units.limit.text(self.farthest)}")
+        return ", ".join(parts)
 
 
 def limits_of(
@@ -40,6 +55,7 @@ def limits_of(
     max_slew: float | None,
     max_displacement: float | None,
     start_input: float = 0.0,
+    units: Units = _VOLTS,
 ) -> tuple[Limits, tuple[str, ...]]:
     """Choose the limits given, or those of the training records; and warn.
 
@@ -50,27 +66,31 @@ def limits_of(
     warnings: tuple[str, ...] = ()
     if model.input_map.one_sided:  # squared: what was played below zero counts as well
         if high <= 0 > low:
-            warnings += (
-                "trained on negative voltages alone, this one is positive: play its negative, the square is the same",
-            )
+            warnings += ("the recordings have negative inputs alone, this one is positive: its negative does the same",)
         low, high = 0.0, max(high, -low)
     trained_high, trained_slew = high, model.domain.slew
-    given = (("max-voltage", max_voltage), ("max-slew", max_slew), ("max-displacement", max_displacement))
+    given = ((units.max_input, max_voltage), (units.max_rate, max_slew), (units.max_output, max_displacement))
     for name, value in given:
         if value is not None and not value > 0:
-            raise BadInput(f"--{name} must be positive, got {value}")
+            raise BadInput(f"{name} must be positive, got {value}")
     if max_voltage == np.inf:
-        raise BadInput("--max-voltage must be finite: give the amplifier's limit")
+        raise BadInput(f"{units.max_input} must be finite: give the amplifier's limit")
     if max_voltage is not None:
         bipolar = -low > _BIPOLAR * high  # beyond the noise of a reading of zero volts
         high, low = max_voltage, -max_voltage if bipolar else max(low, -max_voltage)
         if max_voltage > 1.0001 * trained_high:
-            warnings += (f"--max-voltage {max_voltage:g} V is above the {trained_high:g} V the model was trained on",)
+            warnings += (
+                f"{units.max_input} {units.input.text(max_voltage)} is above {units.input.text(trained_high)}, "
+                "the largest of the model's recordings",
+            )
     slew, farthest = trained_slew if max_slew is None else max_slew, max_displacement or np.inf
     low, high = min(low, 0.0), max(high, 0.0)
     if not low <= start_input <= high:
-        raise BadInput(f"--start-input {start_input:g} V lies outside {low:g} to {high:g} V: raise --max-voltage")
-    return Limits(low, high, slew, farthest, start_input), warnings
+        raise BadInput(
+            f"--start-input {units.input.text(start_input)} lies outside {units.input.range_text(low, high)}: "
+            f"raise {units.max_input}"
+        )
+    return Limits(low, high, slew, farthest, start_input, units), warnings
 
 
 def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarray, np.ndarray]:

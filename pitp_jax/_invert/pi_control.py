@@ -16,9 +16,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from .._errors import BadInput
 from .._model.input_map import AbstractInputMap, LinearInput
+from .loop import linearised, margins
 
 KV_PER_MM = 1e6  # V/m
+_LEVELS = (0.05, 0.25, 0.5, 0.75, 1.0)  # quantiles of the feedforward
+_SLOWER = 1e3  # the lowest frequency is 1e-5 of this one, so a hundredth of a period over the whole run
 
 
 def pi_trim(
@@ -38,7 +42,8 @@ def pi_trim(
 ) -> tuple[Float[Array, " time"], Float[Array, " time"]]:
     """Run a plant, at rest at the first sample, under feedforward plus PI.
 
-    Over a sample the feedforward runs linearly to its next value and the correction is held.
+    Over a sample the feedforward runs linearly to its next value and the correction is held. Outside a JAX
+    transformation the loop is linearised about five states of the plant under the feedforward alone (`loop`).
 
     Args:
         step: (state, u_now, u_next) -> (state, x at the end), one sample of the plant; see `stepper`.
@@ -56,6 +61,10 @@ def pi_trim(
 
     Returns:
         Displacement (m) and the voltage at each sample (V), both of shape (T,).
+
+    Raises:
+        BadInput: the loop with these gains is unstable about one of these states, or has no derivatives there. Under
+            `jit` nothing is checked.
 
     Examples:
         >>> lag = lambda x, u, u_next: (0.9 * x + 1e-7 * u, 0.9 * x + 1e-7 * u)  # or `stepper`
@@ -92,5 +101,45 @@ def pi_trim(
         return (state, following, total, first), (x, first)
 
     u_next = jnp.append(voltage[1:], voltage[-1])
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((state, voltage, target, p, i))):
+        _refuse_unstable(step, state, voltage, u_next, dt, (float(p), float(i)), (h, limits, direction))
     zero = jnp.zeros((), voltage.dtype)
     return jax.lax.scan(advance, (state, zero, zero, voltage[0]), (voltage, u_next, target))[1]
+
+
+def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, gains: tuple, loop: tuple) -> None:
+    """Refuse gains whose loop is unstable about states that the feedforward alone reaches.
+
+    Raises:
+        BadInput: with the factor that gains would have to be multiplied by.
+    """
+    (p, i), (h, (low, high), direction) = gains, loop
+    if p == 0 and i == 0:
+        return
+    levels = jnp.quantile(voltage, jnp.asarray(_LEVELS))
+    at = jnp.argmin(jnp.abs(voltage[None] - levels[:, None]), 1)
+
+    def advance(carry, now):
+        return step(carry, *now)[0], carry
+
+    states = jax.lax.scan(advance, state, (voltage, u_next))[1]
+    points = []
+    for k in map(int, at):
+        u = float(jnp.clip(voltage[k], low, high))
+        # a force is taken up by the voltage as 1 / h'(u); where h' = 0 the voltage does not act
+        slope = 2 * u if h.one_sided else 1.0
+        if slope > 0:
+            points.append((jax.tree.map(lambda leaf, k=k: leaf[k], states), u, direction / slope))
+    if not points:
+        return
+    run = 2 * jnp.pi / (len(voltage) * dt)
+    plants = linearised(lambda s, u: step(s, u, u), points, dt, float(_SLOWER * run))
+    known = [plant for plant in plants if plant is not None]
+    margin, sensitivity = margins(known, p, i, dt)
+    if len(known) < len(plants):
+        raise BadInput("no margin can be computed: the plant has no finite derivatives under this feedforward")
+    if not jnp.isfinite(sensitivity):
+        raise BadInput(
+            f"the loop with p = {p:.3g} and i = {i:.3g} is unstable on this plant (gain margin {margin:.3g}): "
+            "take smaller gains (`pi_gains` computes them from a model)"
+        )

@@ -62,7 +62,10 @@ class Fitted:
 # isinstance(pitp.load(file), pitp.Model), as it always was; equinox forbids `Model.register`, which would be the same,
 # so that no module passes for what it does not derive from: here all that is asked of a model is passed on to one
 ABCMeta.register(Model, Fitted)
-jax.tree_util.register_dataclass(Fitted, data_fields=["model"], meta_fields=[], drop_fields=["origin"])
+# `register_dataclass(drop_fields=...)` would say the same, but JAX up to 0.9.0 reads it letter by letter.
+jax.tree_util.register_pytree_with_keys(
+    Fitted, lambda pair: (((jax.tree_util.GetAttrKey("model"), pair.model),), None), lambda _, parts: Fitted(*parts)
+)
 
 
 def model_of(given: Model | Fitted) -> Model:

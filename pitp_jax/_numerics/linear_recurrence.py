@@ -101,5 +101,15 @@ def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n
 
 def lag_after(start, before, now, tau, dt) -> Array:
     """Advance lags by one sample of dt (s), x linear from `before` to `now`: one step of `first_order_lags`."""
+    return lag_followed(start, before, now, *lag_weights(tau, dt))
+
+
+def lag_weights(tau, dt) -> tuple[Array, Array]:
+    """Compute the two weights of `lag_followed` for samples of dt (s)."""
     settle = -jnp.expm1(-dt / tau)
-    return start + settle * (before - start) + (1 - settle * tau / dt) * (now - before)
+    return settle, 1 - settle * tau / dt
+
+
+def lag_followed(start, before, now, settle, ramp) -> Array:
+    """Advance lags by one sample, by weights of the distance to x and of the way that x itself goes."""
+    return start + settle * (before - start) + ramp * (now - before)

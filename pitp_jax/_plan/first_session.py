@@ -61,7 +61,8 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
 
 
 def _growth(level: float, seconds: float, limits: Limits) -> Planned:
-    text = f"whether the actuator bears {100 * level:.0f} % of the voltage: look at its stroke before going on"
+    part = f"{100 * level:.0f} % of the {limits.units.input_word}"
+    text = f"whether the actuator bears {part}: look at its stroke before going on"
     return Planned(f"growth_{100 * level:.0f}", "sweep", text, *_swept(level, seconds, limits), limits.rest)
 
 
@@ -94,10 +95,13 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     """Plan a sine through these points (frequency, lowest, highest voltage), named by first frequency and peak."""
     voltage = through(points, seconds, limits)
     time = np.arange(len(voltage)) / limits.rate
-    hz, top = points[:, 0], np.abs(voltage).max()
+    hz, shown = points[:, 0], limits.units.input
+    top = float(shown.shown(np.abs(voltage).max()))
+    size = f"{top:.0f}" if top >= 100 else f"{top:.3g}"
     spread = f"{hz.min():.3g} to {hz.max():.3g}" if len(points) > 1 else f"{hz[0]:.3g}"
-    text = f"motion at {spread} Hz, up to {top:.0f} V: one of a set that fills frequency, swing and bias"
-    return Planned(f"sine_{hz[0]:.3g}Hz_{top:.0f}V", "sine", text, time, voltage, limits.rest)
+    text = f"motion at {spread} Hz, up to {size} {shown.unit}: one of a set that fills frequency, swing and bias"
+    unit = shown.unit.replace(" ", "").replace("/", "_per_")
+    return Planned(f"sine_{hz[0]:.3g}Hz_{size}{unit}", "sine", text, time, voltage, limits.rest)
 
 
 def in_order(recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False) -> tuple[Planned, ...]:

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from .._errors import BadInput
+from .._table.quantity import Units
 
 _PER_PERIOD = 20  # samples a period of the highest frequency: a tenth of Nyquist
 _DEFAULT_RATE = 100.0  # samples a period where no rate is given
@@ -26,7 +27,8 @@ class Limits:
         farthest: displacement from 0 V either way in m, or infinity.
         band: lowest and highest drive frequency in Hz.
         rate: samples per second.
-        rest: seconds at 0 V after each recording.
+        rest: seconds at zero input after each recording.
+        units: for messages, names and files; all numbers here are in base units.
 
     Raises:
         BadInput: what cannot be met, all of it in one line.
@@ -39,16 +41,18 @@ class Limits:
     band: tuple[float, float]
     rate: float
     rest: float
+    units: Units = Units()
 
     def __post_init__(self):
         """Refuse what no recording could meet."""
         first, last = self.band
         wrong = []
-        for name, value in (("max-voltage", self.high), ("max-slew", self.slew), ("rate", self.rate)):
+        units = self.units
+        for name, value in ((units.max_input, self.high), (units.max_rate, self.slew), ("--rate", self.rate)):
             if not (value > 0 and math.isfinite(value)):
-                wrong.append(f"--{name} must be positive and finite, got {value:g}")
+                wrong.append(f"{name} must be positive and finite, got {value:g}")
         if not self.farthest > 0:
-            wrong.append(f"--max-displacement must be positive, got {self.farthest:g}")
+            wrong.append(f"{units.max_output} must be positive, got {self.farthest:g}")
         if not (self.rest >= 0 and math.isfinite(self.rest)):
             wrong.append(f"--rest cannot be negative, got {self.rest:g}")
         if not 0 < first < last < math.inf:

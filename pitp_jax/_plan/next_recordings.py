@@ -50,8 +50,9 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
     ]
     if not kept:
         raise BadInput(
-            f"--max-displacement {1e3 * limits.farthest:g} mm: every drive is predicted to exceed it (the gentlest "
-            f"{1e3 * reached.max(1).min():.3g} mm with half the damping); lower --max-voltage"
+            f"{limits.units.max_output} {limits.units.limit.text(limits.farthest)}: every drive is predicted to exceed "
+            f"it (the gentlest {limits.units.limit.text(reached.max(1).min(), 3)} with half the damping); lower "
+            f"{limits.units.max_input}"
         )
     out = len(drives) - len(kept)
     return kept, (f"{out} of {len(drives)} drives left out: their predicted stroke exceeds the limit",) if out else ()

@@ -8,6 +8,7 @@ from .._report import html
 from .._report.html import tag
 from .._report.lines import DRIVE, finish, line, own_axes, volts
 from .._report.numbers import figure
+from .._table.units import column_name
 from .drives import Planned
 from .planning import REACHED, Plan
 from .strokes import LEAST_DAMPING
@@ -43,7 +44,8 @@ def headline(plan: Plan, modelled: bool) -> str:
 
 def _lead(plan: Plan) -> str:
     if not plan.expected:
-        return "Play the files in the order of their numbers: small first and growing, each from 0 V back to 0 V."
+        rest = f"0 {plan.limits.units.input.unit}"
+        return f"Play the files in the order of their numbers: small ones first, each from {rest} back to {rest}."
     before, after = plan.expected[0], plan.expected[-1]
     if not plan.recordings:
         return f"On drives not recorded yet the model is expected to be off by {figure(before, 2)} % of range."
@@ -56,27 +58,31 @@ def _lead(plan: Plan) -> str:
 def _cards(plan: Plan) -> list[str]:
     x = plan.limits
     rests = sum(r.rest for r in plan.recordings)
-    far = "" if x.farthest == np.inf else f"Stroke at most {figure(1e3 * x.farthest)} mm."
+    drive, stroke = x.units.input, x.units.limit
+    low, high, slew = (figure(float(drive.shown(v))) for v in (x.low, x.high, x.slew))
+    far = "" if x.farthest == np.inf else f"Stroke at most {figure(stroke.shown(x.farthest))} {stroke.unit}."
     cards = [
-        html.card("Limits", f"{figure(x.low)} to {figure(x.high)} V", tag("p", f"At most {figure(x.slew)} V/s. {far}")),
+        html.card("Limits", f"{low} to {high} {drive.unit}", tag("p", f"At most {slew} {drive.rate}. {far}")),
         html.card("Band", f"{figure(x.band[0])} to {figure(x.band[1])} Hz", tag("p", f"{figure(x.rate)} samples/s.")),
     ]
     if plan.recordings:
-        lines = tag("p", f"{figure(rests)} s of rest at 0 V between them.") + html.bullets(plan.notes)
+        lines = tag("p", f"{figure(rests)} s of rest at 0 {drive.unit} between them.") + html.bullets(plan.notes)
         cards.append(html.card("Time", f"{figure(plan.seconds + rests)} s in all", lines))
     return cards
 
 
 def _table(plan: Plan) -> str:
+    drive, stroke = plan.limits.units.input, plan.limits.units.limit
     header = (
-        "recording", "kind", "length (s)", "rest (s)", "highest |V|", "steepest (V/s)", "stroke (mm)",
-        "with half the damping (mm)", "play it if the stroke so far is below", "what it is for",
+        "recording", "kind", "length (s)", "rest (s)", f"largest ({drive.unit})", f"steepest ({drive.rate})",
+        f"stroke ({stroke.unit})", f"with half the damping ({stroke.unit})",
+        "play it if the stroke so far is below", "what it is for",
     )  # fmt: skip
     rows = [
         ("", (
-            r.name, r.kind, figure(r.seconds), figure(r.rest), figure(float(np.abs(r.voltage).max())),
-            figure(r.slew), figure(1e3 * r.stroke), figure(1e3 * r.stroke_half_damped),
-            "–" if r.go_on == np.inf else f"{figure(1e3 * r.go_on)} mm", r.purpose,
+            r.name, r.kind, figure(r.seconds), figure(r.rest), figure(float(drive.shown(np.abs(r.voltage).max()))),
+            figure(drive.shown(r.slew)), figure(stroke.shown(r.stroke)), figure(stroke.shown(r.stroke_half_damped)),
+            "–" if r.go_on == np.inf else f"{figure(stroke.shown(r.go_on))} {stroke.unit}", r.purpose,
         ))
         for r in plan.recordings
     ]  # fmt: skip
@@ -84,22 +90,25 @@ def _table(plan: Plan) -> str:
 
 
 def _pictures(plan: Plan) -> str:
-    drawn = (html.picture(f"drive{k}", _drawn(r), f"{r.name}: {r.kind}") for k, r in enumerate(plan.recordings))
+    unit, rows = plan.limits.units.input.unit, enumerate(plan.recordings)
+    drawn = (html.picture(f"drive{k}", _drawn(r, unit), f"{r.name}: {r.kind}") for k, r in rows)
     return f'<div class="figures">{"".join(drawn)}</div>'
 
 
-def _drawn(recording: Planned) -> Figure:
+def _drawn(recording: Planned, unit: str) -> Figure:
     ax: Axes = own_axes(None, 1, (5.0, 1.5))[0]
-    voltage, label = volts(recording.voltage)
+    voltage, label = volts(recording.voltage, unit)
     line(ax, recording.time, voltage, color=DRIVE, lw=0.8)
     finish(np.array([ax]), "time (s)", [label])
     return ax.figure  # pyright: ignore[reportReturnType]
 
 
 def _reading(plan: Plan) -> list[str]:
+    drive = plan.limits.units.input.unit
     texts = [
-        "Every file holds time_s and voltage_V at the rate above, starts and ends at 0 V, and keeps the slew between "
-        "its samples. Record the displacement beside it; let the membrane rest at 0 V between two files."
+        f"Every file holds time_s and {column_name('voltage', drive)} at the rate above, starts and ends at 0 {drive}, "
+        f"and keeps the slew between its samples. Record the {plan.limits.units.output_word} beside it; let the "
+        f"actuator rest at 0 {drive} between two files."
     ]
     if any(r.go_on < np.inf for r in plan.recordings):
         texts.append(

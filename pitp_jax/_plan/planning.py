@@ -14,9 +14,11 @@ from .._errors import BadInput
 from .._model.encoder import ConstantEncoder
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
+from .._model.units import units_of
 from .._record.record import Record
 from .._record.sets import check_set
 from .._shown import Shown
+from .._table.quantity import Units
 from .drives import Planned
 from .first_session import default_duration, first_session, in_order, space_filling_set
 from .limits import Limits, default_rate
@@ -90,6 +92,7 @@ def plan(
     choose_from: Sequence[Record] = (),
     alternate: bool = False,
     seed: int = 0,
+    units: Units | None = None,
 ) -> Plan:
     """Plan the recordings to take next.
 
@@ -106,6 +109,7 @@ def plan(
         choose_from: existing recordings to choose among instead; their output is not looked at.
         alternate: play every second recording with negative voltage (a bipolar amplifier).
         seed: of the space-filling points.
+        units: in which files and texts name input and output; default the model's, V and m of a first session.
 
     Raises:
         BadInput: limits that are missing or cannot be met.
@@ -118,12 +122,13 @@ def plan(
         >>> max(float(np.abs(r.voltage).max()) for r in session.recordings) <= 3000.0
         True
     """
+    units = units or (Units() if model is None else units_of(model))
     model = None if model is None else model_of(model)
     if records:
         check_set(records)
     if choose_from:
-        return _ranking(model, records, choose_from, duration)
-    limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate)
+        return _ranking(model, records, choose_from, duration, units)
+    limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units)
     length = duration or default_duration(limits, fresh=model is None)
     if model is None:
         return _played(first_session(limits, length, seed), limits, alternate)
@@ -147,7 +152,7 @@ def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, **remark
     return Plan(in_order(drives, limits, alternate=alternate), kept, **remarks)
 
 
-def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None) -> Plan:
+def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None, units: Units) -> Plan:
     """Rank existing recordings, the best first.
 
     Raises:
@@ -160,7 +165,9 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
     played = [r.voltage for r in best.recordings]
     low, high = min(0.0, *(float(u.min()) for u in played)), max(float(np.abs(u).max()) for u in played)
     slew = max(r.slew for r in best.recordings)
-    limits = Limits(low, high, slew, np.inf, (1 / max(r.seconds for r in best.recordings), 0.05 / dt), 1 / dt, 0.0)
+    limits = Limits(
+        low, high, slew, np.inf, (1 / max(r.seconds for r in best.recordings), 0.05 / dt), 1 / dt, 0.0, units
+    )
     worth = f"the first {best.worth} of {len(played)} would lower the error visibly"
     return Plan(best.recordings, limits, best.expected, best.worth == 0, (worth,))
 
@@ -170,13 +177,13 @@ def trained(model: Model) -> bool:
     return not isinstance(model.encoder, ConstantEncoder)
 
 
-def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) -> Limits:
+def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units: Units) -> Limits:
     """Choose the limits given, else the model's.
 
     Raises:
         BadInput: one is missing.
     """
-    missing = [name for name, value in (("--max-voltage", max_voltage), ("--band", band)) if value is None]
+    missing = [name for name, value in ((units.max_input, max_voltage), ("--band", band)) if value is None]
     if model is None and missing:
         raise BadInput(f"a first session needs {' and '.join(missing)}: what the amplifier and the membrane bear")
     low, high = (0.0, 0.0) if model is None else model.domain.voltage_range
@@ -195,4 +202,6 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate) ->
         # of a sine over the whole range at the highest frequency, the steepest of what is planned
         max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement
-    return Limits(low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest))
+    return Limits(
+        low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest), units
+    )

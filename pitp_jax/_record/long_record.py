@@ -16,6 +16,7 @@ from .record import Record
 
 _PER_PERIOD = 4.0  # samples kept of a period of f_max
 _MOST = 150_000  # samples kept in all
+_LEAST = 600  # samples kept where the record has them: 100 windows of six in `_train/creep_balance`
 _READ = 1_000_000  # samples of the record that count: every fitting step follows its memories along them
 
 
@@ -79,7 +80,7 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     step = int(1 / (_PER_PERIOD * force_band([force], record.dt) * record.dt))
     # rounded up: never more than the most that are kept
     step = max(step, -(-record.samples // _MOST), 1)
-    step = min(step, max(record.samples // 64, 1))  # what `Record` asks for
+    step = min(step, max(record.samples // _LEAST, 1))
     known = record.observed
     # the low-pass needs every sample
     filled = np.interp(record.time, record.time[known], record.displacement[known])

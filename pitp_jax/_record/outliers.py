@@ -40,6 +40,7 @@ class Masked:
         unseen: samples off scale that are kept, since they are more than half.
         held: samples that repeat one value while the drive moves, then jump, of a sensor that repeats values elsewhere:
             kept, since it may be stiction.
+        turns: whole turns that were removed from the input and from the output before.
     """
 
     displacement: np.ndarray
@@ -49,6 +50,7 @@ class Masked:
     limit: float = np.nan
     unseen: int = 0
     held: int = 0
+    turns: tuple[int, int] = (0, 0)
 
 
 def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:

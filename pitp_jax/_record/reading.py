@@ -32,6 +32,7 @@ from .record import Record, Timed, range_in
 from .remarks import Remark
 from .sets import check_set
 from .stamps import usable_rows
+from .turns import unwrap
 
 _NOTES = ("readme", "notes", "note", "license", "licence", "info")
 _QUANTITIES = ("time", "voltage", "displacement")
@@ -242,6 +243,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     (one,) = loaded
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
+    _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
     # no voltage belongs to a target: zeros pass in its place
     check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place)
     check_wanted(time, wanted, source, columns, one.place)
@@ -358,11 +360,15 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
     units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
     refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
+    turns = 0, 0
+    if output is not None:
+        voltage, displacement, turns = unwrap(voltage, displacement, units)
     rate = one.options.rate if rate is None else rate
     try:
         rows = usable_rows(time, voltage, displacement, source, columns[0], one.place, rate)
         # before the grid: interpolating over a spike would smear it
         masked = mask_faults(rows.displacement, rows.voltage) if output is not None else Masked(rows.displacement)
+        masked = replace(masked, turns=turns)
         return masked, on_grid(replace(rows, displacement=masked.displacement), source, columns[0], one.place, rate)
     except BadInput as error:
         if rate is None and "--rate" in str(error):
@@ -404,6 +410,8 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
     if len(put.pieces) > 1:
         notes.append(f"split at its gaps into {len(put.pieces)} records")
     seen = [
+        Remark("input_turns", name, masked.turns[0]),
+        Remark("output_turns", name, masked.turns[1]),
         Remark("outliers", name, masked.outliers, f"such as {far}"),
         Remark("clipped", name, masked.clipped, limit),
         Remark("unseen", name, masked.unseen, limit),

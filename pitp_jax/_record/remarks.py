@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 _COUNTED = {  # kind: what is counted, what became of it
+    "input_turns": ("turn", "of the input unwrapped: the output goes the short way"),
+    "output_turns": ("turn", "of the output unwrapped: its motion continues across the step"),
     "outliers": ("output sample", "masked as spikes or dropouts"),
     "clipped": ("output sample", "masked at the sensor's limit"),
     "unseen": ("output sample", "off scale and kept, since they are most: does the sensor see?"),

@@ -7,14 +7,9 @@ import numpy as np
 from .._effects.physical import physical
 from .._model.encoder import ConstantEncoder, plain
 from .._model.fitted import Fitted
-from .._table.units import base_unit
+from .._model.units import units_of
+from .._table.quantity import Units
 from .numbers import number
-
-
-def coefficient_units(model: Fitted) -> list[str]:
-    """Units of a_0 ... a_n: force (V^2, or V for a linear input) times s^i over the output's."""
-    output = base_unit(model.origin.displacement_unit)
-    return [f"{model.input_map.unit}{('', ' s', f' s^{i}')[min(i, 2)]}/{output}" for i in range(model.order + 1)]
 
 
 def modes(model: Fitted) -> list[dict]:
@@ -27,36 +22,48 @@ def modes(model: Fitted) -> list[dict]:
     ]
 
 
-def describe(model: Fitted) -> dict:
-    """A model in plain values, for `pitp info` and its JSON."""
-    domain, origin = model.domain, model.origin
+def describe(model: Fitted, units: Units | None = None) -> dict:
+    """Describe a model in plain values, for `pitp info` and its JSON, in its own units or in others of their kinds."""
+    domain, origin, units = model.domain, model.origin, units or units_of(model)
+    factors, names = zip(*(units.coefficient(i) for i in range(model.order + 1)), strict=True)
     return {
         "kind": "identified" if isinstance(plain(model.encoder), ConstantEncoder) else "trained",
         "order": model.order,
         "input_map": model.input_map.name,
         "encoder": type(plain(model.encoder)).__name__.removesuffix("Encoder").lower(),
         "memory_states": model.memory.size,
-        "effects": [_described(model, effect) for effect in model.effects],
+        "effects": [_described(model, effect, units) for effect in model.effects],
         "hold": model.hold,
         "substeps": model.substeps,
-        "coefficients": model.physical_coefficients.tolist(),
-        "coefficients_stderr": list(origin.stderr) or [None] * (model.order + 1),
-        "coefficients_unit": coefficient_units(model),
+        "coefficients": (model.physical_coefficients * factors).tolist(),
+        "coefficients_stderr": (np.array(origin.stderr) * factors).tolist() if origin.stderr else [None] * len(names),
+        "coefficients_unit": list(names),
         "modes": modes(model),
-        "offset": float(model.output.offset),
+        "offset": float(units.si.shown(model.output.offset)),
         "polarity": float(model.output.polarity),
-        "output_unit": base_unit(origin.displacement_unit),
+        "output_unit": units.si.unit,
         "dt": model.dt,
-        "voltage_range": domain.voltage_range.tolist(),
-        "max_slew": float(domain.slew),
+        "voltage_range": units.input.shown(domain.voltage_range).tolist(),
+        "max_slew": float(units.input.shown(domain.slew)),
+        "input_unit": units.input.unit,
         "identified_on": list(origin.identified_on),
         "training": origin.training,
+        "fallback": fallback_line(origin.training),
     }
 
 
-def _described(model: Fitted, effect) -> dict:
+def fallback_line(training: dict | None) -> str | None:
+    """Return the sentence that says what stands in for a failed training, or None where none failed."""
+    if not training or not training.get("fallback"):
+        return None
+    if "itself" in training["fallback"]:
+        return "Training failed: this file holds the linear model from which training started."
+    return "Training failed in part: this file holds a model between the trained one and the linear model."
+
+
+def _described(model: Fitted, effect, units: Units) -> dict:
     """Name, form and numbers in physical units."""
-    numbers = {p.name: physical(model, p, float(v)) for p, v in effect.numbers()}
+    numbers = {p.name: physical(model, p, float(v), units) for p, v in effect.numbers()}
     return {
         "effect": effect.name,
         "form": effect.form,
@@ -68,3 +75,13 @@ def in_words(effect: dict) -> str:
     """An effect of `describe` in one line."""
     numbers = ", ".join(f"{k} {number(v['value'])} {v['unit']}" for k, v in effect["parameters"].items())
     return f"{effect['effect']} ({effect['form']}): {numbers}"
+
+
+def sensor_line(model: Fitted) -> str:
+    """Say what the sensor reads at zero input, and whether it is reversed."""
+    units = units_of(model)
+    line = f"The sensor reads {units.output.text(float(model.output.offset))} at 0 {units.input.unit}"
+    if model.output.polarity > 0:
+        return f"{line}."
+    motion = "as the actuator extends" if units.squared else f"as the {units.input_word} increases"
+    return f"{line} and decreases {motion} (reversed sensor)."

@@ -86,6 +86,11 @@ def kind_of(unit: str | None) -> str | None:
     return _KIND[unit] if unit is not None else None
 
 
+def units_of_kind(unit: str) -> tuple[str, ...]:
+    """The units of the same kind as `unit`, that one first."""
+    return (unit, *(other for other in _KINDS[_KIND[unit]] if other != unit))
+
+
 def column_name(quantity: str, unit: str) -> str:
     """The name of a column in the files that we write: `voltage_V`, `input_rad`, `displacement_m`, `output_deg`.
 

@@ -30,6 +30,7 @@ from .parameters import trainable, with_parameters
 _WEIGHT = 0.1  # lambda, beside a mean over records of squares of e_rms in %
 _ENDS, _BELOW = 3.0, 0.7  # of the part that goes with x, beside the mean; in windows slower than that resonance
 _WINDOWS, _FEWEST_WINDOWS = 100, 10
+_WINDOW_SAMPLES = 6  # at least, of those kept: 1.5 periods of the fastest drive; a short record has fewer windows
 _COVERED = 0.9  # part of a window that must lie in the trained region
 OUTLASTS = 1.5  # times the longest training run
 
@@ -95,7 +96,10 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
                         displacement=model.output.to_model(record.displacement))  # fmt: skip
     states, valid = motion.states / model.scales.state, motion.valid[:: long.step]
     low, high = np.asarray(region)[: model.order].T
-    shape = _WINDOWS, len(valid) // _WINDOWS
+    windows = min(_WINDOWS, len(valid) // _WINDOW_SAMPLES)
+    if windows < _FEWEST_WINDOWS:
+        return None
+    shape = windows, len(valid) // windows
     count = shape[0] * shape[1]
     rows = states[:: long.step][:count].reshape(*shape, -1)
     inside = valid[:count].reshape(shape) & ((rows[..., :-1] >= low) & (rows[..., :-1] <= high)).all(-1)

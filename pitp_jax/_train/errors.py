@@ -1,8 +1,11 @@
 """Compare free runs on the training records: the trained model beside its nominal, as `predict` runs both.
 
-    e_k = 100 rms(x - x_measured) / range_k,      a record is worse where e_k(trained) > 1.01 e_k(nominal)
+    e_k = 100 rms(x - x_measured) / range_k,      s_k = 100 (standard deviation of the sensor's noise) / range_k
+    a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
 
-The better of two models is worse on fewer records, then has the smaller rms of e_k.
+Both errors contain the noise, so the difference of their squares is what the trained model adds. An addition below the
+noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then has
+the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -26,17 +29,21 @@ _CLOSED = 0.5  # nor one of at most that fraction of the nominal's
 
 @dataclass(frozen=True)
 class RecordError:
-    """Error of one training record under the nominal and under the trained model, e_rms in % (infinite: diverged)."""
+    """Error of one training record under the nominal and under the trained model, and the sensor's noise.
+
+    All are e_rms in % of the record's range (infinite: diverged).
+    """
 
     name: str
     nominal: float
     trained: float
+    noise: float = 0.0
 
     @property
     def worse(self) -> bool:
-        """Whether training lost on this record."""
-        # not <=, rather than >: infinite beside infinite is no loss, an error that is no number is one
-        return not self.trained <= _ALIKE * self.nominal
+        """Return whether training lost on this record."""
+        # not <=, rather than >: infinite beside infinite is not a loss, an error that is not a number is one
+        return not self.trained <= _allowed(self.nominal, self.noise)
 
 
 def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
@@ -63,13 +70,14 @@ class Candidate:
 
     @property
     def worse(self) -> Float[np.ndarray, " records"]:
-        """Error over the nominal's for every record; up to 1 it is not worse."""
-        return np.minimum(self.trained, _DIVERGED) / np.clip(self.nominal, 1e-12, _DIVERGED)
+        """Return the error over the largest one that is not worse, shape (records,)."""
+        return np.minimum(self.trained, _DIVERGED) / np.clip(_allowed(self.nominal, self.noise), 1e-12, _DIVERGED)
 
     @property
     def rank(self) -> tuple[int, float]:
         """Number of records that are worse, then the mean error: the smaller the better."""
-        return int((self.worse > _ALIKE).sum()), self.mean
+        worse = int((self.worse > 1).sum())
+        return worse or int(self.mean > _ALIKE * _mean(self.nominal)), self.mean
 
     @property
     def converged(self) -> bool:
@@ -90,9 +98,8 @@ class Candidate:
     @property
     def errors(self) -> tuple[RecordError, ...]:
         """Both errors of every record."""
-        return tuple(
-            RecordError(n, *e) for n, *e in zip(self.names, self.nominal.tolist(), self.trained.tolist(), strict=True)
-        )
+        columns = (self.nominal.tolist(), self.trained.tolist(), self.noise.tolist())
+        return tuple(RecordError(n, *e) for n, *e in zip(self.names, *columns, strict=True))
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,7 @@ def kept(
         lost = ", ".join(
             f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
         )
+        lost = lost or f"average ({best.mean:.3g} % of range instead of {_mean(best.nominal):.3g})"
         what = "a model between it and the nominal" if good else "the nominal itself"
         return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} is handed back; "
                         "look at these records with `pitp check`, or leave them out"], what  # fmt: skip
@@ -138,6 +146,11 @@ def kept(
         both = f"{chosen.mean:.3g} % of range is left on average, {_mean(chosen.nominal):.3g} % by the nominal"
         return chosen, [f"not converged: {both}; `pitp diagnose` looks for what this model lacks"], None
     return chosen, [], None
+
+
+def _allowed(nominal, noise):
+    """Return the largest error that is not worse than the nominal's, in the shape of both."""
+    return np.hypot(_ALIKE * np.asarray(nominal), noise)
 
 
 def _mean(errors) -> float:

@@ -157,7 +157,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
 
     An error counts by the range of its record: most windows may stand still.
     """
-    size = int(np.clip(periods * _period(model) / records[0].dt, 64, np.median([r.samples for r in records])))
+    size = round(np.clip(periods * _period(model) / records[0].dt, 64, np.median([r.samples for r in records])))
     places = [
         (k, first)
         for k, valid in enumerate(data.valid)

@@ -86,7 +86,7 @@ def test_simulate_writes_the_rollout_in_the_rigs_units(call, bench, tmp_path):
     out, file = tmp_path / "out", tmp_path / "j"
     code, text, err = call("simulate", bench / "nominal", plain, measured, held, "--out", out, "--json", file)
     assert code == 0, err
-    assert "'displacement_mm' is a measurement and ignored" in err and "held: begins at 1000 V" in err
+    assert "'displacement_mm' is a measurement and ignored" in err and "held: starts at 1000 V" in err
     right = 1e3 * lsim(([1.0], COEFFICIENTS[::-1]), voltage**2, TIME)[1]
     for name, unit in (("plain", "kV"), ("measured", "V")):
         header, values = columns_of(out / f"{name}.csv")
@@ -141,7 +141,7 @@ def test_simulate_fails_only_where_all_diverge(call, bench, tmp_path, monkeypatc
     assert np.isnan(columns_of(tmp_path / "out" / "one.csv")[1][:, 2]).sum() == 1000
     lost.update(count=0, most=2)
     code, _, err = call("simulate", bench / "nominal", one, two, "--json", tmp_path / "j")
-    assert code == 3 and "diverged under every voltage" in err
+    assert code == 3 and "diverged under every input" in err
     assert all(row["diverged"] for row in strict(tmp_path / "j")["records"].values())
 
 
@@ -157,7 +157,7 @@ def test_predict_prints_zeros_and_directions_that_differ(call, bench, tmp_path):
         write_record(tmp_path / f"{name}.csv", voltage, change(x), units=("V", "mm"))
     code, text, _ = call("predict", bench / "nominal", tmp_path)
     assert code == 0
-    assert "sensor reversed): 1 record (sine4)" in text
+    assert "reversed sensor (reads less as the actuator extends): 1 record (sine4)" in text
     rows = text.split("the sensor's zero differs among the records:")[1]
     zero = next(line.split()[1] for line in rows.splitlines() if line.startswith("sine2"))
     assert float(zero) == pytest.approx(0.3, abs=2e-3)

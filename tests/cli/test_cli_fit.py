@@ -64,6 +64,19 @@ def test_fit_from_a_nominal(call, bench, tmp_path, trainer, quick_identify):
     assert "physics 0.5" in text
 
 
+def test_fit_says_first_that_training_failed(call, bench, tmp_path, trainer, monkeypatch):
+    def failed(*args, **options):
+        made = trainer(*args, **options)
+        return replace(made, notes={**made.notes, "fallback": "the nominal itself"}, fallback="the nominal itself")
+
+    monkeypatch.setattr("pitp_jax._commands.fit.train", failed)
+    options = ["--nominal", bench / "nominal", "--json", tmp_path / "j"]
+    code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options)
+    assert code == 0
+    assert text.startswith("Training failed: this file holds the linear model")
+    assert json.loads((tmp_path / "j").read_text())["fallback"] == "the nominal itself"
+
+
 @pytest.mark.slow
 def test_parts_to_learn(call, bench, tmp_path, trainer):
     options = ["--nominal", bench / "nominal", "--learn", "sensor_lag", "--learn", "delay", "--learn", "delay"]

@@ -63,6 +63,19 @@ def test_info_of_a_trained_model(call, tmp_path):
     assert "stage 1: box 0.6 to 1.5, physics 0.1" in text
 
 
+@pytest.mark.parametrize("what", ["the nominal itself", "a model between it and the nominal"])
+def test_info_says_first_that_training_failed(call, tmp_path, what):
+    model_file.save(tmp_path / "m", truth(training={"fallback": what}))
+    code, text, _ = call("info", tmp_path / "m", "--json", tmp_path / "j")
+    line = text.splitlines()[1]
+    assert (
+        code == 0
+        and line.startswith("Training failed")
+        and line == json.loads((tmp_path / "j").read_text())["fallback"]
+    )
+    assert ("between" in line) == ("between" in what)
+
+
 def test_info_of_an_unbounded_model_has_no_infinity(call, tmp_path):
     model_file.save(tmp_path / "m", replace(truth(), domain=Domain(1.0)))
     assert call("info", tmp_path / "m", "--json", tmp_path / "j")[0] == 0

@@ -302,6 +302,12 @@ static real trimmed(@id@_state *state, real feedforward, real error, bool seen, 
     return u;
 }
 
+/* Whether there is a controller: with P = I = 0 the PI steps are the feedforward alone. */
+static bool controls(const @id@_state *state)
+{
+    return (state->p < ZERO) || (state->p > ZERO) || (state->i < ZERO) || (state->i > ZERO);
+}
+
 real @id@_pi_step(@id@_state *state, const real target[@tokens@], real measured, uint32_t *flags)
 {
     real wanted[TOKENS];
@@ -315,6 +321,12 @@ real @id@_pi_step(@id@_state *state, const real target[@tokens@], real measured,
         return silence(state, flags);
     }
     state->silent = 0u;
+    if (!controls(state)) {
+        state->trim = ZERO;
+        state->closed = 1u;
+        state->blind = 1u;
+        return limited(state, voltage, flags);
+    }
     const bool seen = all_finite(&measured, 1u);
     if (!seen) {
         *flags |= @UP@_NOT_A_NUMBER;

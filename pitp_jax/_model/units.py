@@ -1,0 +1,18 @@
+"""Read the units of a model off what it was made from."""
+
+from .._table.quantity import Quantity, Units
+from .._table.units import base_unit
+from .fitted import Fitted, fitted_of
+from .model import Model
+
+
+def units_of(given: Model | Fitted) -> Units:
+    """Read the units of a model off what it was made from; V and m where that is not known."""
+    fitted = fitted_of(given)
+    origin = fitted.origin
+    return Units(Quantity(origin.voltage_unit), Quantity(origin.displacement_unit), fitted.model.input_map.one_sided)
+
+
+def base_units(units: Units) -> Units:
+    """Return the same quantities in their base units."""
+    return Units(Quantity(base_unit(units.records_input.unit)), Quantity(base_unit(units.output.unit)), units.squared)

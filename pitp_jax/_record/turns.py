@@ -1,0 +1,111 @@
+"""Continue values on a circle (angles at +-180 deg or 0 to 360 deg, counts of an encoder) across the turn.
+
+    d_i = y_{i+1} - y_i,    n_i = round(d_i / P),    r_i = d_i - n_i P        P: one turn, d_i: step, r_i: its short way
+
+A step of the output with n_i != 0 is a turn where r_i continues the steps beside it. A machine cannot jump, a command
+can: a step of the input is a turn only where the output afterwards follows the short way.
+"""
+
+import math
+
+import numpy as np
+
+_SLACK = 1.01  # turns that values on one circle may span: its noise may lie beyond the seam
+_BESIDE, _USUAL = (
+    2.0,
+    10.0,
+)  # times the steps beside it, and the usual step, that a short way may be off
+_NEARER = 0.5  # of the distance of the input from the output must be left once its turns are removed
+_ROUND = 0.02  # relative distance of the counts seen in one turn from a round number
+_COUNTS = np.sort(np.concatenate([
+    2.0 ** np.arange(9, 33), np.outer(10.0 ** np.arange(2, 7), [3.6, 4, 5, 10, 20, 25]).ravel()
+]))  # of encoders in one turn  # fmt: skip
+
+
+def unwrap(
+    voltage: np.ndarray, displacement: np.ndarray, units: tuple[str, str]
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """Unwrap the output of a record, and its input where the output shows that the input has turned.
+
+    Args:
+        voltage: input, shape (T,).
+        displacement: output, shape (T,); nan where missing.
+        units: base units of both; an angle and counts lie on a circle.
+
+    Returns:
+        input and output, and how many turns were removed from each.
+    """
+    seen = np.flatnonzero(np.isfinite(displacement))
+    if len(seen) < 3:
+        return voltage, displacement, (0, 0)
+    inner, period = _period(voltage, units[0]), _period(displacement[seen], units[1])
+    # two signals in one unit have one turn, which the output shows more surely: it cannot step
+    if units[0] == units[1]:
+        inner = period = period or inner
+    if period is None:
+        return voltage, displacement, (0, 0)
+    output = displacement.copy()
+    turns = _turns(displacement[seen], period)
+    output[seen] -= period * np.append(0, np.cumsum(turns))
+    inputs = 0
+    if inner is not None:
+        whole = np.interp(np.arange(len(output)), seen, output[seen])
+        voltage, inputs = _unwrapped_input(voltage, whole, inner, period)
+    return voltage, output, (inputs, int(np.abs(turns).sum()))
+
+
+def _period(values: np.ndarray, unit: str) -> float | None:
+    """Return one turn in the values' unit; of counts the round number that their largest steps show."""
+    if unit == "rad":
+        return 2 * math.pi
+    steps = np.diff(values)
+    if unit != "counts" or not steps.any():
+        return None
+    largest = np.abs(steps) > np.ptp(values) / 2
+    if not largest.any():
+        return None
+    seen = float(np.median(np.abs(steps[largest] - _beside(np.where(largest, 0.0, steps))[0][largest])))
+    nearest = float(_COUNTS[np.argmin(np.abs(_COUNTS - seen))])
+    return nearest if abs(nearest - seen) <= _ROUND * nearest else None
+
+
+def _beside(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of the two steps beside each, and the sum of their sizes."""
+    before, after = np.append(steps[:1], steps[:-1]), np.append(steps[1:], steps[-1:])
+    return (before + after) / 2, np.abs(before) + np.abs(after)
+
+
+def _turns(values: np.ndarray, period: float) -> np.ndarray:
+    """Return n_i of the steps that are turns, 0 elsewhere, shape (T - 1,)."""
+    steps = np.diff(values)
+    turns = np.round(steps / period)
+    if not turns.any() or np.ptp(values) > _SLACK * period:
+        return np.zeros(len(steps))
+    short = steps - turns * period
+    mean, size = _beside(short)
+    usual = float(np.median(np.abs(short[short != 0]))) if short.any() else 0.0
+    off = np.abs(short - mean)
+    return np.where((off <= _BESIDE * size + _USUAL * usual) & (off < np.abs(steps - mean)), turns, 0.0)
+
+
+def _unwrapped_input(
+    voltage: np.ndarray, output: np.ndarray, period: float, turn_of_output: float
+) -> tuple[np.ndarray, int]:
+    """Unwrap the input at the steps after which the output follows the short way; with the number of turns."""
+    steps = np.flatnonzero(np.round(np.diff(voltage) / period))
+    if not steps.size or np.ptp(voltage) > _SLACK * period:
+        return voltage, 0
+    edges = np.concatenate([[0], steps + 1, [len(voltage)]])
+    # in the second half of each stretch between two such steps the output has followed
+    late = [slice((begin + end) // 2, end) for begin, end in zip(edges, edges[1:], strict=False)]
+    follows = output / turn_of_output
+    apart, reversed_apart = follows - voltage / period, -follows - voltage / period
+    turns = np.round([apart[part].mean() for part in late])
+    after = sum(np.sum((apart[part] - n) ** 2) for part, n in zip(late, turns, strict=True))
+    # as it stands, of either direction; whole turns between input and output are a matter of their zeros
+    before = min(sum(np.sum((some[part] - np.round(np.median(some))) ** 2) for part in late)
+                 for some in (apart, reversed_apart))  # fmt: skip
+    if after > _NEARER**2 * before:
+        return voltage, 0
+    taken = np.repeat(turns - turns[0], np.diff(edges))
+    return voltage + period * taken, round(float(np.abs(np.diff(taken)).sum()))

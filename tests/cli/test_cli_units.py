@@ -1,0 +1,215 @@
+"""Every command speaks of a machine in the units of its recordings: a motor, A in and deg/s out, without V and m."""
+
+import json
+import re
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pytest
+from cli_cases import columns_of, refused, truth
+from scipy.signal import lsim
+
+from pitp_jax._commands.amounts import amount, in_base
+from pitp_jax._errors import BadInput
+from pitp_jax._model import Fitted, Origin
+from pitp_jax._model.domain import Domain
+from pitp_jax._model.input_map import LinearInput
+from pitp_jax._model.model import Output, linear_model
+from pitp_jax._model_file import model_file
+from pitp_jax._table.quantity import Quantity, Units, per_second
+
+TIME = np.arange(1500) / 500.0
+DEGREE = np.pi / 180
+OMEGA, ZETA, GAIN = 2 * np.pi * 4, 0.3, 200 * DEGREE  # 200 deg/s per A
+COEFFICIENTS = np.array([1.0, 2 * ZETA / OMEGA, OMEGA**-2]) / GAIN
+FOREIGN = re.compile(r"(?<![\w.*/^])(?:[kmu]?V|[cmuµn]?m|m/s\S*|V/s|V\^2\S*|rad|rad/s|N|Pa)(?![\w'=*(])")
+
+
+def speed(current):
+    """Response in deg/s to a current in A."""
+    return lsim(([1.0], COEFFICIENTS[::-1]), current, TIME)[1] / DEGREE
+
+
+@pytest.fixture(scope="module")
+def motor(tmp_path_factory):
+    """A folder with two recordings, a target and a model in A and deg/s."""
+    root = tmp_path_factory.mktemp("motor")
+    (root / "records").mkdir()
+    waves = {"sweep": 2 * np.sin(2 * np.pi * (0.3 * TIME + 1.5 * TIME**2)), "sine": 1.5 * np.sin(2 * np.pi * 2 * TIME)}
+    for name, current in waves.items():
+        noise = 0.05 * np.random.default_rng(len(name)).standard_normal(len(TIME))
+        write(root / "records" / f"{name}.csv", ("time_s", "input_A", "output_deg/s"), current, speed(current) + noise)
+    wanted = speed(np.sin(2 * np.pi * TIME) ** 3)
+    write(root / "target.csv", ("time_s", "output_deg/s"), wanted)
+    model = linear_model(
+        COEFFICIENTS, input_map=LinearInput(), state_scale=GAIN * OMEGA ** np.arange(3), force_scale=2.0,
+        output=Output(), hold="foh", substeps=1, domain=Domain(0.002, (-2.0, 2.0), 80.0),
+    )  # fmt: skip
+    model_file.save(root / "model", Fitted(model, Origin("deg/s", "A", stderr=(1e-3, 1e-4, 1e-5))))
+    return root
+
+
+def write(path, header, *columns):
+    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(TIME, *columns, strict=True)]
+    path.write_text("\n".join([",".join(header), *rows]) + "\n")
+
+
+def told(page):
+    """The text of a page, without its style and drawings' shapes."""
+    text = re.sub(r"<style>.*?</style>|<defs>.*?</defs>", "", page, flags=re.DOTALL)
+    return unescape(re.sub(r"<[^>]*>", "\n", text)).replace("\N{NARROW NO-BREAK SPACE}", " ")
+
+
+def foreign(text):
+    """Units that are none of this machine's."""
+    return [line for line in text.splitlines() if FOREIGN.search(line)]
+
+
+COMMANDS = {
+    "check": ("records", "--out", "{out}"),
+    "identify": (
+        "records/sweep.csv",
+        "--order",
+        "2",
+        "--input-map",
+        "linear",
+        "--out",
+        "{out}",
+        "--report",
+        "{out}_page",
+    ),
+    "predict": ("model", "records", "--out", "{out}"),
+    "simulate": ("model", "records/sine.csv", "--out", "{out}"),
+    "invert": ("model", "target.csv", "--out", "{out}", "--max-input", "1.9", "--max-output", "300"),
+    "plan": ("model", "--out", "{out}", "--duration", "20"),
+    "info": ("model",),
+    "compare": ("model", "model", "--out", "{out}"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_names_units_of_the_machine_alone(call, motor, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(motor)
+    out = tmp_path / "out"
+    code, text, err = call(command, *(word.format(out=out) for word in COMMANDS[command]), "--json", tmp_path / "j")
+    assert code == 0, err
+    assert foreign(text + err) == []
+    pages = [told(path.read_text()) for path in tmp_path.rglob("*.html")]
+    assert [line for page in pages for line in foreign(page)] == []
+    headers = [path.read_text().splitlines()[0] for path in tmp_path.rglob("*.csv")]
+    assert not [header for header in headers if "voltage" in header or "displacement" in header]
+    assert {"check", "identify", "predict", "plan", "compare"} & {command} == ({command} if pages else set())
+
+
+def test_invert_writes_the_input_in_the_unit_of_the_records(call, motor, tmp_path):
+    """The first printed line names the largest value; the column is what the motor's driver takes."""
+    code, text, _ = call("invert", motor / "model", motor / "target.csv", "--out", tmp_path / "v.csv")
+    header, values = columns_of(tmp_path / "v.csv")
+    assert code == 0 and header == ["time_s", "input_A", "target_deg/s", "infeasible", "saturated"]
+    inside = np.isfinite(values[:, 2])
+    np.testing.assert_allclose(values[inside, 1], np.sin(2 * np.pi * TIME) ** 3, atol=5e-3)
+    np.testing.assert_allclose(values[inside, 2], speed(np.sin(2 * np.pi * TIME) ** 3), rtol=1e-6, atol=1e-6)
+    assert text.startswith(f"largest input {np.abs(values[:, 1]).max():.4g} A: ")
+    assert "limits: -2 to 2 A, at most 80 A/s" in text
+
+
+@pytest.mark.parametrize(
+    ("option", "largest"), [("--max-input=0.5", 0.5), ("--max-voltage=500mA", 0.5), ("--max-input=0.5A", 0.5)]
+)
+def test_a_limit_is_in_the_unit_of_the_records_or_its_own(call, motor, tmp_path, option, largest):
+    code, text, _ = call("invert", motor / "model", motor / "target.csv", "--out", tmp_path / "v.csv", option)
+    assert code == 0 and "limits: -0.5 to 0.5 A" in text
+    assert np.abs(columns_of(tmp_path / "v.csv")[1][:, 1]).max() == pytest.approx(largest, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--max-input", "3kV", "give it in A, mA, uA"),
+        ("--max-input-rate", "20deg/s", "give it in A/s, mA/s"),
+        ("--max-output", "3mm", "give it in deg/s, rad/s, rpm"),
+        ("--unit", "kV", "in A, mA, uA"),
+        ("--max-input", "3parsecs", "not a number"),
+        ("--max-input", "-3A", "not positive"),
+    ],
+)
+def test_a_limit_of_another_kind_is_refused(call, motor, tmp_path, option, value, said):
+    argv = ["invert", motor / "model", motor / "target.csv", "--out", tmp_path / "v.csv", f"{option}={value}"]
+    assert said in refused(call(*argv)) and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity", "rate", "base"),
+    [
+        ("3kV", "V", False, 3e3), ("3", "V", False, 3.0), ("0.3 µm", "mm", False, 3e-7), ("2", "mm", False, 2e-3),
+        ("20deg", "rad", False, 20 * DEGREE), ("20", "deg", False, 20 * DEGREE), ("5e4 V/s", "V", True, 5e4),
+        ("2kV/s", "V", True, 2e3), ("90deg/s2", "deg/s", True, 90 * DEGREE), ("90deg/s/s", "deg/s", True, 90 * DEGREE),
+        ("4m/s^2", "m/s", True, 4.0), ("1.5N m", "N m", False, 1.5), ("7", "counts", False, 7.0),
+    ],
+)  # fmt: skip
+def test_a_number_may_carry_its_unit(text, quantity, rate, base):
+    assert in_base(amount(text), "--max-input", Quantity(quantity), rate=rate) == pytest.approx(base, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["", "kV", "nan", "inf", "3s", "1e", "--3", "3 kV V"])
+def test_what_is_no_amount_is_not_read_as_one(text):
+    assert amount(text) is None
+
+
+def test_a_rate_needs_a_unit_of_a_rate():
+    with pytest.raises(BadInput, match="V/s"):
+        in_base(amount("3kV"), "--max-slew", Quantity("V"), rate=True)
+
+
+@pytest.mark.parametrize(
+    ("unit", "times", "rate"),
+    [
+        ("V", 1, "V/s"),
+        ("m", 2, "m/s^2"),
+        ("deg/s", 1, "deg/s^2"),
+        ("m/s2", 1, "m/s^3"),
+        ("rpm", 1, "rpm/s"),
+        ("A", 0, "A"),
+    ],
+)
+def test_a_derivative_has_the_unit_per_second(unit, times, rate):
+    assert per_second(unit, times) == rate
+
+
+@pytest.mark.parametrize(
+    ("template", "force", "squared", "unit", "factor"),
+    [
+        ("V^2 s/x", 1, False, "A s/(deg/s)", DEGREE), ("V^2", 1, True, "A^2", 1.0),
+        ("1/x^2", 0, True, "1/(deg/s)^2", DEGREE**2),
+        ("x/s", 0, True, "deg/s^2", 1 / DEGREE), ("x", 0, True, "deg/s", 1 / DEGREE), ("s/V", 0, False, "s/A", 1.0),
+        ("1/x^(1/2)", 0, True, "1/(deg/s)^(1/2)", DEGREE**0.5),
+    ],
+)  # fmt: skip
+def test_numbers_of_effects_have_the_units_of_the_machine(template, force, squared, unit, factor):
+    found = Units(Quantity("A"), Quantity("deg/s"), squared).parameter(template, force)
+    assert found == (pytest.approx(factor, rel=1e-12), unit)
+
+
+def test_a_voltage_stays_in_volts_and_a_length_in_metres(call, bench, tmp_path):
+    """Records in kV and mm: limits in V and mm, coefficients in V^2/m, whatever the records' unit."""
+    target, out = bench / "target.csv", tmp_path / "v.csv"
+    code, text, _ = call(
+        "invert", bench / "nominal", target, "--out", out, "--max-voltage", "1.2kV", "--max-output", "3"
+    )
+    assert code == 0 and "limits: 0 to 1200 V, at most 5e+04 V/s, displacement within 3 mm" in text
+    assert call("info", bench / "nominal", "--json", tmp_path / "j")[0] == 0
+    facts = json.loads((tmp_path / "j").read_text())
+    assert facts["coefficients_unit"] == ["V^2/m", "V^2 s/m", "V^2 s^2/m"] and facts["output_unit"] == "m"
+
+
+@pytest.mark.parametrize(
+    ("polarity", "end"), [(1.0, "at 0 V.\n"), (-1.0, "at 0 V and decreases as the actuator extends")]
+)
+def test_a_reversed_sensor_is_named_in_words(call, bench, tmp_path, polarity, end):
+    known = truth()
+    output = Output(offset=18.412e-3, polarity=polarity)
+    model_file.save(tmp_path / "m", Fitted(replace(known.model, output=output), known.origin))
+    code, text, _ = call("info", tmp_path / "m")
+    assert code == 0 and f"The sensor reads 18.41 mm {end}" in text
+    assert ("(reversed sensor)" in text) == (polarity < 0)
