@@ -5,7 +5,7 @@ u(t) = what was sent last at or before t        (a command holds until the next 
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,7 +56,7 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
     beside |= {f.name: b"s" for f in schema if str(f.type).startswith(("timestamp", "duration"))}
     stored, origin = {}, []
     for field in schema:
-        count = _entries(path, field)
+        count = _entries(field, column)
         for k in range(max(count, 1)):
             name = f"{field.name}[{k + 1}]" if count else field.name
             entry = k if count else None
@@ -67,17 +67,14 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
     return [[replace(table, texts=lambda k: column(origin[k]).astype(str).to_numpy())]]
 
 
-def _entries(path: Path, field: Any) -> int:
+def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
     """Return how many numbers each cell of a column of lists holds; 0 where it holds none or very many."""
-    import pyarrow.compute
-    import pyarrow.parquet
     from pyarrow import types
 
     listed = types.is_list(field.type) or types.is_large_list(field.type) or types.is_fixed_size_list(field.type)
     if not listed or not (types.is_integer(field.type.value_type) or types.is_floating(field.type.value_type)):
         return 0
-    lengths = pyarrow.compute.list_value_length(pyarrow.parquet.read_table(path, columns=[field.name]).column(0))
-    count = pyarrow.compute.max(lengths).as_py() or 0
+    count = max((len(row) for row in column(field.name) if row is not None), default=0)
     return count if count <= _LONGEST else 0
 
 
