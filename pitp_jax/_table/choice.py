@@ -266,7 +266,7 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
     )
     for rule in rules:
         clocks = [s for s in clocks if rule(s)] or clocks
-    seconds = {s.place: to_base(values[s.place], s.unit if s.kind == "time" else "s") for s in clocks}
+    seconds = {s.place: to_base(values[s.place], (s.kind == "time" and s.unit) or "s") for s in clocks}
     first = seconds[clocks[0].place]
     if len(clocks) > 1 and all(_agree(first, other) for other in seconds.values()):
         clocks = [min(clocks, key=lambda s: float(np.nanmax(np.abs(seconds[s.place]))))]
