@@ -345,3 +345,18 @@ def test_what_no_voltage_holds_is_refused_and_exported_without_a_controller(tmp_
     target[:, 0] = cosine(2.0, STROKE / 2, DT, 0.3)
     alone, trimmed = made.command(0, target)[0], made.command(2, target, measured=np.full(300, 1e-4))[0]
     np.testing.assert_array_equal(trimmed, alone)
+
+
+@pytest.mark.parametrize(("dt", "precision"), [(5e-5, "double"), pytest.param(5e-5, "single", marks=pytest.mark.slow)])
+def test_an_export_proves_itself_at_a_high_rate(tmp_path, dt, precision):
+    """7 Hz at 20 kHz, the sensor 50 mm off zero: the vector covers the stroke, and `make` finds a wrong number."""
+    pitp.export_c(actuator(dt=dt, offset=5e-2), tmp_path / "c", precision=precision)
+    said = subprocess.run(["make"], cwd=tmp_path / "c", capture_output=True, text=True)
+    assert said.returncode == 0, said.stdout
+    text = (tmp_path / "c" / "main.c").read_text()
+    rows = text.split("displacement[COUNT] = {")[1].split("}")[0].replace("f", "").split(",")
+    assert np.ptp([float(v) for v in rows]) > 0.5 * STROKE
+    source = tmp_path / "c" / "pitp_model.c"
+    head, core = source.read_text().split("static void predict_core")
+    source.write_text(head + "static void predict_core" + core.replace("0.5", "0.502", 1))
+    assert subprocess.run(["make", "-B"], cwd=tmp_path / "c", capture_output=True).returncode != 0

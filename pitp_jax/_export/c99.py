@@ -14,6 +14,7 @@ from .._model.model import Model
 from . import plan as planning
 from . import steps
 from .differentiator import ALLOWED, BLOCKS
+from .equilibria import stroke
 from .pi_gains import PIGains
 from .plan import Plan, rate_error, whole_folder
 from .writing import Writer
@@ -82,10 +83,10 @@ def write_sources(plan: Plan, folder: Path) -> None:
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
     """Write what stands around the sources: test vector, Makefile, loop, README."""
     values, writer, test = frame(plan, cost), Writer("c", plan.single), plan.test
-    square = plan.model.input_map.one_sided
+    square, told = plan.model.input_map.one_sided, slice(test.every - 1, None, test.every)
     values |= {
-        "voltage": table(writer, test.voltage), "displacement": table(writer, test.displacement),
-        "targets": table(writer, test.motion), "planned": table(writer, test.planned),
+        "voltage": table(writer, test.voltage[told]), "displacement": table(writer, test.displacement[told]),
+        "targets": table(writer, test.motion[told]), "planned": table(writer, test.planned[told]),
         "force_error": "(u * u) - ((double)planned[k] * (double)planned[k])" if square else "u - (double)planned[k]",
         "target_error": "(got * got) - (right * right)" if square else "got - right",
         "target_force": "right * right" if square else "right",
@@ -103,10 +104,15 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
 def frame(plan: Plan, cost: float | None) -> dict[str, str]:
     """Collect what a README and a check of any language say, as text."""
     test, precision = plan.test, "single" if plan.single else "double"
+    full = max(float(np.ptp(test.displacement)), stroke(plan.model))
+    # a reading far from zero is rounded, in float by more than the bound
+    kind = np.float32 if plan.single else np.float64
+    rounding = float(np.spacing(kind(np.abs(test.displacement).max()))) / full
     return substitutions(plan) | {
-        "count": str(planning.SAMPLES), "what": test.what, "range": repr(float(np.ptp(test.displacement))),
+        "count": str(planning.SAMPLES), "every": str(test.every), "what": test.what, "range": repr(full),
         "force_range": repr(float(np.abs(test.planned).max() ** (2 if plan.model.input_map.one_sided else 1))),
-        "tolerance": repr(planning._PREDICTED[precision]), "force_tolerance": repr(planning._PLANNED[precision]),
+        "tolerance": repr(planning._PREDICTED[precision] + rounding),
+        "force_tolerance": repr(planning._PLANNED[precision]),
         "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; at this one its "
         f"predictions are {cost:.2g} % of the range away (e_rms).\n", "precision": precision,
     }  # fmt: skip

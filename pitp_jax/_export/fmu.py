@@ -22,7 +22,7 @@ from .._model.model import Model
 from . import plan as planning
 from . import steps
 from .c99 import filled, frame, substitutions, write_sources
-from .plan import Plan, played, rate_error, whole_folder
+from .plan import Plan, half_step, played, rate_error, whole_folder
 
 # what an importer looks up in every FMU and one of this kind has not: nothing to read, or no other mode
 _MISSING = {
@@ -38,6 +38,8 @@ _MISSING = {
     "GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates EnterStepMode "
     "GetOutputDerivatives ActivateModelPartition",
 }
+
+_FINER = 16  # steps of the reference a step of the FMU
 
 
 def export_fmu(
@@ -112,7 +114,8 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
         "fmi": f"{fmi}.0", "stubs": stubs, "variables": variables, "units": units, "tokens_end": str(n + 2),
         "starts": ", ".join(map(repr, starts)), "token": f"{{{uuid5(UUID(int=0), text)}}}",
         "flags": str(n + 5), "out_first": str(n + 4), "step": repr(plan.dt), "vr_y": str(n + 3), "vr_u": str(n + 4),
-        "stop": repr(planning.SAMPLES * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5), "index_f": str(n + 6),
+        "stop": repr(len(plan.test.voltage) * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5),
+        "index_f": str(n + 6),
     }  # fmt: skip
 
 
@@ -130,17 +133,22 @@ def _build(inside: Path, name: str, fmi: int) -> None:
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write the test vector as cross-check files: what goes in, what comes out, how it is run; a page and the check."""
-    time, test, name = np.arange(planning.SAMPLES) * plan.dt, plan.test, values["id"]
+    test, name = plan.test, values["id"]
+    time = np.arange(len(test.voltage)) * plan.dt
     square = plan.model.input_map.one_sided
     values |= {"force_error": "u**2 - planned**2" if square else "u - planned"}
-    (folder / "README.md").write_text(filled("README_fmu.md", values), encoding="utf-8")
     (folder / "check.py").write_text(filled("check_fmu.txt", values), encoding="utf-8")
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
     (y,) = played(steps.predict(plan.model, plan.dt, held=True), test.voltage, float(plan.model.output.offset))
-    rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned]  # outputs stand at the end of their step
-    _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command"], rows)
-    options = {"StartTime": 0.0, "StopTime": planning.SAMPLES * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
+    # the same held voltage, integrated apart in steps that are a sixteenth as long
+    fine = steps.predict(plan.model, plan.dt / _FINER, held=True)
+    (held,) = played(fine, np.repeat(test.voltage, _FINER), float(plan.model.output.offset))
+    rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned, held[_FINER - 1 :: _FINER]]
+    _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command", "held"], rows)  # at the end of their step
+    values |= {"half_ms": f"{500 * plan.dt:.3g}", "half_percent": f"{100 * half_step(plan):.2g}"}
+    (folder / "README.md").write_text(filled("README_fmu.md", values), encoding="utf-8")
+    options = {"StartTime": 0.0, "StopTime": len(time) * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
     (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()), encoding="utf-8")
 
 

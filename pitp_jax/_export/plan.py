@@ -1,7 +1,8 @@
 """Prepare what is exported: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
 
 Every language writes the same `Plan`. The test vector is the beginning of the longest record the model was identified
-on; a model that carries none has a sum of sines over its range of voltage.
+on. Where the model has none, or its beginning covers less than a quarter of the stroke, it is a sum of sines over the
+range of voltage. It runs through three periods of the resonance at least, whatever the rate.
 """
 
 import re
@@ -34,6 +35,7 @@ from .pi_gains import PIGains, pi_gains
 from .scalars import Program
 
 SAMPLES = 1000
+_PERIODS, _COVERED = 3, 0.25  # of the resonance, and part of the stroke: what a test vector runs through at least
 _NONE = 1e30  # no limit, in float as in double
 _SMALLEST = 20e-6  # m: the smallest motion single precision has to follow, or a fiftieth of the stroke
 _SILENT = 0.02  # s without a target before the voltage ramps to 0 V
@@ -164,9 +166,13 @@ class Plan:
 
 @dataclass(frozen=True)
 class Vector:
-    """A run both ways: voltage (V), displacement (m) and motion [y, ..., y^(n)] with its voltage within the limits."""
+    """A run both ways: voltage (V), displacement (m) and motion [y, ..., y^(n)] with its voltage within the limits.
+
+    `every`: steps from one number of a file to the next; voltage and motion are linear in between.
+    """
 
     what: str
+    every: int
     voltage: np.ndarray
     displacement: np.ndarray
     motion: np.ndarray
@@ -225,25 +231,52 @@ def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
 
 
 def _vector(plan: Plan) -> Vector:
-    stored = plan.origin.long_record
+    # at a high rate the numbers of a file are some samples apart: the actuator has to move within them
+    periods = _PERIODS * 2 * np.pi / plan.model.natural_frequency
+    every = max(int(np.ceil(periods / (SAMPLES * plan.dt))), 1)
+    rest, full = float(plan.model.output.offset), stroke(plan.model)
     low, high, _ = plan.voltages
-    if stored is not None and stored.seconds > 2 * SAMPLES * plan.dt:
-        record, what = stored.record(), "a record the model was identified on"
+    stored, what = plan.origin.long_record, "a record the model was identified on"
+    u, y = np.zeros(0), np.zeros(1)
+    if stored is not None and stored.seconds > 2 * SAMPLES * every * plan.dt:
+        record = stored.record()
         first = 0 if stored.rest else np.argmin(np.abs(record.voltage))
-        u = np.interp(np.arange(SAMPLES) * plan.dt, record.time - record.time[first], record.voltage)
-    else:
-        what, t = "a sum of sines", np.arange(SAMPLES) * plan.dt * plan.model.natural_frequency
-        top = high if high < _NONE else np.sqrt(plan.model.scales.force)
-        u = 0.6 * top * np.sin(0.05 * t) ** 2 * (1 + 0.3 * np.sin(0.71 * t))
-    u = np.clip(u, low, high)
+        u = np.interp(np.arange(1, SAMPLES + 1) * every * plan.dt, record.time - record.time[first], record.voltage)
+        u, y = _answered(plan, u, every)
+    if np.ptp(y) < _COVERED * full:
+        what, t = "a sum of sines", np.arange(SAMPLES) * every * plan.dt * plan.model.natural_frequency
+        top = high if high < _NONE else float(plan.model.input_map.voltage(np.asarray(plan.model.scales.force)))
+        swell = np.sin(np.pi / 2 * np.arange(SAMPLES) / SAMPLES) ** 2
+        u, y = _answered(plan, np.clip(0.75 * top * swell * (1 + 0.3 * np.sin(0.71 * t)), low, high), every)
+    smooth = rest + (y[np.argmax(np.abs(y - rest))] - rest) * 0.4 * np.sin(np.pi * np.arange(len(y)) / len(y)) ** 4
+    motion = _between(derivatives(smooth, plan.dt, plan.model.order)[every - 1 :: every], every)
+    planned = within(plan, played(steps.inverse(plan.model, plan.dt), motion, rest)[0])
+    return Vector(what, every, u, y, motion, planned)
+
+
+def _answered(plan: Plan, coarse: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the voltage of every step between these (V), and the displacement that the model gives (m)."""
+    low, high, _ = plan.voltages
+    u = np.clip(coarse, low, high)
     if plan.single:  # the controller reads the vector in float: the reference must begin with the same numbers
         u = u.astype(np.float32).astype(np.float64)
-    rest = float(plan.model.output.offset)
-    (y,) = played(steps.predict(plan.model, plan.dt), u, rest)
-    smooth = rest + (y[np.argmax(np.abs(y - rest))] - rest) * 0.4 * np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 4
-    motion = derivatives(smooth, plan.dt, plan.model.order)
-    planned = within(plan, played(steps.inverse(plan.model, plan.dt), motion, rest)[0])
-    return Vector(what, u, y, motion, planned)
+    u = _between(u, every)
+    return u, played(steps.predict(plan.model, plan.dt), u, float(plan.model.output.offset))[0]
+
+
+def _between(coarse: np.ndarray, every: int) -> np.ndarray:
+    """Interpolate rows linearly, `every` steps up to each of them; before the first it is the first."""
+    before = np.concatenate([coarse[:1], coarse[:-1]])
+    part = (np.arange(1, every + 1) / every).reshape(every, *[1] * (coarse.ndim - 1))
+    rows = before[:, None] + part * (coarse - before)[:, None]
+    rows[:, -1] = coarse  # not rounded
+    return rows.reshape(-1, *coarse.shape[1:])
+
+
+def half_step(plan: Plan) -> float:
+    """Compute the largest difference that half a step makes over the test vector, over the stroke."""
+    y = plan.test.displacement
+    return float(np.abs(np.diff(y)).max()) / 2 / max(float(np.ptp(y)), stroke(plan.model))
 
 
 def rate_error(plan: Plan) -> float | None:
@@ -255,7 +288,7 @@ def rate_error(plan: Plan) -> float | None:
     if abs(plan.dt / own - 1) < 1e-9:
         return None
     known = replace(plan, dt=own).test
-    fine = np.arange(SAMPLES) * own
+    fine = np.arange(len(known.voltage)) * own
     t = np.arange(0, fine[-1], plan.dt)
     step = steps.predict(plan.model, plan.dt)
     (y,) = played(step, np.interp(t, fine, known.voltage), float(plan.model.output.offset))

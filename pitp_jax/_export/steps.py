@@ -21,8 +21,7 @@ from jaxtyping import Array, Float
 
 from .._effects.effect import Effect
 from .._effects.kernels import shifted
-from .._invert.realtime import film_after, memory_after
-from .._model.drive import DirectDrive
+from .._invert.realtime import film_after, film_held, memory_after
 from .._model.model import Model
 from .._numerics.intersample import weights
 from .._simulate import ports
@@ -58,7 +57,8 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     """
     model = at_rate(model, dt)
     scale = model.scales.state[0]
-    taps = weights("foh" if held else model.hold, stage_fractions(model))
+    stages = stage_fractions(model)
+    taps = weights("foh" if held else model.hold, stages)
     delays = [e for e in model.effects if e.delays]
 
     def start(y, u):
@@ -74,9 +74,12 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
             u = shifted(line, effect.time / dt, line[0])[-1]
             moved.append(line)
         if held:
-            before, films = u, jnp.full_like(films, u) if isinstance(model.drive, DirectDrive) else films
-        films = jnp.append(films[1:], film_after(model.drive, films[-1], before, u, dt))
-        state = step(model, state, films @ jnp.asarray(taps), dt)
+            volts, after = film_held(model.drive, films[-1], u, dt, stages)
+            films = jnp.append(films[1:], after)
+        else:
+            films = jnp.append(films[1:], film_after(model.drive, films[-1], before, u, dt))
+            volts = films @ jnp.asarray(taps)
+        state = step(model, state, volts, dt)
         return (state, films, u, moved), (model.output.to_rig(ports.reading(model, state) * scale),)
 
     return Step(start, run, 1, len(taps) // 2 - 1)
