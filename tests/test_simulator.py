@@ -89,6 +89,7 @@ NUMBERS = {
     "hysteresis: Dahl": (0.4, 0.2), "hysteresis: Bouc-Wen, either sign": (0.4, 0.2, -0.5),
     "stiffness_drift: settling": (0.1, 2.0), "second_mode: hung on": (0.2, 55.0, 0.05), "drag: quadratic": (2.0,),
     "coulomb_friction: Coulomb": (0.05,), "coulomb_friction: loaded by the spring": (0.05, 0.1),
+    "coulomb_friction: loaded by spring and mass": (0.05, 0.1),
     "coulomb_friction: smooth": (0.05, 0.016), "coulomb_friction: Stribeck": (0.05, 0.5, 0.16),
     "slack: free fall": (1.1,), "electrode_rc: one lag": (0.02,), "slew_limit: rate limit": (5e-5,),
     "voltage_clip: hard": (1 / 900,), "dead_zone: symmetric": (80.0,), "voltage_offset: constant": (60.0,),
@@ -99,7 +100,7 @@ NUMBERS = {
     "sensor_nonlinearity: quadratic and cubic": (0.1, 0.03), "sensor_nonlinearity: saturating": (0.5,),
     "sensor_nonlinearity: folded": (0.2,), "backlash: play": (0.1,), "backlash: coasting": (0.1, 5.0),
     "sensor_lag: one lag": (0.01,), "sensor_lag: second order": (0.008, 0.7),
-    "second_mode: between film and sensor": (0.3, 55.0, 0.05), "found_term: sum of functions": (0.02, 0.3, 0.05),
+    "second_mode: between film and sensor": (0.3, 55.0, 0.05), "found_term: products": (0.02, 0.3, 0.05),
 }  # fmt: skip
 
 

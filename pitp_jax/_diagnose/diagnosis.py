@@ -23,7 +23,7 @@ from . import rules
 from .budget import Budget
 from .data import Case, build_case, excitations
 from .evidence import probability
-from .library import CORE, FREE, INDEX, model_of
+from .library import CHANGED, CORE, FREE, INDEX, model_of
 from .next_experiment import Experiment, separate
 from .result import (
     Added,
@@ -398,7 +398,7 @@ def _package_error(model: Model, records: Sequence[Record]) -> float:
 
 def _moved(search: Search, handed: Hypothesis, errors: dict) -> tuple[Added, ...]:
     rows = factors_of(search, handed.fit, errors)
-    return (Added("parameter_change", "refitted coefficients", rows),) if rows and not search.refit else ()
+    return (Added(CHANGED, "refitted coefficients", rows),) if rows and not search.refit else ()
 
 
 def _shift(case: Case, fit, model: Model) -> np.ndarray:

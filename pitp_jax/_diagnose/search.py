@@ -18,13 +18,15 @@ from .data import Case
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
 from .library import (
-    BRANCHES,
+    CHANGED,
     CORE,
     DELAY,
+    DOUBLED,
     FILTER,
     FILTER_ZETA,
     INDEX,
     LAG,
+    LONE,
     SLOW,
     Form,
     Scale,
@@ -40,7 +42,6 @@ _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
 _AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
 PARAMETERS = "parameters"
-LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
 
 
 @dataclass(frozen=True)
@@ -136,25 +137,22 @@ class Search:
         self.every[frozenset()] = base
         # a memory of the drive that is faster than the plant is a filter of it, no charge
         self.fitter.lowest = dict.fromkeys(SLOW, self.scale.tau)
-        self.library = [
-            f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)
-        ]
-        self.library = [f for f in self.library if not (f.name == "delay" and DELAY in self.core and refit)]
-        if refit:
-            self.library = [
-                f
-                for f in self.library
-                if f.name != "sensor_gain" and not (f.name == "added_mass" and self.scale.a2 > 0)
-            ]
-        else:
-            if self.scale.a2 > 0:
-                # a mass that moved: two starts, heavier and lighter
-                heavier = [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
-                self.library += heavier if "added_mass" not in self.exclude else []
-            moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",))
-            if "parameter_change" not in self.exclude:
-                self.every[frozenset([PARAMETERS])] = moved
-                self.library += [Form(PARAMETERS, {})]
+        self.library = [f for f in forms(self.scale) if self._is_tried(f)]
+        if not refit and CHANGED not in self.exclude:
+            moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=(CHANGED,))
+            self.every[frozenset([PARAMETERS])] = moved
+            self.library += [Form(PARAMETERS, None, {})]
+
+    def _is_tried(self, form: Form) -> bool:
+        """Return whether a form means something beside the base and is not left out."""
+        spec, mass = form.spec, self.scale.a2 > 0
+        if spec is None or spec.needs_mass and not mass or form.name in self.exclude:
+            return False
+        if spec.reported is None and spec.name in self.exclude:
+            return False
+        # in a refit these numbers of the linear model are free in every set
+        free = {"gain", *(["mass"] if mass else []), *(["delay"] if DELAY in self.core else [])}
+        return not (self.refit and spec.moves in free)
 
     def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
         """Evidence of out-of-fold residuals."""
@@ -168,7 +166,7 @@ class Search:
 
     def labels(self, fit: Fit) -> tuple[str, ...]:
         """Catalogue names of a fit."""
-        return tuple("parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
+        return tuple(CHANGED if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
 
     def _linear(self) -> Hypothesis:
         """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
@@ -322,14 +320,13 @@ class Search:
         """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
-            if f.names[-1] != "viscoelastic":
+            if f.names[-1] not in DOUBLED:
                 continue
+            (strength, tau), second = DOUBLED[f.names[-1]]
             # a decade apart: nearer, two branches are one of a time constant between them
             for ratio in (0.1, 10.0):
-                slots = f.slots.copy()
-                slots[INDEX[BRANCHES[1][0]]] = 0.3 * f.value(BRANCHES[0][0])
-                slots[INDEX[BRANCHES[1][1]]] = ratio * f.value(BRANCHES[0][1])
-                free = (*f.free, *BRANCHES[1])
+                slots, free = f.slots.copy(), (*f.free, *second)
+                slots[[INDEX[k] for k in second]] = 0.3 * f.value(strength), ratio * f.value(tau)
                 more.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)

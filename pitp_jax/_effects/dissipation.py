@@ -1,6 +1,6 @@
 """Add forces that take energy (port C).
 
-drag              f = c x' |x'|  or  c x' |x' / v|^p
+drag              f = c x' |x'|
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
                   or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see)
 
@@ -46,11 +46,6 @@ def _stribeck(p, now: Instant):
     return dry(now, p.level * (1 + p.rise * jnp.exp(-(speed**2))))
 
 
-def _power(p, now: Instant):
-    # |x'|^p by its logarithm: the slope of a power below 1 is infinite at 0, the small number keeps it finite
-    return p.c * now.v * jnp.exp(p.p * jnp.log(jnp.abs(now.v / p.usual) + 1e-9))
-
-
 _LEVEL = Parameter("level", "V^2", force=1, off=0.0)
 
 DRAG = (
@@ -58,12 +53,6 @@ DRAG = (
         "drag", "quadratic", (Parameter("c", "V^2 s^2/x^2", speed=-2, force=1, off=0.0),),
         "Damping grows with speed, as of a body in a fluid.", "f = c x' |x'|", "dissipation", "C",
         law=lambda p, now: p.c * now.v * jnp.abs(now.v),
-    ),
-    EffectSpec(
-        "drag", "power",
-        (Parameter("c", "V^2 s/x", speed=-1, force=1, off=0.0), Parameter("p"), Parameter("usual", "x/s", speed=1)),
-        "Damping grows with a power of the speed.", "f = c x' |x' / usual|^p", "dissipation", "C",
-        law=_power,
     ),
 )  # fmt: skip
 FRICTION = (
