@@ -29,6 +29,7 @@ class Equation:
         limit (x'', p): of an order-2 acceleration.
         begin (x, u, p): states of an actuator that was held at x under u.
         friction (x, v, last, p, a): level of dry friction, for sliding and sticking (order 2); last: x'' without it.
+        carried (x, last, s, p, a): a force that depends on x'' without it (order 2).
         earlier (p): how long ago the voltage was played that acts now, s.
         stiff: integrated by an implicit method.
     """
@@ -44,6 +45,7 @@ class Equation:
     limit: Callable = _first
     begin: Callable = lambda x, u, p: ()
     friction: Any = None
+    carried: Any = None
     earlier: Callable = lambda p: 0.0
     stiff: bool = False
 
@@ -64,6 +66,11 @@ def _gent(x, v, s, p, a, t):
 
 def _polynomial(x, v, s, p, a, t):
     return a[0] * (p.c2 * x**2 + p.c3 * x**3 + p.c5 * x**5)
+
+
+def _under_load(x, last, s, p, a):
+    g, z = a[0] * x + a[2] * last, s[0] / p.give
+    return p.mu_avg * abs(g) * z + p.mu_dif * g * z**2
 
 
 def _quadratic(x, v, s, p, a, t):
@@ -260,6 +267,9 @@ EQUATIONS = {
     "coulomb_friction: bristles": Equation(
         ((0.08, 0.02),), {1: 3e-2, 2: 4e-3, 3: 2e-3}, **_STILL, rates=_dahl("give"),
         force=lambda x, v, s, p, a, t: p.level * s[0] / p.give,
+    ),
+    "coulomb_friction: bristles under load": Equation(
+        ((0.2, 0.1, 0.05), (0.2, -0.1, 0.05)), {2: 4e-3}, **_STILL, rates=_dahl("give"), carried=_under_load
     ),
     "slack: free fall": Equation(((1.5,),), {2: 2e-2}, limit=lambda acc, p: max(acc, -1 / p.inverse)),
     "electrode_rc: one lag": Equation(((0.02,),), {2: 1e-6}, **_lags((1.0,), "u")),

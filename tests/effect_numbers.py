@@ -29,6 +29,7 @@ NUMBERS = {
     "coulomb_friction: smooth": (0.09992, 0.005975),
     "coulomb_friction: Stribeck": (0.07994, 0.3, 0.02988),
     "coulomb_friction: bristles": (0.07994, 0.009992),
+    "coulomb_friction: bristles under load": (0.15, 0.05, 0.04),
     "slack: free fall": (0.6974,),
     "electrode_rc: one lag": (0.003183,),
     "slew_limit: rate limit": (2.947e-05,),

@@ -91,6 +91,7 @@ NUMBERS = {
     "coulomb_friction: Coulomb": (0.05,), "coulomb_friction: loaded by the spring": (0.05, 0.1),
     "coulomb_friction: loaded by spring and mass": (0.05, 0.1),
     "coulomb_friction: smooth": (0.05, 0.016), "coulomb_friction: Stribeck": (0.05, 0.5, 0.16),
+    "coulomb_friction: bristles under load": (0.2, 0.1, 0.05),
     "slack: free fall": (1.1,), "electrode_rc: one lag": (0.02,), "slew_limit: rate limit": (5e-5,),
     "voltage_clip: hard": (1 / 900,), "dead_zone: symmetric": (80.0,), "voltage_offset: constant": (60.0,),
     "delay: pure": (0.0073,), "charge_leak: one trap": (0.2, 0.5), "charge_retention: one store": (0.2, 0.5),

@@ -142,6 +142,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
         *((f * pull, mu) for f, mu in ((0.02, 0.1), (0.1, 0.3), (0.003, 0.05))),
     )
     yield "coulomb_friction: loaded by spring and mass", (0.02 * pull, 0.1), (0.1 * pull, 0.3)
+    yield "coulomb_friction: bristles under load", (0.1, 0.03, 0.02 * x), (0.3, 0.1, 0.1 * x)
     yield "drag: quadratic", *((f * damping / s.speed,) for f in (0.3, 2.0))
     yield "electrode_rc: one lag", (0.2 * tau,), (tau,)
     yield "slew_limit: rate limit", *((1 / (f * s.slew),) for f in (0.1, 0.4, 0.8))

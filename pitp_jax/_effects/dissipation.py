@@ -2,7 +2,8 @@
 
 drag              f = c x' |x'|
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
-                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see)
+                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see),
+                  or mu_avg |f| z / g + mu_dif f (z / g)^2,  f the transmitted force k x + a_2 x''  (gears under load)
 
 Friction is resolved: f is what brings x' to rest within the step, no more than F_c (orders 1 and 2); above, and along a
 motion of order 1 that is given, it is regularised at a hundredth of the usual speed.
@@ -44,6 +45,11 @@ def _stribeck(p, now: Instant):
     # at the speed the step begins with: half a step on, the friction itself would decide on its level
     speed = (now.state[1] if now.order > 1 else now.v) / p.speed
     return dry(now, p.level * (1 + p.rise * jnp.exp(-(speed**2))))
+
+
+def _loaded(p, now: Instant):
+    g, z = now.k * now.x + now.inertial, now.z[0] / p.give
+    return p.mu_avg * jnp.abs(g) * z + p.mu_dif * g * z**2
 
 
 _LEVEL = Parameter("level", "V^2", force=1, off=0.0)
@@ -88,5 +94,15 @@ FRICTION = (
         "Dry friction whose contact gives a little before it slides (Dahl 1968).",
         "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"), costly=True,
         law=lambda p, now: p.level * now.z[0] / p.give,
+    ),
+    EffectSpec(
+        "coulomb_friction", "bristles under load",
+        (
+            Parameter("mu_avg", off=0.0), Parameter("mu_dif", positive=False, off=0.0),
+            Parameter("give", "x", length=1),
+        ),
+        "Dry friction that grows with the force that a gear transmits, and differs when the load drives it.",
+        "f = mu_avg |g| z / give + mu_dif g (z / give)^2, g = k x + a_2 x'', dz = dx - |dx| z / give",
+        "dissipation", "C", kernel=dahl("give"), costly=True, law=_loaded,
     ),
 )  # fmt: skip
