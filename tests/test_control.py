@@ -102,7 +102,7 @@ def test_a_limit_hit_is_left_in_four_time_constants(withheld, tmp_path, polarity
     rows = [rise]
     for _ in range(2):
         rows.append(np.gradient(rows[-1], DT))
-    target = polarity * np.stack(rows, 1) + np.array([offset, 0, 0])
+    target = np.stack(rows, 1)
 
     def run(bounded):
         plant = script.Plant(forms, [0.1] * len(forms), [{}] * len(forms), ZETA, 2 * np.pi * HZ * DT)
@@ -113,7 +113,7 @@ def test_a_limit_hit_is_left_in_four_time_constants(withheld, tmp_path, polarity
         y, u, flags = made.loop(read, target, offset, 0.0, bounded=bounded)
         assert u.min() >= 0 and u.max() <= TOP
         assert (flags[int(3 / DT) : int(turns / DT)] & VOLTAGE).all()  # at the limit
-        return np.abs(y - target[:, 0]) / STROKE
+        return np.abs(polarity * (y - offset) - target[:, 0]) / STROKE
 
     error = run(True)
     after = slice(int((turns + 4 * lag) / DT), int((turns + 5 * lag) / DT))
@@ -207,7 +207,7 @@ def test_a_live_target_is_reached(tmp_path, polarity):
             state[0] += state[1] * DT / 4
         return 2e-3 + polarity * state[0]
 
-    y, u, _ = made.loop(plant, np.full(3000, 2e-3 + polarity * 5e-4), 2e-3, 0.0, alive=True)
+    y, u, _ = made.loop(plant, np.full(3000, 5e-4), 2e-3, 0.0, alive=True)
     x = polarity * (y - 2e-3)
     assert abs(x[-1] - 5e-4) < 1e-6 and x.max() < 5.5e-4 and u.max() < 1.5 * u[-1]
 
@@ -235,7 +235,7 @@ def test_single_precision_differentiates_to_half_a_percent(tmp_path, order, rate
     single = export(model, tmp_path, "single")
     header = (tmp_path / "c" / "pitp_model.h").read_text()
     ahead = int(header.split("LOOK_AHEAD")[1].split("u")[0])
-    u, flags = single.command(1, offset + cosine(4.0, stroke, dt, 0.6, ahead * dt))
+    u, flags = single.command(1, cosine(4.0, stroke, dt, 0.6, ahead * dt))
     t, w = np.arange(len(u)) * dt, 2 * np.pi * 4.0
     a = model.physical_coefficients
     force = a[0] * stroke / 2 - sum(a[i] * stroke / 2 * w**i * np.cos(w * t + i * np.pi / 2) for i in range(order + 1))
@@ -246,10 +246,10 @@ def test_single_precision_differentiates_to_half_a_percent(tmp_path, order, rate
 
 
 def test_single_precision_beyond_that_is_refused(tmp_path):
+    """The third derivative of 500,000 samples a second: no window of float's rounding is long enough."""
+    model = actuator(3, dt=2e-6, region=((0.0, 1.0), *[(-9.0, 9.0)] * 2))
     with pytest.raises(BadInput, match="double"):
-        pitp.export_c(
-            actuator(dt=1e-3, offset=3.0, region=((0.0, 1.0), (-9.0, 9.0))), tmp_path / "c", precision="single"
-        )
+        pitp.export_c(model, tmp_path / "c", precision="single")
 
 
 @pytest.mark.slow
@@ -345,3 +345,18 @@ def test_what_no_voltage_holds_is_refused_and_exported_without_a_controller(tmp_
     target[:, 0] = cosine(2.0, STROKE / 2, DT, 0.3)
     alone, trimmed = made.command(0, target)[0], made.command(2, target, measured=np.full(300, 1e-4))[0]
     np.testing.assert_array_equal(trimmed, alone)
+
+
+@pytest.mark.parametrize(("dt", "precision"), [(5e-5, "double"), pytest.param(5e-5, "single", marks=pytest.mark.slow)])
+def test_an_export_proves_itself_at_a_high_rate(tmp_path, dt, precision):
+    """7 Hz at 20 kHz, the sensor 50 mm off zero: the vector covers the stroke, and `make` finds a wrong number."""
+    pitp.export_c(actuator(dt=dt, offset=5e-2), tmp_path / "c", precision=precision)
+    said = subprocess.run(["make"], cwd=tmp_path / "c", capture_output=True, text=True)
+    assert said.returncode == 0, said.stdout
+    text = (tmp_path / "c" / "main.c").read_text()
+    rows = text.split("displacement[COUNT] = {")[1].split("}")[0].replace("f", "").split(",")
+    assert np.ptp([float(v) for v in rows]) > 0.5 * STROKE
+    source = tmp_path / "c" / "pitp_model.c"
+    head, core = source.read_text().split("static void predict_core")
+    source.write_text(head + "static void predict_core" + core.replace("0.5", "0.502", 1))
+    assert subprocess.run(["make", "-B"], cwd=tmp_path / "c", capture_output=True).returncode != 0

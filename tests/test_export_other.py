@@ -7,12 +7,17 @@ import sys
 import zipfile
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import pitp_jax as pitp
 from pitp_jax._export import steps
 from pitp_jax._export.plan import plan, played
+from pitp_jax._model.drive import ElectrodeLag
+from pitp_jax._model.input_map import LinearInput
 from pitp_jax.cli import main
 
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
@@ -158,6 +163,23 @@ def test_a_held_voltage_is_a_zoh_step(linear, tmp_path):
     (held,) = played(steps.predict(plan(model, "m", None, "double").model, 1e-3, held=True), u, 0.0)
     (own,) = played(steps.predict(plan(model, "m", None, "double").model, 1e-3), np.append(u, 0.0), 0.0)
     np.testing.assert_allclose(held, own[1:], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("tau", [4e-5, 4e-4, 4e-3])
+def test_a_held_voltage_behind_an_electrode_is_held(linear, tmp_path, tau):
+    """A staircase against the exact solution of lag and oscillator (SciPy); lags of 0.04 to 4 steps."""
+    model = eqx.tree_at(lambda m: m.drive, linear(2, hz=20.0, input_map=LinearInput()), ElectrodeLag(jnp.log(tau)))
+    u = np.repeat(500 * np.random.default_rng(0).uniform(size=20), 5)
+    (found,) = played(steps.predict(plan(model, "m", None, "double").model, 1e-3, held=True), u, 0.0)
+    a0, a1, a2 = model.physical_coefficients
+    # [V, x, x'] under a constant u
+    A = np.array([[-1 / tau, 0, 0], [0, 0, 1], [1 / a2, -a0 / a2, -a1 / a2]])
+    over = expm(np.block([[A, np.array([[1 / tau], [0], [0]])], [np.zeros((1, 4))]]) * 1e-3)
+    state, exact = np.zeros(4), []
+    for volts in u:
+        state = over @ np.append(state[:3], volts)
+        exact.append(state[1])
+    assert np.abs(found - exact).max() < 2e-3 * np.abs(np.diff(exact)).max()
 
 
 def test_the_command_line(actuator, tmp_path, capsys):

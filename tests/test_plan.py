@@ -13,6 +13,7 @@ from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
 from pitp_jax import rest_state
+from pitp_jax._commands.plan import _sorted
 from pitp_jax._plan import scaled_to_limits, strokes
 from pitp_jax._plan.expected_error import knowledge, motions
 from pitp_jax._plan.information import choose, gains, variance
@@ -288,6 +289,18 @@ def test_the_command_refuses_with_nothing_written(tmp_path, capsys):
     assert "tenth of Nyquist" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
+def test_the_command_takes_model_and_records_in_either_order(tmp_path, capsys, linear):
+    """Only the model file can be the model; of none or two the message says what is missing."""
+    model, other = tmp_path / "m.pitp", tmp_path / "n.pitp"
+    pitp.save(model, linear(2))
+    pitp.save(other, linear(2))
+    assert _sorted(["records", str(model)]) == (str(model), ["records"]) == _sorted([str(model), "records"])
+    assert main(["plan", str(tmp_path), "--out", str(tmp_path / "plan")]) == 2
+    assert "is not a model file; give one model file" in capsys.readouterr().err
+    assert main(["plan", str(model), str(other), "--out", str(tmp_path / "plan")]) == 2
+    assert "are 2 model files" in capsys.readouterr().err
+
+
 def test_the_page_says_when_to_stop():
     first = pitp.plan(**RIG)
     assert "Stop" in page(type(first)((), first.limits, (0.02,), True), "model")
@@ -297,3 +310,45 @@ def test_the_page_says_when_to_stop():
 @pytest.mark.slow
 def test_the_page_tells_the_error_that_is_expected(following):
     assert "expected to be off" in page(following, "model")
+
+
+@pytest.mark.parametrize("slew", [2e5, 3e4, 5e6])
+def test_a_first_session_raises_voltage_and_slew_by_its_growth_alone(slew):
+    """Names and texts of the growth are the voltage played; no later file exceeds what an earlier one was raised to."""
+    session = pitp.plan(max_voltage=6000.0, max_slew=slew, band=(0.5, 20.0), duration=120.0)
+    growth = [r for r in session.recordings if "growth" in r.name]
+    peaks = [float(np.abs(r.voltage).max()) for r in growth]
+    for r, peak in zip(growth, peaks, strict=True):
+        percent = round(100 * peak / 6000.0)
+        assert r.name.endswith(f"growth_{percent}") and f"bears {percent} %" in r.purpose
+    assert (np.diff(peaks) > 0).all()
+    assert all(r.slew <= slew for r in session.recordings)
+    steepest = max(r.slew for r in growth)
+    for r in session.recordings[len(growth) :]:
+        assert np.abs(r.voltage).max() <= max(peaks) * (1 + 1e-9) and r.slew <= steepest * (1 + 1e-9)
+
+
+def test_the_growth_plays_all_of_the_voltage_where_the_slew_allows_it_at_the_low_end():
+    """At 0.5 Hz 6 kV take 9.4 kV/s; at 20 Hz 377 kV/s, above the limit."""
+    session = pitp.plan(max_voltage=6000.0, max_slew=2e5, band=(0.5, 20.0), duration=120.0)
+    assert [r.name for r in session.recordings[:4]] == [f"0{k}_growth_{p}" for k, p in enumerate((25, 50, 71, 100), 1)]
+
+
+def test_rests_last_until_the_model_is_at_rest(linear, bounded):
+    """exp(-zeta w t) = 0.005 for damping 0.1 at 5 Hz: 1.69 s, and half a period at most for the phase."""
+    model = bounded(linear(2, 5.0, 0.1), high=1000.0, slew=1e5)
+    rests = {r.rest for r in pitp.plan(model, duration=40.0, rate=500.0).recordings}
+    assert len(rests) == 1 and rests.pop() == pytest.approx(np.log(200) / (0.1 * 2 * np.pi * 5), abs=0.2)
+    assert {r.rest for r in pitp.plan(model, duration=40.0, rate=500.0, rest=0.0).recordings} == {0.0}
+
+
+def test_with_a_model_that_is_right_no_recording_is_forbidden(linear, bounded):
+    """The strokes that the plant shows, played in order, allow each next file; one 30 % softer forbids what exceeds."""
+    model = bounded(linear(2, 5.0, 0.1), high=1000.0, slew=1e5)
+    found = pitp.plan(model, max_displacement=2.2e-3, duration=60.0, rate=500.0)
+    assert len(found.recordings) > 3
+    for softer in (1.0, 1.3):
+        reached = [softer * r.stroke for r in found.recordings]
+        for k, r in enumerate(found.recordings[1:], 1):
+            allowed = max(reached[:k]) <= r.go_on
+            assert allowed if softer == 1.0 else not allowed or reached[k] <= 2.2e-3

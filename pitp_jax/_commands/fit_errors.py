@@ -1,6 +1,7 @@
 """What a training leaves of every record: under the nominal, the trained model, and models of the other records."""
 
 from collections.abc import Sequence
+from statistics import median
 
 from .._train.cross_validation import HeldOut
 from .._train.errors import RecordError
@@ -14,6 +15,8 @@ def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> 
     if held_out:
         header = (*header, "left out")
         rows = [(*row, number(h.predicted, 3)) for row, h in zip(rows, held_out, strict=True)]
+        columns = ([e.nominal for e in errors], [e.trained for e in errors], [h.predicted for h in held_out])
+        rows.append(("median", *(number(median(column), 3) for column in columns)))
     print_table(header, rows)
 
 

@@ -58,9 +58,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     print_orders(identified, unit)
     print_model(identified.model, summary)
     if identified.chosen.delay:
-        print(
-            f"delay: {number(1e3 * identified.chosen.delay, 3)} +- {number(1e3 * identified.chosen.delay_stderr, 2)} ms"
-        )
+        print(delay_text(identified))
     print_beginnings(identified.beginnings, units_of(identified.model))
     for remark in identified.remarks:
         print(remark)
@@ -85,3 +83,15 @@ def print_orders(identified: Identification, unit: str) -> None:
     print_table(
         ("order", f"mae ({unit})", f"rms ({unit})", "held out (% of std)", "natural (Hz)", "identifiable"), rows
     )
+
+
+def delay_text(identified) -> str:
+    """Write the delay with the hold for which it is stated, and what the other hold would make of it."""
+    delay, stderr = (1e3 * v for v in (identified.chosen.delay, identified.chosen.delay_stderr))
+    half = 500 * identified.model.dt
+    if identified.model.hold == "zoh":
+        own, other, word = "held between samples", delay + half, "linear"
+    else:
+        own, other, word = "linear between samples", delay - half, "held"
+    text = f"delay: {number(delay, 3)} +- {number(stderr, 2)} ms for an input {own}"
+    return f"{text} ({number(other, 3)} ms for a {word} one)"

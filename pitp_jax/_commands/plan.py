@@ -1,11 +1,13 @@
 """`pitp plan`: the recordings to take, as CSV to play, a page that says what each is for, and plan.json."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from .._errors import BadInput
 from .._model.units import units_of
-from .._model_file.model_file import load
+from .._model_file.model_file import is_model_file, load
 from .._plan.page import headline, page
 from .._plan.planning import REACHED, Plan
 from .._plan.planning import plan as make_plan
@@ -41,7 +43,7 @@ def plan(
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    given, records = (paths[0], paths[1:]) if paths else (None, [])
+    given, records = _sorted(paths)
     check_outputs(json_file, folder=out, names=[PAGE, JSON], inputs=[*paths, choose_from])
     model = None if given is None else load(given)
     square = model is None or is_square(model)
@@ -68,6 +70,17 @@ def plan(
         write_json(stage / JSON, summary)
     _print(planned, given is not None)
     print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
+
+
+def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
+    """Return the model file and the records, in whichever order they were given."""
+    if not paths:
+        return None, []
+    models = [p for p in paths if Path(p).is_file() and is_model_file(p)]
+    if len(models) != 1:
+        found = f"{', '.join(models)}: are {len(models)} model files" if models else f"{paths[0]}: is not a model file"
+        raise BadInput(f"{found}; give one model file and the records that it was made from")
+    return models[0], [p for p in paths if p != models[0]]
 
 
 def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:

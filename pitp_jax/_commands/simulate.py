@@ -72,10 +72,18 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
                 f"{model.dt:.6g} s; expect larger errors where the sampling is coarser"
             )
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
-            seen = units.input.range_text(low, high, 6)
-            say(f"warning: {drive.name} leaves the {units.input_word} range of the recordings of {path} ({seen})")
+            seen, played = (units.input.range_text(*ends, 6) for ends in ((low, high), _range(drive.voltage)))
+            times = max(drive.voltage.max() - high, low - drive.voltage.min()) / max(high - low, 1e-300)
+            say(
+                f"warning: {drive.name} plays {played}; {path} was made from {seen}. It leaves that range by "
+                f"{100 * times:.2g} % of its width, where the model is an extrapolation"
+            )
         if drive.voltage[0] != 0:
             say(f"{drive.name}: starts at {units.input.text(drive.voltage[0], 6)}, taken as settled there")
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
 
 
 def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:

@@ -27,6 +27,7 @@ class Budget:
         stage: what is being done, in words.
         progress: called with a line when a stage begins, and every few seconds within it.
         skipped: in plain words, in order.
+        stopped: nothing more is allowed, whatever time is left.
     """
 
     seconds: float = np.inf
@@ -37,6 +38,7 @@ class Budget:
     stage: str = "fitting"
     progress: Callable[[str], None] = lambda line: None
     skipped: list[str] = field(default_factory=list)
+    stopped: bool = False
     began: float = field(default_factory=time.monotonic)
     _reported: tuple[float, int] = (0.0, 0)  # s since `began`, steps of the last line
 
@@ -61,15 +63,22 @@ class Budget:
         """Seconds since the beginning."""
         return time.monotonic() - self.began
 
+    def stop(self, what: str) -> None:
+        """Allow nothing any more, and note what was not tried."""
+        self.stopped = True
+        self.skipped += [what]
+
     @property
     def remaining(self) -> float:
         """Seconds, below zero where it ran over."""
+        if self.stopped:
+            return 0.0
         return self.seconds - self.elapsed
 
     @property
     def spent(self) -> bool:
         """Whether a search must end."""
-        return self.lane_steps >= self.most or self.remaining <= self.reserve
+        return self.stopped or self.lane_steps >= self.most or self.remaining <= self.reserve
 
     def allows(self, what: str, needed: float = 0.0) -> bool:
         """Return whether so many seconds of the search are left for `what`; otherwise it is noted as not tried."""
@@ -82,6 +91,7 @@ class Budget:
         """One line, where anything was skipped."""
         if not self.skipped:
             return ()
-        timed = self.lane_steps < self.most
-        limit = f"{self.seconds:.3g} s (--seconds)" if timed else f"{self.lane_steps:.2g} simulated steps, the most"
-        return (f"stopped after {limit}, not tried: {', '.join(self.skipped)}",)
+        after = "" if np.isinf(self.seconds) else f" after {self.seconds:.3g} s (--seconds)"
+        if self.lane_steps >= self.most:
+            after = f" after {self.lane_steps:.2g} simulated steps, the most"
+        return (f"stopped{after}, not tried: {', '.join(self.skipped)}",)

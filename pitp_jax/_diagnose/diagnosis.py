@@ -6,7 +6,7 @@ nominal
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 from jax.sharding import Mesh
@@ -46,7 +46,9 @@ from .select_records import usable
 from .shares import budget as budget_of
 from .term import Term, term_of
 from .verdict import Decision, decide
-from .where import locate, motions
+from .where import locate, motions, nowhere
+
+T = TypeVar("T")
 
 _RUNS_AFTER = 6  # free runs of all recordings behind a search
 _DOUBLED = 4  # times at most that the steps a sample of a model handed back are doubled
@@ -77,6 +79,7 @@ class Diagnosis:
         term: a force without a name as an equation found in the data.
         lane_steps: the work of the search, samples x steps a sample x simulations.
         pieces: where the search worked on pieces of a long set; None: on all of it.
+        interrupted: the search was interrupted; the result is the best of what it had scored.
     """
 
     verdict: str
@@ -100,6 +103,7 @@ class Diagnosis:
     handed_back: tuple[str, ...] = ()
     lane_steps: int = 0
     pieces: tuple[Piece, ...] | None = None
+    interrupted: bool = False
 
     @property
     def records(self) -> dict[str, list]:
@@ -162,7 +166,8 @@ def diagnose(
         mesh: devices of this process that share the runs (`records_mesh`); default one device.
 
     Returns:
-        verdict, effects, budget, and the best model that beats the nominal out of fold.
+        verdict, effects, budget, and the best model that beats the nominal out of fold. An interrupt (Ctrl-C) ends the
+        search, and the result is the best so far (`interrupted`).
 
     Raises:
         BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one; a
@@ -189,8 +194,13 @@ def diagnose(
     # in a refit the nominal was made from these records: what it left of others is not known
     own = _thinned(case, misfit) if not refit_nominal else 0.0
     search = Search(case, refit_nominal, exclude, limit, max(own, noise), misfit)
+    interrupted = False
     if not search.given.rms <= rules.OWN * own:
-        search.run()
+        try:
+            search.run()
+        except KeyboardInterrupt:  # what was scored so far is judged; a second interrupt ends it
+            interrupted = True
+            limit.stop("the rest of the search (interrupted)")
     distinct = excitations(case)
     limit.begin("which of them is sure")
     decision = decide(search, own, noise, distinct)
@@ -203,17 +213,31 @@ def diagnose(
     if decision.said and why:
         decision = replace(decision, verdict="unknown", said=(), tied={}, reason=why)
         handed, made, parts = hand_back(search, decision, model, records, before)
+    failed: list[str] = []
+
+    def told(what: str, make: Callable[[], T], otherwise: T) -> T:
+        """Make what only describes the result; its failure is a note."""
+        try:
+            return make()
+        except Exception as error:
+            failed.append(f"{what} failed ({type(error).__name__}: {error}); the rest of the result is complete")
+            return otherwise
+
     # told in % of range, as the gap is
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)
     errors = errors_of(search, handed.fit)
     # names that a verdict says stand in the model with their numbers; else what was handed back is told as it is
-    seen = motions(case, search.scale)
     effects = decision.said
     equivalent = decision.tied.get(effects[0], ()) if effects else ()
-    experiment = _experiment(search, decision, limit) if decision.verdict != "no_gap" else None
+    experiment = None
+    if decision.verdict != "no_gap":
+        experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
-    term = term_of(search, decision, handed, made, errors, gap) if FREE in decision.chosen.names else None
+    term = None
+    if FREE in decision.chosen.names:
+        term = told("the equation of the term", lambda: term_of(search, decision, handed, made, errors, gap), None)
+    where = told("the place of the gap", lambda: locate(motions(case, search.scale), search.base.residuals), nowhere())
     traces, names = traces_of(model, made[0], records), tuple(case.recordings)
     notes = (
         *notes,
@@ -221,6 +245,7 @@ def diagnose(
         *([] if pieces is None else [_on_pieces(pieces, records, traces)]),
         *([decision.reason] if decision.verdict == "unknown" and decision.reason else []),
         *limit.notes(),
+        *failed,
     )
     raw = _raw(search)
     return Diagnosis(
@@ -230,7 +255,7 @@ def diagnose(
         added=added_of(search, made[0], made[1], handed.fit, errors) + _moved(search, handed, errors),
         gap=gap,
         ranking=ranking_of(search, low),
-        where=locate(seen, search.base.residuals),
+        where=where,
         next_experiment=experiment,
         fitted=names,
         heldout=names if len(names) > 1 else (),
@@ -245,6 +270,7 @@ def diagnose(
         handed_back=parts,
         lane_steps=limit.lane_steps,
         pieces=pieces,
+        interrupted=interrupted,
     )
 
 

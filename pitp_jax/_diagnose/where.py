@@ -105,6 +105,12 @@ def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
     return out
 
 
+def nowhere() -> dict:
+    """Return the `where` of a gap that could not be located."""
+    empty: dict = {"records": {}, "harmonics": {}, "tone": None, "summary": ""}
+    return empty | {name: [] for name in ("frequency", "time", "displacement", "velocity", "voltage", "cells")}
+
+
 def _quiet(seen: Seen) -> float:
     """Mean square of the missing force that noise alone makes: the lowest of its local mean squares."""
     size = max(int(np.pi / seen.omega / seen.dt), 8)
@@ -259,8 +265,6 @@ def _sentence(seen: Seen, out: dict) -> str:
     # as many of the loudest cells as hold most of the gap
     held = np.cumsum([c["share"] for c in ordered])
     loud = ordered[: int(np.searchsorted(held, _MOST)) + 1]
-    band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]
-    size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
     record = max(out["records"], key=out["records"].get)
     lines = max(out["frequency"], key=lambda f: f["share"])
     tone = out["tone"]
@@ -270,8 +274,15 @@ def _sentence(seen: Seen, out: dict) -> str:
             f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap or more in "
             f"every record, whatever its drive. "
         )
-    return steady + (
-        f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
-        f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; {100 * out['records'][record]:.0f} % of the gap is "
+    largest = ""
+    if loud:
+        band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]
+        size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
+        largest = (
+            f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
+            f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; "
+        )
+    return f"{steady}{largest}" + (
+        f"{100 * out['records'][record]:.0f} % of the gap is "
         f"in {record}, {100 * lines['share']:.0f} % between {lines['band_hz'][0]:.3g} and {lines['band_hz'][1]:.3g} Hz."
     )

@@ -195,6 +195,26 @@ def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) ->
     return lag_after(film, before, now, jnp.exp(drive.log_tau), dt)
 
 
+@singledispatch
+def film_held(drive: AbstractDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
+    """Compute the film's stage voltages, and its voltage at the end, over one sample of a drive that is held."""
+    raise BadInput(f"no real-time step of a {type(drive).__name__}")
+
+
+@film_held.register
+def _(drive: DirectDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
+    return jnp.full(len(stages), now), now
+
+
+@film_held.register
+def _(drive: ElectrodeLag, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
+    tau, first = jnp.exp(drive.log_tau), float(stages[2]) * dt
+    left = (film - now) * jnp.exp(-stages * dt / tau)
+    # the first stage is what Simpson's rule needs for the exact mean: a short lag is over between two stages
+    mean = -(film - now) * jnp.expm1(-first / tau) * tau / first
+    return now + left.at[0].set(6 * mean - 4 * left[1] - left[2]), now + left[-1]
+
+
 def _refused(model: Model, dt: float) -> Model:
     """The model, unless no real-time step can be made of it."""
     if model.effects:

@@ -1,12 +1,14 @@
 """Plan a first session from the rig's limits alone.
 
-    growth   sweeps of the whole band at 25, 50, 71, 100 % of the highest voltage: 1/16, 1/4, 1/2 and all of the force
+    growth   sweeps of the whole band at 25, 50, 71, 100 % of the highest voltage: 1/16, 1/4, 1/2 and all of the force,
+             smaller at frequencies at which the slew allows less
     sweep    the whole band once, slowly: what a linear model is identified on
     set      drives through the points of a space-filling set over frequency, lowest and highest voltage; small first
     repeat   its first recording again: what differs is noise and drift
 
-A recording may follow where the largest stroke so far, times how much farther it can go than all before it (`growth`:
-the square of the voltage, and what a slower drive makes of a resonance of damping 0.01), stays below the limit.
+No later recording exceeds the voltage or the slew to which those of the growth were raised. A recording may follow
+where the largest stroke so far, times how much farther it can go than all before it (`growth`: the square of the
+voltage, and what a slower drive makes of a resonance of damping 0.01), stays below the limit.
 """
 
 from collections.abc import Sequence
@@ -15,13 +17,15 @@ from dataclasses import replace
 import numpy as np
 
 from .._errors import BadInput
-from .._record.waveforms import sweep
+from .._record.waveforms import smooth_step, sweep
 from .drives import Planned, space_filling, through, within
 from .limits import Limits
 from .strokes import growth
 
 _GROWTH = (0.25, 0.5, 0.71, 1.0)
 _PARTS = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have the remainder
+_RAISED = 1.1  # voltage of a sweep of the growth over the one before it, at least
+_STEEP = 0.85  # of the slew that the swing takes: its envelope takes the remainder
 FEWEST = 8  # recordings of a set where the duration allows: fewer train a smaller encoder
 POINTS = 3  # a recording goes through
 MOST_PERIODS = 4.0  # of the lowest frequency, in a recording of the set where no duration is given
@@ -52,7 +56,9 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
             f"--duration {duration:g} s is too short for a first session down to {limits.band[0]:g} Hz: give "
             f"{_least(limits):.3g} s or more, or a band that begins higher"
         )
-    grown = [_growth(level, one, limits) for level in _GROWTH]
+    grown = _growth(one, limits)
+    raised = max(float(np.abs(r.voltage).max()) for r in grown), max(r.slew for r in grown)
+    limits = replace(limits, high=min(limits.high, raised[0]), slew=min(limits.slew, raised[1]))
     purpose = "the linear model is identified on it: resonance, damping, order"
     whole = Planned("sweep", "sweep", purpose, *_swept(1.0, swept, limits), limits.rest)
     filling = space_filling_set(limits, (duration - sum(part.values())) * FEWEST / (FEWEST + 1), seed)
@@ -60,17 +66,33 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
     return (*grown, whole, *filling, *again)
 
 
-def _growth(level: float, seconds: float, limits: Limits) -> Planned:
-    part = f"{100 * level:.0f} % of the {limits.units.input_word}"
-    text = f"whether the actuator bears {part}: look at its stroke before going on"
-    return Planned(f"growth_{100 * level:.0f}", "sweep", text, *_swept(level, seconds, limits), limits.rest)
+def _growth(seconds: float, limits: Limits) -> list[Planned]:
+    """Plan the sweeps of the growth, named by the voltage that they play; none that raises it by less than a tenth."""
+    grown, reached = [], 0.0
+    for level in _GROWTH:
+        time, voltage = _swept(level, seconds, limits)
+        top = float(np.abs(voltage).max())
+        if top > _RAISED * reached:
+            part = f"{100 * top / limits.high:.0f} % of the {limits.units.input_word}"
+            text = f"whether the actuator bears {part}: look at its stroke before going on"
+            name = f"growth_{100 * top / limits.high:.0f}"
+            grown.append(Planned(name, "sweep", text, time, voltage, limits.rest))
+            reached = top
+    return grown
 
 
 def _swept(level: float, seconds: float, limits: Limits):
     """Sweep the band between zero and `level` of the highest voltage."""
     top = level * limits.high / 2
     time, wave = sweep(*limits.band, seconds, limits.rate, top, 0.0)
-    return time, within(top, wave, limits)
+    first, last = limits.band
+    hz = first + (last - first) * time / seconds
+    # the slew limits the fast end of the band alone: the slow end plays the whole voltage
+    swing = np.minimum(1.0, _STEEP * limits.slew / (2 * np.pi * hz * top))
+    # the swing ends before the mean ramps down, or both slews would add
+    ramp = min(limits.ramp(2 * top), seconds / 8)
+    swing *= smooth_step((seconds - ramp - time) / (4 * ramp))
+    return time, within(top, swing * wave, limits)
 
 
 def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
@@ -104,13 +126,30 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     return Planned(f"sine_{hz[0]:.3g}Hz_{size}{unit}", "sine", text, time, voltage, limits.rest)
 
 
-def in_order(recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False) -> tuple[Planned, ...]:
-    """Number the recordings, add the strokes at which each may follow, and turn every second one where asked for."""
+def in_order(
+    recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
+) -> tuple[Planned, ...]:
+    """Number the recordings, add the strokes at which each may follow, and turn every second one where asked for.
+
+    `recorded`: the largest stroke of the recordings that were taken before, m.
+    """
     bound = np.isfinite(limits.farthest) and len(recordings) > 1
-    farther = growth([r.voltage for r in recordings], 1 / limits.rate, limits.band) if bound else []
+    farther = _farther(recordings, limits, recorded) if bound else []
     ordered = []
     for k, r in enumerate(recordings, 1):
         go_on = limits.farthest / max(farther[k - 1], 1.0) if bound and k > 1 else np.inf
         sign = -1.0 if alternate and k % 2 == 0 else 1.0
         ordered.append(replace(r, name=f"{k:02d}_{r.name}", voltage=sign * r.voltage, go_on=go_on))
     return tuple(ordered)
+
+
+def _farther(recordings: Sequence[Planned], limits: Limits, recorded: float) -> np.ndarray:
+    """Compute how much farther than all before it each recording may go; shape (recordings,).
+
+    A model predicts both strokes, the next one with half its damping. Without a model any resonance of the band counts.
+    """
+    own = np.array([r.stroke for r in recordings])
+    if not np.isfinite(own).all():
+        return growth([r.voltage for r in recordings], 1 / limits.rate, limits.band)
+    before = np.maximum.accumulate(np.append(max(recorded, 1e-30), own))[:-1]
+    return np.array([r.stroke_half_damped for r in recordings]) / before

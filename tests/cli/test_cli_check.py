@@ -123,6 +123,13 @@ def test_simulate_at_another_rate(call, bench, tmp_path):
     np.testing.assert_allclose(columns_of(tmp_path / "out" / "slow.csv")[1][:, 2], right, atol=2e-2)
 
 
+def test_simulate_says_how_far_it_leaves_the_range(call, bench, tmp_path):
+    low, high = model_file.load(bench / "nominal").domain.voltage_range
+    drive_file(tmp_path / "wide.csv", np.linspace(low, high + 0.5 * (high - low), len(TIME)))
+    code, _, err = call("simulate", bench / "nominal", tmp_path / "wide.csv", "--out", tmp_path / "out")
+    assert code == 0 and "leaves that range by 50 % of its width" in err
+
+
 def test_simulate_fails_only_where_all_diverge(call, bench, tmp_path, monkeypatch):
     voltage, _ = motion("sine2")
     one, two = (drive_file(tmp_path / f"{name}.csv", voltage) for name in ("one", "two"))

@@ -102,6 +102,7 @@ def test_errors_of_every_record(call, bench, tmp_path, trainer, monkeypatch):
     assert [line.split() for line in text.splitlines() if line.startswith("sine")] == [
         ["sine2", "4", "0.3", "0.4"], ["sine4", "0.2", "0.5", "7"],
     ]  # fmt: skip
+    assert ["median", "2.1", "0.4", "3.7"] in [line.split() for line in text.splitlines()]
     assert "warning: not converged" in err and "sine4: predicted 14 times worse" in err
     told = json.loads((tmp_path / "errors.json").read_text())
     row = {"nominal_e_rms_percent": 0.2, "trained_e_rms_percent": 0.5, "left_out_e_rms_percent": 7.0, "problem": None}

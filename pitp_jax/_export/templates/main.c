@@ -5,6 +5,7 @@
 #include "@id@.h"
 
 #define COUNT @count@u
+#define EVERY @every@u /* calls from one number to the next */
 
 typedef @id@_real real;
 
@@ -16,6 +17,12 @@ static const real target[COUNT][@UP@_TOKENS] = {
 @targets@};
 static const real planned[COUNT] = {
 @planned@};
+
+/* The number s calls after one of the vector, on the line to the next. */
+static real between(double before, double next, unsigned s)
+{
+    return (real)(before + (((double)s / (double)EVERY) * (next - before)));
+}
 
 /* A cosine at half the resonance: its samples to inverse_target_step, its derivatives to inverse_step. */
 static double differentiated(void)
@@ -32,7 +39,7 @@ static double differentiated(void)
     const unsigned count = (unsigned)(15.0 / (w * dt)) + (2u * @UP@_LOOK_AHEAD);
     for (unsigned k = 0u; k < count; k++) {
         const double t = w * dt * (double)(k + @UP@_LOOK_AHEAD);
-        const real y = (real)(@rest_number@ + half * (1.0 - cos(t)));
+        const real y = (real)(half * (1.0 - cos(t)));
         const double now = w * (((double)k * dt) + (double)@UP@_AHEAD);
         real rows[@UP@_TOKENS];
         double size = -half;
@@ -42,7 +49,7 @@ static double differentiated(void)
             rows[i] = (real)(size * cos(now + (i * 1.5707963267948966)));
             size *= w;
         }
-        rows[0] = (real)(@rest_number@ + half * (1.0 - cos(now)));
+        rows[0] = (real)(half * (1.0 - cos(now)));
         const double got = (double)@id@_inverse_target_step(&samples, &y, &flags);
         const double right = (double)@id@_inverse_step(&derivatives, rows, &cut);
         if (k > (3u * @UP@_LOOK_AHEAD) && ((flags | cut) & (@UP@_VOLTAGE | @UP@_SLEW)) == 0u) {
@@ -62,12 +69,24 @@ int main(void)
     double wrong = 0.0;
     @id@_init(&state, @rest@, @zero@);
     for (unsigned k = 0u; k < COUNT; k++) {
+        const double before = (double)voltage[(k > 0u) ? (k - 1u) : 0u];
+        for (unsigned s = 1u; s < EVERY; s++) {
+            (void)@id@_predict_step(&state, between(before, (double)voltage[k], s));
+        }
         const double apart = fabs((double)(@id@_predict_step(&state, voltage[k]) - displacement[k]));
         worst = (apart > worst) ? apart : worst;
     }
     @id@_init(&state, @rest@, @zero@);
     for (unsigned k = 0u; k < COUNT; k++) {
         uint32_t flags = 0u;
+        const real *before = target[(k > 0u) ? (k - 1u) : 0u];
+        for (unsigned s = 1u; s < EVERY; s++) {
+            real rows[@UP@_TOKENS];
+            for (unsigned i = 0u; i < @UP@_TOKENS; i++) {
+                rows[i] = between((double)before[i], (double)target[k][i], s);
+            }
+            (void)@id@_inverse_step(&state, rows, &flags);
+        }
         const double u = (double)@id@_inverse_step(&state, target[k], &flags);
         const double apart = fabs(@force_error@);
         wrong = (apart > wrong) ? apart : wrong;
@@ -75,7 +94,7 @@ int main(void)
     worst /= @range@;
     wrong /= @force_range@;
     const double apart = differentiated();
-    (void)printf("predict_step: %.2g of the range, inverse_step: %.2g, inverse_target_step: %.2g of the force\n", worst,
+    (void)printf("predict_step: %.2g of the stroke, inverse_step: %.2g, inverse_target_step: %.2g of the force\n", worst,
                  wrong, apart);
     return ((worst < @tolerance@) && (wrong < @force_tolerance@) && (apart < @target_tolerance@)) ? 0 : 1;
 }
