@@ -156,6 +156,13 @@ def _positive(text: str) -> float:
     return value
 
 
+def _seconds(text: str) -> float:
+    value = _finite(text)
+    if value is None or value < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds")
+    return value
+
+
 def _time_constant(text: str) -> float:
     return float("inf") if text.strip().lower() == "inf" else _positive(text)
 
@@ -320,7 +327,10 @@ def _plan_arguments(parser: argparse.ArgumentParser) -> None:
     _limit_arguments(parser)
     parser.add_argument("--band", type=_positive, nargs=2, metavar=("LO", "HI"), help="drive frequencies, Hz")
     parser.add_argument("--duration", type=_positive, metavar="S", help="of drive in all recordings together")
-    parser.add_argument("--rest", type=_positive, default=0.0, metavar="S", help="at zero input between recordings")
+    parser.add_argument(
+        "--rest", type=_seconds, metavar="S",
+        help="at zero input between recordings (default: until the actuator is at rest again)",
+    )  # fmt: skip
     parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of the drives")
     parser.add_argument("--choose-from", metavar="DIR", help="rank these existing recordings instead")
     parser.add_argument("--alternate", action="store_true", help="every second drive negative (bipolar amplifier)")

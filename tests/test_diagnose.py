@@ -51,6 +51,26 @@ def test_a_planted_spring_is_named_with_its_number(nominal, hardened):
 
 
 @pytest.mark.slow
+def test_an_interrupt_leaves_the_best_so_far(nominal, monkeypatch):
+    """Ctrl-C behind the effects one by one: the planted spring is handed back, and a place that fails is a note."""
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    def broken(*_):
+        raise RuntimeError("nowhere")
+
+    monkeypatch.setattr(diagnosis.Search, "_backward", stop)
+    monkeypatch.setattr(diagnosis, "locate", broken)
+    planted = replace(nominal, effects=(effect("stiffening", "limited chain", 0.25),))
+    found = pitp.diagnose(nominal, play(planted), exclude=FEW)
+    assert found.interrupted and found.handed_back == ("stiffening",)
+    assert any("the place of the gap failed (RuntimeError: nowhere)" in note for note in found.notes)
+    assert any("interrupted" in note for note in found.notes)
+    assert json.dumps(found.as_json()) and str(found)
+
+
+@pytest.mark.slow
 def test_the_budget_adds_to_one(hardened):
     b = hardened.budget
     parts = [b["nuisance"], b["parameters"], *b["effects"].values(), b["unnamed"], b["unexplainable"]]

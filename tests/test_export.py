@@ -17,6 +17,7 @@ from pitp_jax._export import steps
 from pitp_jax._export.c99 import write_sources
 from pitp_jax._export.plan import plan, played
 from pitp_jax._invert.equation import invert_path
+from pitp_jax._model.coordinate import from_model
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import PaperEncoder
 from pitp_jax._model.input_map import LinearInput
@@ -88,16 +89,14 @@ def truths(models):
     def run(kind, inverse):
         model = double(models(kind))
         step = (steps.inverse if inverse else steps.predict)(model, DT)
-        return truth(step, inputs(model, inverse), model.output.offset)
+        return truth(step, inputs(model, inverse), 0.0)
 
     return run
 
 
 def motion(model, x=TARGET):
-    """[y, ..., y^(n)] of a motion, as the sensor reads it."""
-    rows = model.output.polarity * derivatives(x, DT, model.order)
-    rows[:, 0] += model.output.offset
-    return rows
+    """[y, ..., y^(n)] of a motion, from 0 V."""
+    return from_model(model, derivatives(x, DT, model.order))
 
 
 def export(model, folder, precision="double"):
@@ -152,7 +151,7 @@ def test_predict_steps_are_the_rollout(models, truths, kind):
     model = double(models(kind))
     with jax.enable_x64(True):
         states = rollout(model, jnp.asarray(np.append(0.0, DRIVE)), DT, rest_state(model))
-        whole = model.output.to_rig(np.asarray(ports.readings(model, states)) * model.scales.state[0])
+        whole = from_model(model, np.asarray(ports.readings(model, states)) * model.scales.state[0])
     late = steps.predict(model, DT).late
     found = truths(kind, False)[2][:, 0]
     np.testing.assert_allclose(found[late:], whole[1 : COUNT + 1 - late], rtol=0, atol=1e-12 * np.ptp(whole))
@@ -168,7 +167,7 @@ def test_inverse_steps_are_eq_13(models, kind):
     with jax.enable_x64(True):
         rows = jnp.asarray(derivatives(TARGET, DT, model.order) / np.asarray(model.scales.state))
         whole = np.asarray(invert_path(model, rows, DT)[1])
-    (found, _) = played(steps.inverse(model, DT), motion(model), model.output.offset)
+    (found, _) = played(steps.inverse(model, DT), motion(model), 0.0)
     inside = slice(150, COUNT - 3)  # the root has a corner where F leaves 0
     bound = 2e-3 if kind in ("trained", "effects") else 1e-9
     np.testing.assert_allclose(found[inside] ** 2, whole[inside] ** 2, rtol=0, atol=bound * whole.max() ** 2)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.signal import lsim, lti
 
 from pitp_jax._diagnose.library import (
     INDEX,
+    LAG,
     LOGARITHM,
     OFF,
     PLACES,
@@ -129,6 +131,33 @@ def test_a_form_of_the_library_acts_as_in_the_package(nominal, runs, row):
     effect = np.std(truth - plain)
     assert effect > 5e-3 * np.std(plain)
     assert np.std(mine - truth) < 0.03 * effect + 2e-4 * np.std(plain)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("trained", [False, True])
+@pytest.mark.parametrize("refit", [False, True])
+def test_an_effect_is_added_to_the_model_that_was_given(linear, nonlinear, order, trained, refit):
+    """The model keeps its order and its parts; a refit moves its poles as the slots say, whatever the order."""
+    given = (nonlinear if trained else linear)(order, hz=5.0, damping=0.2, dt=DT)
+    before = slots_of(given)[0]
+    slots = before.copy()
+    if refit:
+        slots[:3] *= np.array([1.2, 1.1, 0.9])
+        slots[INDEX[LAG]] *= 1.5
+    row = next(r for r in ROWS if r.name == "coulomb_friction")
+    slots[PLACES[row]] = 0.1
+    made, added = model_of(before, slots, given, SCALE)
+    assert made.order == order and [e.name for e in made.effects] == ["coulomb_friction"] == [e.name for e, _ in added]
+    assert type(made.encoder) is type(given.encoder)
+    found, _ = slots_of(made)
+    core = slice(min(order, 2) + 1)
+    np.testing.assert_allclose(found[core], slots[core], rtol=1e-4)
+    np.testing.assert_allclose(found[INDEX[LAG]], slots[INDEX[LAG]], rtol=1e-4)
+    np.testing.assert_allclose(found[PLACES[row]], slots[PLACES[row]], rtol=1e-5)
+    if trained and not refit:
+        same = replace(made, effects=())
+        for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(given), strict=True):
+            np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-5)
 
 
 def test_every_row_is_off_at_its_off_value(nominal):

@@ -42,7 +42,7 @@ def test_every_factor_is_pints(unit):
         ("d33 pm/V", None, "pm/V"),
         ("v_m/s", "m/s", None),
         ("Time (100us)", None, "100us"),
-        ("Temp (degC)", None, "degC"),
+        ("Temp (degC)", "degC", None),
         ("Channel A", None, None),
         ("motor current A", "A", None),
         ("C1 in V", "V", None),

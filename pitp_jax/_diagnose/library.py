@@ -190,6 +190,8 @@ SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
 (DELAY,), (LAG,), (FILTER, FILTER_ZETA) = (
     slots_of_row(lookup(*key)) for key in (("delay",), ("sensor_lag", "one lag"), ("sensor_lag", "second order"))
 )
+_MOST_POLES = 4  # of a model whose poles are all in its core, its lag and its filter (`sections`)
+_IN_POLES = {3: (LAG,), 4: (FILTER, FILTER_ZETA)}  # the slots that the coefficients of a model of this order hold
 BRANCHES = slots_of_row(lookup("creep", "one branch")), slots_of_row(lookup("relaxation", "one branch"))
 
 
@@ -272,14 +274,27 @@ def slots_of(model: Model) -> tuple[np.ndarray, bool]:
 
 
 def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
-    """The nominal with these slots in place of its own, and what was added, each with its numbers' slots."""
-    slots = slots.copy()
+    """The nominal with these slots in place of its own, and what was added, each with its numbers' slots.
+
+    A model of order 3 or 4 holds its lag or filter in its coefficients, and there it is changed. A trained model keeps
+    its order: where a fit gives the core a mass that it has not, its coefficients stay.
+    """
+    slots, order = slots.copy(), model.order
     for k in (DELAY, LAG, FILTER):  # what a fit has pushed to nothing is not there
         slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
     slots[:3] = _no_faster(slots[:3], 2 / model.dt)
-    changed = {r for r in ROWS if not np.array_equal(slots[PLACES[r]], nominal[PLACES[r]])}
-    if model.order <= 2 and ((slots[:3] > 0) == (nominal[:3] > 0)).all():
-        factors = np.where(nominal[:3] > 0, slots[:3] / np.where(nominal[:3] > 0, nominal[:3], 1), 1)
+    same = bool(((slots[:3] > 0) == (nominal[:3] > 0)).all())
+    trained = not isinstance(model.encoder, ConstantEncoder)
+    if order <= _MOST_POLES and (same or trained):
+        inside = [INDEX[k] for k in _IN_POLES.get(order, ()) if nominal[INDEX[k]] > 0]
+        slots[inside] = np.maximum(slots[inside], model.dt / 2)
+        if not same:
+            slots[:3] = nominal[:3]
+        before, after = (_coefficients(s, order) for s in (nominal, slots))
+        factors = np.where(before != 0, after / np.where(before != 0, before, 1), 1)
+        moved = slots != nominal
+        moved[inside] = False
+        changed = {r for r in ROWS if moved[PLACES[r]].any()}
         change = OFF.copy()
         change[:3] = slots[:3]
         for r in changed:
@@ -289,8 +304,7 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
         # the nominal keeps its own parts; those that moved are made anew
         own = tuple(e for e in model.effects if e.spec not in changed)
         added = effects_of(change, scale)
-        whole = replace(model.changed(factors[: model.order + 1]), effects=(*own, *(e for e, _ in added)))
-        return whole, added
+        return replace(model.changed(factors), effects=(*own, *(e for e, _ in added))), added
     size, force, rates = np.asarray(model.scales.state, float), float(model.scales.force), rates_of(model)
     a = slots[:3] * force / size[0]
     a = a if a[2] > 0 else a[:2]
@@ -303,6 +317,17 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
     added = [(in_scales(e, simulated, (state, force)), names) for e, names in effects_of(slots, scale)]
     whole = replace(plain, effects=tuple(e for e, _ in added))
     return cast(Model, Fitted(whole, fitted_of(model).origin)), added
+
+
+def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:
+    """Return a_0 ... a_n of a core with the lag and the filter that `sections` takes from this order, scaled."""
+    poles = np.polynomial.Polynomial(slots[: min(order, 2) + 1])
+    if order == 3:
+        poles *= np.polynomial.Polynomial([1.0, slots[INDEX[LAG]]])
+    if order == 4:
+        tau, zeta = slots[INDEX[FILTER]], slots[INDEX[FILTER_ZETA]]
+        poles *= np.polynomial.Polynomial([1.0, 2 * zeta * tau, tau**2])
+    return np.pad(poles.coef, (0, order + 1 - len(poles.coef)))
 
 
 def rates_of(model: Model) -> tuple[float, float]:
