@@ -141,13 +141,13 @@ def test_auto_hands_back_no_order_that_its_records_leave_open(monkeypatch):
     def open_at(*orders):
         def described(candidate, problem: Problem):
             fit = describe(candidate, problem)
-            return type(fit)(**{**vars(fit), "identifiable": fit.identifiable and fit.order not in orders})
+            return type(fit)(**{**vars(fit), "poles_known": fit.poles_known and fit.order not in orders})
 
         monkeypatch.setattr(identification, "describe", described)
         return identify([Record("r", TIME, PUSHED, x)], input_map="linear")
 
     assert open_at().chosen.order == 2
     other = open_at(2).chosen
-    assert other.identifiable and other.order != 2
+    assert other.poles_known and other.order != 2
     with pytest.raises(ComputationFailed, match="no order from 1 to 6"):
         open_at(1, 2, 3, 4, 5, 6)
