@@ -80,7 +80,10 @@ def searched(*sets, own=0.0, refit=False):
     search.base = search.given = search.linear = base
     search.linears, search.refit, search.own = [base], refit, own
     search.budget, search.progress = Budget(0.0), lambda line: None
-    search.case, search.floors = cast(Any, SimpleNamespace(blocks=1)), np.full(RECORDS, 1e-9)
+    search.case, search.floors = (
+        cast(Any, SimpleNamespace(blocks=1, recordings={"all": [*range(RECORDS)]})),
+        np.full(RECORDS, 1e-9),
+    )
     search.every, search.waiting = {frozenset(h.names): h for h in (base, *sets)}, {}
     return search
 
