@@ -14,7 +14,7 @@ import numpy as np
 
 from . import rules
 from .budget import Budget
-from .data import Case
+from .data import FEWEST_FOLDS, Case
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
 from .library import (
@@ -38,7 +38,7 @@ _CERTAIN = 4  # hypotheses that go to their optimum whatever their first steps g
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
-_AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
+_AT_A_TIME = 4  # sets fitted between looks at the clock, where there is a limit
 PARAMETERS = "parameters"
 LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
 
@@ -109,12 +109,13 @@ class Search:
     """The hypotheses of a case that were tried, by their names."""
 
     def __init__(
-        self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None,
-        progress: Callable[[str], None] = lambda line: None, own: float = 0.0, misfit: float = 0.0,
+        self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None, own: float = 0.0,
+        misfit: float = 0.0,
     ):  # fmt: skip
         self.case, self.refit, self.exclude = case, refit, set(exclude)
         self.own, self.misfit = own, misfit  # the nominal's own error with the sensor's noise, and beyond it
-        self.budget, self.progress = budget or Budget(), progress
+        self.budget = budget or Budget()
+        self.budget.run_steps = sum(len(s.output) for s in case.series) * case.simulator.substeps
         self.fitter = Fitter(case, self.budget)
         self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
@@ -244,14 +245,14 @@ class Search:
         fresh = {key: [f for f in g if f.names not in self._climbed] for key, g in groups.items()}
         keys = [key for key, g in fresh.items() if g]
         # what promises most first; without a limit of time all of them side by side
-        size = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME
+        size, depth = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, len(fronts[0].names) + 1
         for first in range(0, len(keys), max(size, 1)):
             some = {key: fresh[key] for key in keys[first : first + size]}
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
             self._climb(some)
-        self.judge(len(fronts[0].names) + 1, without)
+            self.judge(depth, without)
 
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
         """Fit every hypothesis that lowers the error of the one below it to its optimum, where it waits to be judged.
@@ -298,6 +299,8 @@ class Search:
             if len(best) == _RANKED and errors[id(fits[0])] >= best[-1].rms:
                 break
             count = max(_RANKED - len(best), 1)
+            if not self.budget.allows(f"hypotheses of {depth} effects out of fold"):
+                break
             self._settle(fits[:count])
             fits = fits[count:]
 
@@ -370,14 +373,16 @@ class Search:
         Folds that are parts of records do not say whether one machine was recorded: numbers fitted to two loads at
         once describe neither, and predict a third load worse than the nominal does.
         """
-        if self.case.blocks == 1 or len(self.case.series) == 1:
+        recordings = self.case.recordings
+        if not 1 < len(recordings) < FEWEST_FOLDS:
             return None
-        rows = []
-        for k in range(len(self.case.series)):
-            fitter = Fitter(self.case.alone(k), self.budget)
-            fit = self.linear.fit.again(starts=self.linear.fit.starts[[k]], residuals=[], jacobian=None, cost=np.inf)
+        rows: list[np.ndarray] = [np.zeros(0)] * len(self.case.series)
+        for places in recordings.values():
+            fitter = Fitter(self.case.alone(places), self.budget)
+            fit = self.linear.fit.again(starts=self.linear.fit.starts[places], residuals=[], jacobian=None, cost=np.inf)
             fitter.fit([fit], _LINEAR_STEPS)
-            rows.append(fitter.refitted_without([fit], _FOLD_STEPS)[0][0])
+            for k, row in zip(places, fitter.refitted_without([fit], _FOLD_STEPS)[0], strict=True):
+                rows[k] = row
         return self.weigh(rows)
 
     def fewer_moved(self) -> None:
@@ -409,13 +414,13 @@ class Search:
         fronts, levels = [self.base], [self.base]
         fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
         for depth in range(1, DEPTH + 1):
-            self.progress(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
+            self.budget.begin(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
             level = self.level(depth)
             if not level:
                 break
             if depth == 1 and not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
-                self.progress("no single effect helps")
+                self.budget.begin("no single effect helps")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
             # down to the nominal's own error there is nothing more to explain
