@@ -97,7 +97,8 @@ def test_a_reduction_of_many_rows_is_numpys(form, rows):
     given = {size: [random.uniform(0.2, 1.2, (rows, *s)) for s in shapes_of(form, size)] for size in fixed}
 
     def of_row(size, row):
-        first = jnp.tensordot(row[0], jnp.asarray(fixed[size], row[0].dtype), 1)
+        turn = jnp.asarray(fixed[size], row[0].dtype)
+        first = turn @ row[0] if row[0].ndim == 1 else jnp.tensordot(row[0], turn, (-1, -1))
         through = reduced(form, [first, *row[1:]])
         return reduced(form, row), through, jnp.sum(jnp.square(through), axis=None)
 
@@ -105,7 +106,7 @@ def test_a_reduction_of_many_rows_is_numpys(form, rows):
         cases = {(s, kind): [o.astype(kind) for o in given[s]] for s in fixed for kind in ("float64", "float32")}
         found = jax.jit(jax.vmap(lambda row: {case: of_row(case[0], row[case]) for case in row}))(cases)
     for (size, kind), values in found.items():
-        first = given[size][0] @ fixed[size]
+        first = given[size][0] @ fixed[size].T
         truth = [in_numpy(form, given[size]), in_numpy(form, [first, *given[size][1:]])]
         truth.append(np.square(truth[1].astype(float)).reshape(rows, -1).sum(1))
         for value, true in zip(values, truth, strict=True):
