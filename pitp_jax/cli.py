@@ -23,6 +23,7 @@ from ._commands.console import say
 from ._commands.each import json_to_standard_output, once_per_joint
 from ._commands.examples import ending
 from ._commands.ours import allow_overwriting
+from ._commands.own_command import own_command
 from ._errors import BadInput, ComputationFailed
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if os.environ.get("PITP_TRACEBACK"):
             traceback.print_exc()
         code, line = _explain(error)
+        line = own_command(line, list(sys.argv[1:] if argv is None else argv))
         say(f"error: {line}")
         return code
 

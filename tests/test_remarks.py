@@ -128,7 +128,7 @@ def test_the_displacement_at_0_volts_is_not_known_from_a_bias():
     a = np.array([2.0, 0.03, 1 / 180])
     x = 4.5 + response(([1.0], a[::-1]), biased**2 - 9.0) + noise(0.01)
     found = identify([Record("biased", TIME, biased, x)], order=2)
-    assert any("the displacement there cannot be known" in line for line in found.remarks)
+    assert any("the output there cannot be known" in line for line in found.remarks)
     from_rest = identify([Record("rest", TIME, PUSHED, response(([1.0], a[::-1]), PUSHED**2) + noise(0.01))], order=2)
     assert not any("cannot be known" in line for line in from_rest.remarks)
 

@@ -16,14 +16,14 @@ _VOCABULARY = {
     "elapsed clock millis micros x_value x_werte время 時間 时间 時刻",
     "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input in vin amplifier amp "
     "excitation eingang anregung actuation monitor command cmd setpoint desired des target reference ref goal soll "
-    "demand duty pwm throttle heater potential напряжение 電圧 电压 電圧値",
+    "demand duty pwm throttle ctrl action qfrc heater potential напряжение 電圧 电压 電圧値",
     "output": "x y z d w q displacement disp position pos weg auslenkung verschiebung abstand hub laser stroke "
     "deflection distance output out motion extension elongation height hoehe deplacement response lvdt sensor ausgang "
-    "vout angle theta encoder measured actual ist feedback перемещение смещение 変位 位移",
+    "vout angle theta encoder qpos qvel measured actual ist feedback перемещение смещение 変位 位移",
 }
 _WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
 _COMMANDS = frozenset(
-    "command cmd setpoint desired des goal target soll demand".split()
+    "command cmd setpoint desired des goal target soll demand ctrl action".split()
 )  # also before the word "position"
 _PORTS = frozenset("input output in out vin vout eingang ausgang".split())  # of the DAQ or of the actuator, who knows
 _BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
@@ -109,7 +109,8 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
     said = stem != ending[1].rstrip(" /_,:;-") or text.lower().startswith("in ")
     if not said and unit in _ROLE_OF and len(ending[2]) == 1 + 2 * (unit == "min"):
         words = _words(stem)
-        if not (_role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]):
+        suits = _role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]
+        if not suits and not (unit == "m" and words & _COMMANDS):  # a commanded position
             return text, None, None  # `Channel A` is no current
     return stem, unit, None
 
