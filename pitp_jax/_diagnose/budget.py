@@ -49,7 +49,7 @@ class Budget:
         if elapsed - last >= _EVERY_S:
             rate = (self.lane_steps - steps) / (elapsed - last)
             most = min(self.most, _RUNS * self.run_steps or np.inf)
-            left = min(max(most - self.lane_steps, 0.0) / rate, self.remaining)
+            left = max(min((most - self.lane_steps) / rate, self.remaining), 0.0)
             self._reported = elapsed, self.lane_steps
             self.progress(f"{self.stage}: {elapsed:.0f} s so far, at most {left:.0f} s left (--seconds limits them)")
 

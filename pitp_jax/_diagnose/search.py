@@ -414,6 +414,8 @@ class Search:
         fronts, levels = [self.base], [self.base]
         fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
         for depth in range(1, DEPTH + 1):
+            if depth == 1 and not self.budget.allows("sets of 1 effect"):
+                break
             self.budget.begin(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
             level = self.level(depth)
