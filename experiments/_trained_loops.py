@@ -124,7 +124,7 @@ HARNESS = """
 #include "pitp_same.h"
 #include "pitp_soft.h"
 #include "pitp_stiff.h"
-void run(int which, unsigned count, unsigned at, double gain, double load, double rest, double p, double i,
+void run(int which, unsigned count, unsigned at, double gain, double load, double rest, double way, double p, double i,
          double track, const double *target, double *read)
 {
     pitp_model_state c;
@@ -146,8 +146,8 @@ void run(int which, unsigned count, unsigned at, double gain, double load, doubl
         const double force = gain * u * u + ((k >= at) ? load : 0.0);
         const double v = sqrt((force > 0.0) ? force : 0.0);
         for (int s = 0; s < FINER; s++) {
-            y = (which == 0) ? pitp_same_predict_step(&same, v)
-                : (which == 1) ? pitp_soft_predict_step(&soft, v) : pitp_stiff_predict_step(&stiff, v);
+            y = rest + way * ((which == 0) ? pitp_same_predict_step(&same, v)
+                : (which == 1) ? pitp_soft_predict_step(&soft, v) : pitp_stiff_predict_step(&stiff, v));
         }
     }
 }
@@ -214,16 +214,17 @@ class Loop:
         quiet = RISES + max(20 * seconds, 12 / (self.kind.zeta * 2 * np.pi * self.kind.hz))
         at, last = int(quiet / dt), int((quiet + 5 * seconds + max(10 * seconds, 1.0)) / dt)
         t = np.arange(last) * dt
-        rows = [float(output.polarity) * x * _smooth(t / RISES)]
+        rows = [x * _smooth(t / RISES)]
         for _ in range(self.model.order):
             rows.append(np.gradient(rows[-1], dt))
         target = np.ascontiguousarray(np.stack(rows, 1))
-        target[:, 0] += float(output.offset)
         read = np.empty(last)
-        real = [ctypes.c_double(float(v)) for v in (gain, 0.1 * force, output.offset, *gains, 1 / seconds)]
+        real = [
+            ctypes.c_double(float(v)) for v in (gain, 0.1 * force, output.offset, output.polarity, *gains, 1 / seconds)
+        ]
         pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (target, read)]
         self.library.run(which, last, at, *real, *pointers)
-        off = np.abs(read - target[:, 0]) / self.reach
+        off = np.abs(output.polarity * (read - output.offset) - target[:, 0]) / self.reach
         settled = np.concatenate([off[at - int(0.2 / dt) : at], off[at + int(5 * seconds / dt) :]])
         return float(settled.max()) if np.isfinite(settled).all() else np.inf
 

@@ -104,13 +104,12 @@ def settles(model, c, lag: float, made, scale, bounded: bool = True) -> dict:
     top, dt, last = max(model.domain.voltage_range), model.dt, HELD + 9 * lag
     stroke = AT * top**2 / model.physical_coefficients[0]
     t = np.arange(int(last / dt)) * dt
-    rows = [np.sign(size) * stroke * smooth(t / RISES)]
+    rows = [stroke * smooth(t / RISES)]
     for _ in range(model.order):
         rows.append(np.gradient(rows[-1], dt))
     target = np.stack(rows, 1)
-    target[:, 0] += zero
     y, u = loop(c, made(), target, np.where(t < HELD, WEAK, STRONG), scale, bounded)
-    off = np.flatnonzero(np.abs(y - target[:, 0]) > 0.02 * stroke)
+    off = np.flatnonzero(np.abs(np.sign(size) * (y - zero) - target[:, 0]) > 0.02 * stroke)
     at_limit = (u[int(3 / dt) : int(HELD / dt)] > top * (1 - 1e-6)).all()
     settled = float((t[off[-1]] - HELD) / lag)
     return {"settled": settled, "at_limit": bool(at_limit), "kept": bool(u.max() <= top * (1 + 1e-9))}

@@ -24,6 +24,7 @@ from _withheld.catalogue import FORMS
 from _withheld.found import REPORTED, TERMS, TUNED
 
 import pitp_jax as pitp
+from pitp_jax._effects.found_term import PRODUCTS
 
 
 def diagnosed(spec: Spec, case: Case, track: bool) -> dict:
@@ -33,7 +34,7 @@ def diagnosed(spec: Spec, case: Case, track: bool) -> dict:
     found = pitp.diagnose(nominal, case.real)
     seconds, term, held = time.perf_counter() - began, found.term, found.records["heldout"]
     before, after = (score.pooled(score.runs(m, case, held), case, held) for m in (nominal, found.model))
-    functions = sorted(term.effect.functions) if term else []
+    functions = [PRODUCTS[int(name[1:]) - 1] for name in term.parameters] if term else []
     planted = TERMS.get(spec.label)
     row = {
         "case": f"{spec.label} {spec.kind} {spec.seed}", "verdict": "+".join(found.effects) or found.verdict,

@@ -23,6 +23,7 @@ from ._commands.console import say
 from ._commands.each import json_to_standard_output, once_per_joint
 from ._commands.examples import ending
 from ._commands.ours import allow_overwriting
+from ._commands.own_command import own_command
 from ._errors import BadInput, ComputationFailed
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if os.environ.get("PITP_TRACEBACK"):
             traceback.print_exc()
         code, line = _explain(error)
+        line = own_command(line, list(sys.argv[1:] if argv is None else argv))
         say(f"error: {line}")
         return code
 
@@ -153,6 +155,13 @@ def _positive(text: str) -> float:
     value = _finite(text)
     if value is None or value <= 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = _finite(text)
+    if value is None or value < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds")
     return value
 
 
@@ -320,7 +329,10 @@ def _plan_arguments(parser: argparse.ArgumentParser) -> None:
     _limit_arguments(parser)
     parser.add_argument("--band", type=_positive, nargs=2, metavar=("LO", "HI"), help="drive frequencies, Hz")
     parser.add_argument("--duration", type=_positive, metavar="S", help="of drive in all recordings together")
-    parser.add_argument("--rest", type=_positive, default=0.0, metavar="S", help="at zero input between recordings")
+    parser.add_argument(
+        "--rest", type=_seconds, metavar="S",
+        help="at zero input between recordings (default: until the actuator is at rest again)",
+    )  # fmt: skip
     parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of the drives")
     parser.add_argument("--choose-from", metavar="DIR", help="rank these existing recordings instead")
     parser.add_argument("--alternate", action="store_true", help="every second drive negative (bipolar amplifier)")

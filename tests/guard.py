@@ -17,8 +17,10 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from typed import some
 
 import pitp_jax as pitp
+from pitp_jax._model_file.parts import REMOVED
 
 FOLDER = Path(__file__).parent / "files" / "guard"
 SAMPLES, EVERY = 960, 60  # of a run; every 60th sample is kept
@@ -34,6 +36,13 @@ def names() -> list[str]:
     """The stored model files."""
     with tarfile.open(FOLDER / "models.tar.xz") as archive:
         return [name.removesuffix(".pitp") for name in archive.getnames()]
+
+
+def refused() -> set[str]:
+    """The stored models that hold a form which the catalogue no longer has."""
+    with tarfile.open(FOLDER / "models.tar.xz") as archive:
+        texts = {name: some(archive.extractfile(f"{name}.pitp")).read().decode("latin-1") for name in names()}
+    return {name for name, text in texts.items() if any(f'"{key}"' in text for key in REMOVED)}
 
 
 def unpack(folder: Path) -> Path:
@@ -74,7 +83,8 @@ def few(series: np.ndarray, digits: int = 9) -> list[float]:
 
 def runs(folder: Path) -> dict[str, Callable[[], list[float]]]:
     """The free run of every stored model, in m; `folder` holds them."""
-    made: dict[str, Callable[[], list[float]]] = {n: lambda n=n: few(free_run(folder, n)) for n in names()}
+    known = sorted({*names()} - refused())
+    made: dict[str, Callable[[], list[float]]] = {n: lambda n=n: few(free_run(folder, n)) for n in known}
     return made | {"ensemble_band": lambda: few(ensemble_band(folder))}
 
 

@@ -183,8 +183,9 @@ def _record(path, factor):
 
 
 def test_numbers_behind_a_command_are_in_its_unit(linear):
-    """A dead zone of a joint that is told angles is an angle; a film's is a voltage."""
+    """A dead zone of a joint that is told angles is an angle in its unit; a film's is a voltage."""
     joint = Fitted(linear(), Origin(voltage_unit="deg"))
     row = next(c for c in CATALOGUE if c.name == "dead_zone")
-    assert physical(joint, row.parameters[0], 0.1) == (0.1, "rad")
+    value, unit = physical(joint, row.parameters[0], 0.1)
+    assert (value, unit) == (pytest.approx(np.rad2deg(0.1)), "deg")
     assert physical(linear(), row.parameters[0], 45.0) == (45.0, "V")

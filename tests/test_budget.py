@@ -1,5 +1,7 @@
 """Computing time is kept: the best so far is told, with what was not tried."""
 
+import time
+
 import numpy as np
 
 from pitp_jax._diagnose.budget import Budget
@@ -11,3 +13,33 @@ def test_what_a_budget_does_not_reach_is_noted_once():
     assert budget.notes() == ("stopped after 100 s (--seconds), not tried: that",)
     assert Budget().allows("anything", 1e9) and Budget().notes() == ()
     assert Budget(0.0).remaining < 0 and np.isinf(Budget().remaining)
+
+
+def test_a_count_of_steps_ends_a_search_on_every_machine_alike():
+    budget = Budget(most=1000)
+    budget.count(999)
+    assert budget.allows("this") and not budget.spent
+    budget.count(1)
+    assert budget.spent and not budget.allows("that")
+    assert budget.notes() == ("stopped after 1e+03 simulated steps, the most, not tried: that",)
+
+
+def test_what_follows_a_search_has_its_reserve():
+    budget = Budget(100.0, reserve=60.0)
+    assert budget.allows("this", 30.0) and not budget.allows("that", 50.0)
+
+
+def test_a_line_every_few_seconds_says_what_is_left(monkeypatch):
+    """Two seconds a block of 1e6 steps, at most 1e7: after six seconds 14 s are left."""
+    now, lines = [0.0], []
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    budget = Budget(most=1e7, progress=lines.append, began=0.0)
+    budget.begin("sets of 1")
+    for _ in range(6):
+        now[0] += 2.0
+        budget.count(1_000_000)
+    assert lines[0] == "sets of 1"
+    assert [line.split(" (")[0] for line in lines[1:]] == [
+        "sets of 1: 6 s so far, at most 14 s left",
+        "sets of 1: 12 s so far, at most 8 s left",
+    ]

@@ -149,8 +149,10 @@ def test_two_matches_need_a_choice(tmp_path):
     save_csv(path, columns(displacement_V=OUTPUT))
     assert "--output-column" in refused(path)
     assert read(path, output_column="displacement_V")[0].displacement_unit == "V"
-    save_csv(path, columns(time_ms=TIME * 1000))
+    save_csv(path, columns(time_ms=TIME * 2000))
     assert "two matches" in refused(path)
+    save_csv(path, columns(time_ms=TIME * 1000 + 5))
+    assert read(path)[0].dt == pytest.approx(1e-3)  # they agree
     save_csv(path, columns(voltage_V=None, **{"Voltage (V)": VOLTAGE, "Monitor (V)": VOLTAGE}))
     assert "--input-column" in refused(path)
     path.write_text(text(columns()).replace("displacement_mm", "voltage_V", 1))

@@ -13,7 +13,7 @@ from typed import some
 import pitp_jax as pitp
 from pitp_jax._diagnose import diagnosis
 from pitp_jax._effects import CATALOGUE, lookup
-from pitp_jax._effects.found_term import term_row
+from pitp_jax._effects.found_term import TERM
 from pitp_jax._model.fitted import Fitted
 from pitp_jax._model.origin import Origin
 
@@ -48,6 +48,26 @@ def test_a_planted_spring_is_named_with_its_number(nominal, hardened):
     assert told["unit"] == "1/m"
     assert abs(told["value"] - 0.25 / nominal.scales.state[0]) < 4 * told["stderr"] + 0.01 * told["value"]
     assert some(hardened.gap.closed_fraction) > 0.95
+
+
+@pytest.mark.slow
+def test_an_interrupt_leaves_the_best_so_far(nominal, monkeypatch):
+    """Ctrl-C behind the effects one by one: the planted spring is handed back, and a place that fails is a note."""
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    def broken(*_):
+        raise RuntimeError("nowhere")
+
+    monkeypatch.setattr(diagnosis.Search, "_backward", stop)
+    monkeypatch.setattr(diagnosis, "locate", broken)
+    planted = replace(nominal, effects=(effect("stiffening", "limited chain", 0.25),))
+    found = pitp.diagnose(nominal, play(planted), exclude=FEW)
+    assert found.interrupted and found.handed_back == ("stiffening",)
+    assert any("the place of the gap failed (RuntimeError: nowhere)" in note for note in found.notes)
+    assert any("interrupted" in note for note in found.notes)
+    assert json.dumps(found.as_json()) and str(found)
 
 
 @pytest.mark.slow
@@ -143,7 +163,7 @@ def test_a_heavier_load_is_added_mass_and_moved_damping_a_parameter_change(nomin
 @pytest.mark.slow
 def test_a_force_without_a_name_is_an_equation(nominal):
     """Damping that grows with the square of the displacement is no form of the catalogue."""
-    found = pitp.diagnose(nominal, play(replace(nominal, effects=(term_row(("x^2 x'",))(0.6),))))
+    found = pitp.diagnose(nominal, play(replace(nominal, effects=(TERM(0.0, 0.6, 0.0),))))
     assert found.verdict == "unknown" and found.effects == ()
     term = some(found.term)
     assert "x^2 x'" in term.equation and "term" in found.handed_back
@@ -200,7 +220,7 @@ def test_friction_is_found_beside_a_mass_that_the_nominal_lacks(linear):
 
 def test_a_model_that_runs_away_within_its_voltages_is_not_handed_back(nominal):
     """A spring that softens without end holds under the weak drive and gives way under the widest voltage."""
-    softer = replace(nominal, effects=(term_row(("x^3",))(-0.6),))
+    softer = replace(nominal, effects=(effect("softening", "polynomial", 0.0, -0.6, 0.0),))
     sine, *_ = play(nominal)[2:]
     weak = replace(sine, name="weak", voltage=0.5 * sine.voltage)
     held, far = (np.isfinite(pitp.rollout(softer, r.voltage, r.dt, begins="rest")).all() for r in (weak, sine))

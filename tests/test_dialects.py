@@ -177,7 +177,7 @@ def test_structs_and_groups(tmp_path):
     with h5py.File(tmp_path / "b.h5", "r+") as file:
         for name, values in columns().items():
             file[f"run2/{name}"] = values
-    assert "'run1/time_s', 'run2/time_s'" in refused(tmp_path / "b.h5")
+    assert "'run1/voltage_V', 'run2/voltage_V'" in refused(tmp_path / "b.h5")
     picked: dict[str, Any] = {
         f"{k}_column": f"run2/{n}" for k, n in zip(("time", "input", "output"), columns(), strict=True)
     }

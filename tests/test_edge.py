@@ -100,7 +100,7 @@ def test_the_exported_pi_takes_an_error_off_whichever_way_the_sensor_reads(expor
     begin(5e-3)
     state, u, x = np.zeros(2), 0.0, 0.0
     for _ in range(6000):
-        u = trim((5e-3 + polarity * 4e-4, 0.0, 0.0), 5e-3 + polarity * x)
+        u = trim((4e-4, 0.0, 0.0), 5e-3 + polarity * x)
         (x,), state = response([0.95 * (u / TOP) ** 2], state=state)
     assert abs(x - 4e-4) < 12e-6
 
@@ -150,7 +150,7 @@ def test_a_target_is_differentiated_in_single_precision_to_half_a_percent_of_for
     for precision in ("single", "double"):
         begin, follow, _, _, ahead = exported(model, precision)
         begin(offset)
-        target = cosine(np.arange(8000), ahead, rate, stroke, offset)
+        target = cosine(np.arange(8000), ahead, rate, stroke, 0.0)
         volts.append(np.array([follow(y) for y in target]))
     force = np.stack(volts)[:, 2000:] ** 2
     assert np.abs(force[0] - force[1]).max() < 0.005 * force[1].max()

@@ -68,6 +68,7 @@ def solution(model, name, values, drive):
         force = e.couple(e.film(now, s, p) ** 2, x[0], p) - e.force(x[0], v, s, p, nominal, t + AGES[drive])
         last = e.limit((force - np.dot(a[:n], x)) / a[n], p)
         last -= sliding * e.friction(x[0], v, last, p, a) / a[n] if sliding else 0.0
+        last -= e.carried(x[0], last, s, p, a) / a[n] if e.carried else 0.0
         return [*x[1:], last, *e.rates(x[0], v if n > 1 else last, now, s, p)]
 
     kinks = sorted({min(TIME[k] + later, TIME[-1]) for k, _ in RAMPS[drive] for later in (0.0, late)})

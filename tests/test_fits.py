@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from played import nominal_of, play
+from played import DT, TIME, nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
@@ -13,9 +13,10 @@ from pitp_jax._diagnose import fit
 from pitp_jax._diagnose.data import build_case, excitations
 from pitp_jax._diagnose.evidence import probability
 from pitp_jax._diagnose.fit import Fit, Fitter
-from pitp_jax._diagnose.library import INDEX, PLACES, sections
+from pitp_jax._diagnose.library import INDEX, PLACES, sections, slots_of_row
 from pitp_jax._diagnose.search import Search
 from pitp_jax._effects import lookup
+from pitp_jax._simulate.decoder import rest_state, rollout
 
 GENT = "stiffening: limited chain, curvature"
 
@@ -150,6 +151,25 @@ def test_names_are_measured_against_the_nominal_where_a_refit_is_worse(nominal):
     assert search.linears[0].rms > 1.2 * search.given.rms
     assert search.base.rms == search.given.rms
     assert set(search.base.fit.free) >= {"a0", "a1", "a2"}  # effects are fitted with the coefficients all the same
+
+
+@pytest.mark.slow
+def test_friction_under_load_is_recovered_from_a_joint_with_two_loads(nominal):
+    """Planted at 0.2, 0.1 and a give of 0.05, in two records; one transmits six times the force."""
+    row = lookup("coulomb_friction", "bristles under load")
+    planted = replace(nominal, effects=(row(0.2, 0.1, 0.05),), substeps=8)
+    swing = 0.6 * np.sin(2 * np.pi * 0.7 * TIME) + 0.3 * np.sin(2 * np.pi * 1.9 * TIME)
+    records, rng = [], np.random.default_rng(1)
+    for load in (1e5, 6e5):
+        u = np.sqrt(load * (1 + swing))
+        states = rollout(planted, jnp.asarray(u, jnp.float32), DT, rest_state(planted))
+        x = np.asarray(states[:, 0], float) * nominal.scales.state[0] + 2e-7 * rng.standard_normal(len(u))
+        records.append(pitp.Record(f"{load:g}", TIME + 10 * len(records), u, x))
+    case = build_case(nominal, records)
+    slots = case.nominal.copy()
+    slots[PLACES[row]] = 0.1, 0.03, 0.02
+    (found,) = Fitter(case).fit([Fit(("coulomb_friction",), slots_of_row(row), slots, case.starts.copy())], 25)
+    np.testing.assert_allclose(found.slots[PLACES[row]], (0.2, 0.1, 0.05), rtol=0.03)
 
 
 def test_a_moved_zero_is_no_part_of_a_residual(nominal):

@@ -8,8 +8,11 @@ from typed import of_kind, some
 
 from pitp_jax import BadInput, ComputationFailed, Record, predict
 from pitp_jax._identify.beginnings import find_beginnings
+from pitp_jax._identify.candidates import choose
+from pitp_jax._identify.heldout import Candidate, HeldOut
 from pitp_jax._identify.identification import identify
 from pitp_jax._identify.linear_ode import logs_from_roots
+from pitp_jax._identify.output_error import Structure
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
 TIME = np.arange(SAMPLES) * DT
@@ -283,3 +286,18 @@ def test_a_delay_that_is_asked_for_and_vanishes_is_none(coefficients):
     found = identify([sweep(coefficients(2), 32)], order=2, hold="foh", learn=("delay",))
     assert found.chosen.delay == 0.0 and not found.model.effects
     assert errors(found.chosen, coefficients(2)).max() < 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tie_between_holds_is_the_linear_one(seed):
+    """Errors of equal size that differ by noise alone decide nothing; a hold that leaves 2 % less of all decides."""
+    rng = np.random.default_rng(seed)
+    common = rng.standard_normal(4000)
+
+    def left(hold, error):
+        scored = HeldOut(float(np.sqrt(np.mean(error**2))), (error,), (np.ones(4000),))
+        return Candidate(Structure(2, hold, True), np.zeros(3), 0.0, True, scored, True)
+
+    noisy = {hold: common + 0.02 * rng.standard_normal(4000) for hold in ("foh", "zoh")}
+    assert choose([left(hold, error) for hold, error in noisy.items()]).structure.hold == "foh"
+    assert choose([left("foh", common), left("zoh", 0.98 * common)]).structure.hold == "zoh"

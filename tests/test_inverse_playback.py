@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pitp_jax import BadInput, Feedforward, Target
-from pitp_jax._invert.playback import at_faster_rate, at_slower_rate
+from pitp_jax._invert.playback import at_faster_rate, at_rate_of_model, at_slower_rate
 
 TIME = -0.3 + 1e-3 * np.arange(1301)
 
@@ -43,3 +43,13 @@ def test_the_same_clock_changes_nothing(rate):
 def test_a_clock_for_nothing_is_refused(rate):
     with pytest.raises(BadInput, match="--rate"):
         at_slower_rate(Target(TIME, np.sin(9 * TIME)), rate)
+
+
+@pytest.mark.parametrize(("count", "power"), [(2, 1), (3, 1), (40, 3)])
+def test_way_points_are_met_and_joined_smoothly_on_the_clock_of_the_model(count, power):
+    """A cubic (or, of two points, a line) is met everywhere, not at the way points alone."""
+    time = 0.1 * np.arange(count)
+    made = at_rate_of_model(Target(time, time**power - time), 0.0049)
+    assert made.dt <= 0.0049 * 1.01 and made.time[-1] == time[-1]
+    np.testing.assert_allclose(made.displacement, made.time**power - made.time, atol=1e-12)
+    assert at_rate_of_model(made, 0.0049) is made and at_rate_of_model(made, 0.1) is made

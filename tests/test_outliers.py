@@ -173,3 +173,16 @@ def test_a_gear_that_stands_still_at_every_reversal_has_a_good_sensor():
     found = mask_faults(motion, drive)
     assert (found.outliers, found.clipped) == (0, 0)
     assert found.held > 0
+
+
+@pytest.mark.parametrize("end", [3000, 5000])
+def test_a_sensor_that_freezes_for_long_or_to_the_end_is_reported(end):
+    time = np.arange(5000) / 1000
+    drive, moved = np.sin(10 * np.pi * time), 1e-3 * np.sin(10 * np.pi * time - 0.8)
+    for noise in (0.0, 1e-6):
+        frozen = moved + noise * np.random.default_rng(4).standard_normal(len(time))
+        whole = mask_faults(frozen.copy(), drive)
+        frozen[end - 1000 : end] = frozen[end - 1000]
+        found = mask_faults(frozen, drive)
+        assert whole.held == 0 and found.held >= 1000
+        assert not np.isnan(found.displacement).any()

@@ -332,3 +332,23 @@ def test_the_growth_plays_all_of_the_voltage_where_the_slew_allows_it_at_the_low
     """At 0.5 Hz 6 kV take 9.4 kV/s; at 20 Hz 377 kV/s, above the limit."""
     session = pitp.plan(max_voltage=6000.0, max_slew=2e5, band=(0.5, 20.0), duration=120.0)
     assert [r.name for r in session.recordings[:4]] == [f"0{k}_growth_{p}" for k, p in enumerate((25, 50, 71, 100), 1)]
+
+
+def test_rests_last_until_the_model_is_at_rest(linear, bounded):
+    """exp(-zeta w t) = 0.005 for damping 0.1 at 5 Hz: 1.69 s, and half a period at most for the phase."""
+    model = bounded(linear(2, 5.0, 0.1), high=1000.0, slew=1e5)
+    rests = {r.rest for r in pitp.plan(model, duration=40.0, rate=500.0).recordings}
+    assert len(rests) == 1 and rests.pop() == pytest.approx(np.log(200) / (0.1 * 2 * np.pi * 5), abs=0.2)
+    assert {r.rest for r in pitp.plan(model, duration=40.0, rate=500.0, rest=0.0).recordings} == {0.0}
+
+
+def test_with_a_model_that_is_right_no_recording_is_forbidden(linear, bounded):
+    """The strokes that the plant shows, played in order, allow each next file; one 30 % softer forbids what exceeds."""
+    model = bounded(linear(2, 5.0, 0.1), high=1000.0, slew=1e5)
+    found = pitp.plan(model, max_displacement=2.2e-3, duration=60.0, rate=500.0)
+    assert len(found.recordings) > 3
+    for softer in (1.0, 1.3):
+        reached = [softer * r.stroke for r in found.recordings]
+        for k, r in enumerate(found.recordings[1:], 1):
+            allowed = max(reached[:k]) <= r.go_on
+            assert allowed if softer == 1.0 else not allowed or reached[k] <= 2.2e-3

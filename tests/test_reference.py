@@ -10,6 +10,7 @@ from pitp_jax._diagnose.data import Case, Series, _folds
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit
 from pitp_jax._diagnose.search import Hypothesis
+from pitp_jax._record.record import Record
 
 COLUMNS = 5
 
@@ -29,8 +30,9 @@ def drawn(sizes):
     true = rng.standard_normal(COLUMNS)
     targets = [x @ true / 10 + rng.standard_normal(len(x)) for x in columns]
     targets[1][50:60] = np.nan
+    records = [Record(str(k), np.arange(n) / 100, np.arange(n) / n, np.arange(n) / n) for k, n in enumerate(sizes)]
     series = tuple(
-        part_of(Series, output=np.zeros(n), counts=np.isfinite(y), span=1.0 + k)
+        part_of(Series, record=records[k], output=np.zeros(n), counts=np.isfinite(y), span=1.0 + k)
         for k, (n, y) in enumerate(zip(sizes, targets, strict=True))
     )
     case = part_of(Case, series=series, folds=_folds(series))

@@ -128,7 +128,7 @@ def test_the_displacement_at_0_volts_is_not_known_from_a_bias():
     a = np.array([2.0, 0.03, 1 / 180])
     x = 4.5 + response(([1.0], a[::-1]), biased**2 - 9.0) + noise(0.01)
     found = identify([Record("biased", TIME, biased, x)], order=2)
-    assert any("the displacement there cannot be known" in line for line in found.remarks)
+    assert any("the output there cannot be known" in line for line in found.remarks)
     from_rest = identify([Record("rest", TIME, PUSHED, response(([1.0], a[::-1]), PUSHED**2) + noise(0.01))], order=2)
     assert not any("cannot be known" in line for line in from_rest.remarks)
 
@@ -141,13 +141,13 @@ def test_auto_hands_back_no_order_that_its_records_leave_open(monkeypatch):
     def open_at(*orders):
         def described(candidate, problem: Problem):
             fit = describe(candidate, problem)
-            return type(fit)(**{**vars(fit), "identifiable": fit.identifiable and fit.order not in orders})
+            return type(fit)(**{**vars(fit), "poles_known": fit.poles_known and fit.order not in orders})
 
         monkeypatch.setattr(identification, "describe", described)
         return identify([Record("r", TIME, PUSHED, x)], input_map="linear")
 
     assert open_at().chosen.order == 2
     other = open_at(2).chosen
-    assert other.identifiable and other.order != 2
+    assert other.poles_known and other.order != 2
     with pytest.raises(ComputationFailed, match="no order from 1 to 6"):
         open_at(1, 2, 3, 4, 5, 6)

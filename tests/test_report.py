@@ -11,6 +11,7 @@ from diagnosis_cases import budget, candidate, no_gap, tied
 from matplotlib import rcParams
 
 from pitp_jax._diagnose import rules
+from pitp_jax._diagnose.pieces import Piece
 from pitp_jax._diagnose.report import figures, formatting
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._diagnose.result import Added
@@ -83,6 +84,16 @@ def test_tables_hold_every_candidate_and_every_recording(tied):
     for trace in tied.traces:
         assert f"{trace.name}{'held out' if trace.heldout else 'fitted'}2000" in text
     assert page.tags.count("table") == 2
+
+
+def test_pieces_of_a_long_set_are_listed(tied):
+    cut = (Piece("sine2", 12.5, 40.0), Piece("sine&4", 0.0, 27.5))
+    page, text = read(replace(tied, pieces=cut))
+    assert page.tags.count("table") == 3
+    assert "sine212.540" in text
+    assert tied.as_json()["pieces"] is None
+    told = replace(tied, pieces=cut).as_json()["pieces"]
+    assert told[1] == {"record": "sine&4", "from_s": 0.0, "to_s": 27.5}
 
 
 def test_ties_are_said_first_and_come_with_an_experiment(tied):

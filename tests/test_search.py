@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit
 from pitp_jax._diagnose.search import Hypothesis, Search
@@ -21,7 +22,7 @@ def bare_search() -> Any:
     """A search without a case, in which a residual's size is its error."""
     search: Any = object.__new__(Search)
     search.every, search.waiting, search._climbed, search.exclude = {}, {}, set(), set()
-    search.samples = SAMPLES
+    search.samples, search.budget = SAMPLES, Budget()
     search.weigh = lambda rows: evidence(rows, np.zeros(1))
     search.labels = lambda fit: fit.names
     return search

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.signal import lsim, lti
 
 from pitp_jax._diagnose.library import (
     INDEX,
+    LAG,
     LOGARITHM,
     OFF,
     PLACES,
@@ -87,7 +89,9 @@ NUMBERS = {
     "hysteresis: Dahl": (0.4, 0.2), "hysteresis: Bouc-Wen, either sign": (0.4, 0.2, -0.5),
     "stiffness_drift: settling": (0.1, 2.0), "second_mode: hung on": (0.2, 55.0, 0.05), "drag: quadratic": (2.0,),
     "coulomb_friction: Coulomb": (0.05,), "coulomb_friction: loaded by the spring": (0.05, 0.1),
+    "coulomb_friction: loaded by spring and mass": (0.05, 0.1),
     "coulomb_friction: smooth": (0.05, 0.016), "coulomb_friction: Stribeck": (0.05, 0.5, 0.16),
+    "coulomb_friction: bristles under load": (0.2, 0.1, 0.05),
     "slack: free fall": (1.1,), "electrode_rc: one lag": (0.02,), "slew_limit: rate limit": (5e-5,),
     "voltage_clip: hard": (1 / 900,), "dead_zone: symmetric": (80.0,), "voltage_offset: constant": (60.0,),
     "delay: pure": (0.0073,), "charge_leak: one trap": (0.2, 0.5), "charge_retention: one store": (0.2, 0.5),
@@ -97,7 +101,7 @@ NUMBERS = {
     "sensor_nonlinearity: quadratic and cubic": (0.1, 0.03), "sensor_nonlinearity: saturating": (0.5,),
     "sensor_nonlinearity: folded": (0.2,), "backlash: play": (0.1,), "backlash: coasting": (0.1, 5.0),
     "sensor_lag: one lag": (0.01,), "sensor_lag: second order": (0.008, 0.7),
-    "second_mode: between film and sensor": (0.3, 55.0, 0.05), "found_term: sum of functions": (0.02, 0.3, 0.05),
+    "second_mode: between film and sensor": (0.3, 55.0, 0.05), "found_term: products": (0.02, 0.3, 0.05),
 }  # fmt: skip
 
 
@@ -129,6 +133,33 @@ def test_a_form_of_the_library_acts_as_in_the_package(nominal, runs, row):
     effect = np.std(truth - plain)
     assert effect > 5e-3 * np.std(plain)
     assert np.std(mine - truth) < 0.03 * effect + 2e-4 * np.std(plain)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("trained", [False, True])
+@pytest.mark.parametrize("refit", [False, True])
+def test_an_effect_is_added_to_the_model_that_was_given(linear, nonlinear, order, trained, refit):
+    """The model keeps its order and its parts; a refit moves its poles as the slots say, whatever the order."""
+    given = (nonlinear if trained else linear)(order, hz=5.0, damping=0.2, dt=DT)
+    before = slots_of(given)[0]
+    slots = before.copy()
+    if refit:
+        slots[:3] *= np.array([1.2, 1.1, 0.9])
+        slots[INDEX[LAG]] *= 1.5
+    row = next(r for r in ROWS if r.name == "coulomb_friction")
+    slots[PLACES[row]] = 0.1
+    made, added = model_of(before, slots, given, SCALE)
+    assert made.order == order and [e.name for e in made.effects] == ["coulomb_friction"] == [e.name for e, _ in added]
+    assert type(made.encoder) is type(given.encoder)
+    found, _ = slots_of(made)
+    core = slice(min(order, 2) + 1)
+    np.testing.assert_allclose(found[core], slots[core], rtol=1e-4)
+    np.testing.assert_allclose(found[INDEX[LAG]], slots[INDEX[LAG]], rtol=1e-4)
+    np.testing.assert_allclose(found[PLACES[row]], slots[PLACES[row]], rtol=1e-5)
+    if trained and not refit:
+        same = replace(made, effects=())
+        for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(given), strict=True):
+            np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-5)
 
 
 def test_every_row_is_off_at_its_off_value(nominal):

@@ -42,7 +42,7 @@ def test_every_factor_is_pints(unit):
         ("d33 pm/V", None, "pm/V"),
         ("v_m/s", "m/s", None),
         ("Time (100us)", None, "100us"),
-        ("Temp (degC)", None, "degC"),
+        ("Temp (degC)", "degC", None),
         ("Channel A", None, None),
         ("motor current A", "A", None),
         ("C1 in V", "V", None),
@@ -498,11 +498,9 @@ def test_names_with_blanks_over_columns_of_blanks(tmp_path, data):
 
 
 @pytest.mark.parametrize("below", [["Mean,1,2"], ["", "Min,0,0", "Max,3,4"], ["*** END ***"]])
-def test_words_below_the_rows_are_told_and_left_out(tmp_path, below):
+def test_words_below_the_rows_are_refused_with_their_line(tmp_path, below):
     (tmp_path / "a.csv").write_text(text(columns()) + "\n".join(below) + "\n")
-    (record,) = read(tmp_path / "a.csv")
-    same(record, VOLTAGE, OUTPUT * 1e-3)
-    assert "of words below the numbers left out" in record.recognised["file"]
+    assert f"line {T + 2 + (below[0] == '')}" in refused(tmp_path / "a.csv")
 
 
 def test_a_note_in_the_first_row_loses_no_sample(tmp_path):

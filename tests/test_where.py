@@ -48,6 +48,13 @@ def test_an_error_is_told_in_its_record_band_and_tenth(case):
     assert share(where["time"], "part", 0.35) == pytest.approx(1.0)
 
 
+def test_a_gap_in_no_cell_is_told_by_record_and_band(case):
+    """Where nothing was observed no cell of band and amplitude was visited; the sentence goes without it."""
+    where = locate(case._replace(motions=tuple(replace(m, weight=0 * m.weight) for m in case.motions)), nowhere(case))
+    assert where["cells"] == [] and "% of the gap is in" in where["summary"]
+    assert "largest for" not in where["summary"]
+
+
 @pytest.mark.parametrize(("order", "name"), [(1, "1f"), (2, "2f"), (3, "3f"), (2.5, "other"), (7, "other")])
 def test_an_error_is_told_at_the_harmonic_it_has(case, order, name):
     errors, k = nowhere(case), index(case, "sine3")

@@ -101,6 +101,8 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     if own > _PART * gap:
         say("diagnosing the simulator's own recordings")
         simulator = diagnose_model(nominal, simulated, **options)
+        if simulator.interrupted:  # there is no result about the robot yet
+            raise KeyboardInterrupt
         nominal = simulator.model
         own = simulator.gap.after
     say("diagnosing the robot's recordings")

@@ -8,7 +8,7 @@ from typing import Any
 
 from .._report.numbers import number as number
 
-_EVERY_S = 10.0  # between lines of progress where standard error is not a terminal
+_EVERY_S = 5.0  # between lines of progress where standard error is not a terminal
 _REDRAW_S = 0.1
 
 

@@ -1,6 +1,10 @@
 """`pitp diagnose`: where recordings and a model, or a simulator, disagree, which missing effect causes it, how far."""
 
+import os
+import traceback
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,6 +30,7 @@ from .recordings import open_both, read_records, warn
 
 MODEL, JSON, ROBOT = "model_augmented", "diagnosis.json", "robot.html"
 FILES = (MODEL, REPORT, ROBOT, JSON, NEXT_CSV, *(f"figures/{n}.{kind}" for n in FIGURES for kind in ("png", "csv")))
+T = TypeVar("T")
 _ROWS = 8  # of the ranking on standard output
 
 
@@ -71,19 +76,44 @@ def diagnose(
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
     written: set[str] = set()
+    # the result first: a failure in a figure or a sentence, or an interrupt there, loses nothing of it
     with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
         if out is not None:
-            _write(diagnosis, stage, read_in[0].voltage_unit)
             write_json(stage / JSON, diagnosis.as_json(csv))
             save(stage / MODEL, augmented)
-            written = {path.relative_to(stage).as_posix() for path in stage.rglob("*")}
-    _print(diagnosis)
+            _write_next(robot, stage, read_in[0].voltage_unit)
+            written |= _files_in(stage)
+    if out is not None:
+        with staged(folder=out) as stage:
+            _write_pages(diagnosis, stage)
+            written |= _files_in(stage)
+    _attempt("the printed result", lambda: _print(diagnosis))
     if out is not None:
         _tidy(Path(out), written)
         added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
-        print(f"wrote {Path(out) / REPORT}, its figures, and {Path(out) / MODEL} ({added})")
+        page_words = f"{Path(out) / REPORT}, its figures, and " if REPORT in written else ""
+        print(f"wrote {page_words}{Path(out) / MODEL} ({added})")
         if csv is not None and robot.next_experiment is not None:
             print(f"next experiment, to tell {' from '.join(robot.next_experiment.separates)}: {csv}")
+    if robot.interrupted:
+        place = out or json_file
+        raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
+
+
+def _files_in(stage: Path) -> set[str]:
+    return {path.relative_to(stage).as_posix() for path in stage.rglob("*")}
+
+
+def _attempt(what: str, make: Callable[[], T]) -> T | None:
+    """Make a part that only shows the result; report its failure, and go on without it."""
+    try:
+        return make()
+    except Exception as error:
+        if os.environ.get("PITP_TRACEBACK"):
+            traceback.print_exc()
+        reason = f"{type(error).__name__}: {error}"
+        say(f"warning: {what} failed ({reason}); the rest of the result is complete")
+        return None
 
 
 def _is_drive(file: Path) -> bool:
@@ -103,18 +133,27 @@ def _tidy(folder: Path, written: set[str]) -> None:
         print(f"removed from {folder}, of an earlier diagnosis: {', '.join(old)}")
 
 
-def _write(diagnosis: Diagnosis | SimToReal, folder: Path, input_unit: str) -> None:
-    """The pages, their figures and the next experiment into an existing folder."""
+def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
+    """Write the pages and their figures into an existing folder, each without those that fail."""
     robot = diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
-    drawn = figures(robot)  # written first: a page makes them small
+
+    def write(name, drawing, columns=None):
+        _attempt(f"the figure {name}", lambda: write_figure(folder, name, drawing, columns))
+
+    drawn = _attempt("the figures", lambda: figures(robot)) or {}
     for name, drawing in drawn.items():
-        write_figure(folder, name, drawing)
-    write_text_atomic(folder / (REPORT if robot is diagnosis else ROBOT), report(robot, drawn))
+        write(name, drawing)  # before the page, which makes it small
+    robot_page = REPORT if robot is diagnosis else ROBOT
+    _attempt(robot_page, lambda: write_text_atomic(folder / robot_page, report(robot, drawn)))
     if isinstance(diagnosis, SimToReal):
-        beside = figures_beside(diagnosis)
+        beside = _attempt("the figures of robot and simulator", lambda: figures_beside(diagnosis)) or {}
         for name, (drawing, columns, _) in beside.items():
-            write_figure(folder, name, drawing, columns)
-        write_text_atomic(folder / REPORT, page(diagnosis, beside))
+            write(name, drawing, columns)
+        _attempt(REPORT, lambda: write_text_atomic(folder / REPORT, page(diagnosis, beside)))
+
+
+def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
+    """Write the next experiment's input, where there is one."""
     if robot.next_experiment is not None:
         unit = "V" if input_unit.endswith("V") else input_unit
         drive = from_base(robot.next_experiment.voltage, unit)

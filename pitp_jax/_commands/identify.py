@@ -15,7 +15,7 @@ from .recordings import read_records, warn
 from .reports import print_beginnings, print_model
 
 
-def identify(records, out, order, input_map, learn, json_file, reading, leave_out=(), validate=(), report=None) -> None:
+def identify(records, out, order, input_map, learn, json_file, reading, leave_out=(), validate=(), report=None) -> int:
     """Identify, write the model file, and print the comparison of orders.
 
     Args:
@@ -28,6 +28,9 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         report: folder for the Bode page, or None.
         json_file: where to write the result for machines, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+
+    Returns:
+        3 where the model explains nothing of the held-out output, 0 otherwise.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -46,7 +49,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         {name: vars(b) for name, b in identified.beginnings.items()},
     )
     value = {**summary, "orders": orders, "rest": identified.rest, "beginnings": beginnings,
-             "remarks": list(identified.remarks), "validation": scores}  # fmt: skip
+             "remarks": list(identified.remarks), "warning": identified.warning, "validation": scores}  # fmt: skip
     with staged(file=out, json_file=json_file, value=value) as stage:
         save(stage, identified.model)
     if report is not None:
@@ -55,18 +58,19 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         with staged(folder=report) as stage:
             write_text_atomic(stage / REPORT, bode_page(identified, out))
     unit = read_in[0].displacement_unit
+    if identified.warning:
+        print(f"warning: {identified.warning}")
     print_orders(identified, unit)
     print_model(identified.model, summary)
     if identified.chosen.delay:
-        print(
-            f"delay: {number(1e3 * identified.chosen.delay, 3)} +- {number(1e3 * identified.chosen.delay_stderr, 2)} ms"
-        )
+        print(delay_text(identified))
     print_beginnings(identified.beginnings, units_of(identified.model))
     for remark in identified.remarks:
         print(remark)
     if scores:
         rows = [(name, number(s["e_rms_percent"], 3), number(s["nrmse_percent"], 3)) for name, s in scores.items()]
         print_table(("validated on", "e_rms (% of range)", "nrmse (% of std)"), rows)
+    return 0 if identified.explains else 3
 
 
 def print_orders(identified: Identification, unit: str) -> None:
@@ -85,3 +89,15 @@ def print_orders(identified: Identification, unit: str) -> None:
     print_table(
         ("order", f"mae ({unit})", f"rms ({unit})", "held out (% of std)", "natural (Hz)", "identifiable"), rows
     )
+
+
+def delay_text(identified) -> str:
+    """Write the delay with the hold for which it is stated, and what the other hold would make of it."""
+    delay, stderr = (1e3 * v for v in (identified.chosen.delay, identified.chosen.delay_stderr))
+    half = 500 * identified.model.dt
+    if identified.model.hold == "zoh":
+        own, other, word = "held between samples", delay + half, "linear"
+    else:
+        own, other, word = "linear between samples", delay - half, "held"
+    text = f"delay: {number(delay, 3)} +- {number(stderr, 2)} ms for an input {own}"
+    return f"{text} ({number(other, 3)} ms for a {word} one)"

@@ -4,7 +4,7 @@ import numpy as np
 
 from .._errors import BadInput
 from .._invert.feedforward_plan import Feedforward, feedforward
-from .._invert.playback import at_faster_rate, at_slower_rate
+from .._invert.playback import at_faster_rate, at_rate_of_model, at_slower_rate
 from .._model.coordinate import Zero
 from .._model.units import units_of
 from .._model_file.model_file import load
@@ -58,7 +58,8 @@ def invert(
     }
     if max_displacement is not None:
         limits["max_displacement"] = in_base(max_displacement, units.max_output, units.limit)
-    planned = at_faster_rate(feedforward(loaded, at_slower_rate(wanted, rate), **limits), rate)
+    wanted = at_slower_rate(at_rate_of_model(wanted, loaded.model.dt), rate)
+    planned = at_faster_rate(feedforward(loaded, wanted, **limits), rate)
     for warning in planned.warnings:
         say(f"warning: {' '.join(warning.split())}")
     result = {

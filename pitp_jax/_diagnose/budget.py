@@ -1,9 +1,17 @@
-"""Computing time: a diagnosis that runs out of it tells the best so far, and what it did not try."""
+"""The work that a diagnosis may do: counted simulated steps, and wall time where the user limits it.
+
+The count makes the answer the same on every machine. What is not reached is reported, with the best answer so far.
+"""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+
+SEARCH_STEPS = 400_000_000  # simulated steps of a search: about 60 CPU s at 150 ns
+_RUNS = 36_000  # runs of all records that the deepest searches took
+_EVERY_S = 5.0  # between lines of progress
 
 
 @dataclass
@@ -12,27 +20,69 @@ class Budget:
 
     Attributes:
         seconds: of wall time; infinite: no limit.
+        most: simulated steps of the search.
+        reserve: s of these, kept for what follows the search.
         lane_steps: samples x steps a sample x simulations so far.
+        run_steps: samples x steps a sample of one run of all records.
+        stage: what is being done, in words.
+        progress: called with a line when a stage begins, and every few seconds within it.
         skipped: in plain words, in order.
+        stopped: nothing more is allowed, whatever time is left.
     """
 
     seconds: float = np.inf
+    most: float = field(default_factory=lambda: SEARCH_STEPS)
+    reserve: float = 0.0
     lane_steps: int = 0
+    run_steps: int = 0
+    stage: str = "fitting"
+    progress: Callable[[str], None] = lambda line: None
     skipped: list[str] = field(default_factory=list)
+    stopped: bool = False
     began: float = field(default_factory=time.monotonic)
+    _reported: tuple[float, int] = (0.0, 0)  # s since `began`, steps of the last line
 
     def count(self, lane_steps: int) -> None:
-        """Add simulated steps."""
+        """Add simulated steps, and report every few seconds."""
         self.lane_steps += lane_steps
+        elapsed, (last, steps) = self.elapsed, self._reported
+        if elapsed - last >= _EVERY_S:
+            rate = (self.lane_steps - steps) / (elapsed - last)
+            most = min(self.most, _RUNS * self.run_steps or np.inf)
+            left = max(min((most - self.lane_steps) / rate, self.remaining), 0.0)
+            self._reported = elapsed, self.lane_steps
+            self.progress(f"{self.stage}: {elapsed:.0f} s so far, at most {left:.0f} s left (--seconds limits them)")
+
+    def begin(self, stage: str) -> None:
+        """Report the beginning of a stage."""
+        self.stage = stage
+        self.progress(stage)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the beginning."""
+        return time.monotonic() - self.began
+
+    def stop(self, what: str) -> None:
+        """Allow nothing any more, and note what was not tried."""
+        self.stopped = True
+        self.skipped += [what]
 
     @property
     def remaining(self) -> float:
         """Seconds, below zero where it ran over."""
-        return self.seconds - (time.monotonic() - self.began)
+        if self.stopped:
+            return 0.0
+        return self.seconds - self.elapsed
+
+    @property
+    def spent(self) -> bool:
+        """Whether a search must end."""
+        return self.stopped or self.lane_steps >= self.most or self.remaining <= self.reserve
 
     def allows(self, what: str, needed: float = 0.0) -> bool:
-        """Whether so many seconds are left for `what`, which else is noted as not tried."""
-        if self.remaining > needed:
+        """Return whether so many seconds of the search are left for `what`; otherwise it is noted as not tried."""
+        if not self.spent and self.remaining - self.reserve > needed:
             return True
         self.skipped += [what] if what not in self.skipped else []
         return False
@@ -41,4 +91,7 @@ class Budget:
         """One line, where anything was skipped."""
         if not self.skipped:
             return ()
-        return (f"stopped after {self.seconds:.3g} s (--seconds), not tried: {', '.join(self.skipped)}",)
+        after = "" if np.isinf(self.seconds) else f" after {self.seconds:.3g} s (--seconds)"
+        if self.lane_steps >= self.most:
+            after = f" after {self.lane_steps:.2g} simulated steps, the most"
+        return (f"stopped{after}, not tried: {', '.join(self.skipped)}",)

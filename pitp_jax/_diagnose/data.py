@@ -23,11 +23,12 @@ from .._simulate.prediction import at_rate, begin, predict, reaches
 from .library import CORE, INDEX, rates_of, slots_of
 from .simulator import Drive, Film, Simulator, root
 
-PERIOD, COARSEST, BUDGET = 40.0, 16.0, 12_000  # samples a period of the fastest mode or drive; fewer where all exceed
+PERIOD, COARSEST = 40.0, 16.0  # samples a period of the fastest mode or drive; fewer where all exceed:
+THINNED_SAMPLES = 12_000
 _ENOUGH = 5_000  # samples from which no further record is needed to tell a promising start
 STEPS = 24  # steps a period of the nominal's own mode, at least
 _FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
-_FEWEST_FOLDS = 4  # of fewer records each is cut into blocks
+FEWEST_FOLDS = 4  # of fewer records each is cut into blocks
 _MOST_FOLDS = 6
 
 
@@ -101,11 +102,19 @@ class Case:
         first, last = block * size // self.blocks, (block + 1) * size // self.blocks
         return slice(max(first - margin, 0), last + margin)
 
-    def alone(self, record: int) -> "Case":
-        """One record by itself."""
-        series = (self.series[record],)
-        simulator = replace(self.simulator, drives=(self.simulator.drives[record],))
-        return replace(self, series=series, simulator=simulator, starts=self.starts[[record]], folds=_folds(series))
+    @property
+    def recordings(self) -> dict[str, list[int]]:
+        """Places of the pieces of every recording, by its name."""
+        places: dict[str, list[int]] = {}
+        for k, s in enumerate(self.series):
+            places.setdefault(s.record.name, []).append(k)
+        return places
+
+    def alone(self, places: Sequence[int]) -> "Case":
+        """Some records by themselves."""
+        series = tuple(self.series[k] for k in places)
+        simulator = replace(self.simulator, drives=tuple(self.simulator.drives[k] for k in places))
+        return replace(self, series=series, simulator=simulator, starts=self.starts[[*places]], folds=_folds(series))
 
     def screened(self) -> list[np.ndarray]:
         """Samples that the first steps of a fit may see: of the records with the widest motion, `_ENOUGH` in all."""
@@ -126,15 +135,23 @@ class Case:
         return rows
 
 
-def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) -> Case:
+def build_case(
+    model: Model, records: Sequence[Record], devices: Sequence = (), whole: Sequence[Record] | None = None
+) -> Case:
     """Thin the records, take out their zeros and directions and find how they begin.
+
+    Args:
+        model: the nominal.
+        records: recordings, or pieces of them under their names.
+        devices: that share the runs; none: the default one.
+        whole: the recordings that pieces are of.
 
     Raises:
         BadInput: a nominal that diverges on a record.
     """
     model = at_rate(model, records[0].dt)
     # of a single record nothing came before
-    known = len(records) > 1 and session_clock(records)
+    known = len(records) > 1 and session_clock(whole or records)
     _, _, begun = begin(model, records, known)
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
@@ -142,7 +159,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
     # what no slot holds (a trained encoder) is taken off the measurement below
     nominal, foreign = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
-    k = _thinning(model, nominal, turned)
+    k = thinning(model, nominal, turned)
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
     far = reaches(model, turned) if known else [0.0] * len(turned)  # what was stretched before stays stretched
@@ -166,9 +183,7 @@ def build_case(model: Model, records: Sequence[Record], devices: Sequence = ()) 
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film, float(reached)))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
-    dt = records[0].dt * k
-    omega = _omega(nominal)
-    substeps = int(np.clip(np.ceil(STEPS * omega * dt / (2 * np.pi)), 1, _MOST_STEPS))
+    substeps = steps_a_sample(nominal, records[0].dt * k)
     simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps, tuple(devices))
     case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
     return _beside(case, records) if foreign else case
@@ -225,8 +240,13 @@ def _omega(slots: np.ndarray) -> float:
     return float(np.sqrt(a0 / a2)) if a2 > 0 and a1 < 2 * np.sqrt(a0 * a2) else 0.0
 
 
-def _thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> int:
-    """Samples to average: the fastest of mode and drive keeps `PERIOD` samples a period."""
+def steps_a_sample(nominal: np.ndarray, dt: float) -> int:
+    """Steps that a simulation takes between thinned samples `dt` (s) apart."""
+    return int(np.clip(np.ceil(STEPS * _omega(nominal) * dt / (2 * np.pi)), 1, _MOST_STEPS))
+
+
+def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most: float = THINNED_SAMPLES) -> int:
+    """Samples to average: the fastest of mode and drive keeps `PERIOD` samples a period, fewer beyond `most` in all."""
     dt = records[0].dt
     motion = [np.interp(np.arange(r.samples), np.flatnonzero(r.observed), r.displacement[r.observed]) for r in records]
     drive = force_band([model.input_map.force(r.voltage) for r in records], dt, 0.98)
@@ -234,24 +254,31 @@ def _thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> i
     mode = _omega(nominal) / (2 * np.pi)
     # a drive that moves nothing counts no more than a motion that nothing drives
     fastest = max(min(drive, moved), mode if mode < 3 * moved else 0.0, 1e-12)
-    wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / BUDGET
+    wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / most
     k = min(max(wanted, min(total, wanted * PERIOD / COARSEST)), max(r.samples for r in records) / _FEWEST)
     return max(int(k), 1)
 
 
 def _parts(records: int) -> int:
     """Parts that each record is cut into, so that there are enough folds."""
-    return -(-_FEWEST_FOLDS // records)
+    return -(-FEWEST_FOLDS // records)
 
 
 def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
-    """Records left out one by one, in at most six groups of neighbours in range; of few records block by block."""
-    if len(series) < _FEWEST_FOLDS:
+    """Records left out one by one, in at most six groups of neighbours in range; of few records block by block.
+
+    Of at least four recordings all pieces of one are left out together; of fewer every piece is a record of its own.
+    """
+    if len(series) < FEWEST_FOLDS:
         return tuple((k,) for k in range(len(series)) for _ in range(_parts(len(series))))
+    whole: dict[str, list[int]] = {}
+    for k, s in enumerate(series):
+        whole.setdefault(s.record.name, []).append(k)
+    units = list(whole.values()) if len(whole) >= FEWEST_FOLDS else [[k] for k in range(len(series))]
     # every group then has small and large motions
-    order = np.argsort([s.span for s in series], kind="stable")
-    groups = min(len(series), _MOST_FOLDS)
-    return tuple(tuple(int(k) for k in order[g::groups]) for g in range(groups))
+    order = np.argsort([max(series[k].span for k in unit) for unit in units], kind="stable")
+    groups = min(len(units), _MOST_FOLDS)
+    return tuple(tuple(k for n in order[g::groups] for k in units[n]) for g in range(groups))
 
 
 def _beside(case: Case, records) -> Case:

@@ -6,7 +6,7 @@ nominal
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 from jax.sharding import Mesh
@@ -17,14 +17,16 @@ from .._model.model import Model
 from .._record.initial_state import noise_std
 from .._record.record import Record
 from .._record.sets import clock_start
+from .._report.numbers import figure, of_range
 from .._simulate.prediction import predict
 from .._simulate.voltage_only import rollout
 from . import rules
 from .budget import Budget
-from .data import Case, build_case, excitations
+from .data import FEWEST_FOLDS, Case, build_case, excitations
 from .evidence import probability
-from .library import CORE, FREE, INDEX, model_of
+from .library import CHANGED, CORE, FREE, INDEX, model_of
 from .next_experiment import Experiment, separate
+from .pieces import Piece, cut
 from .result import (
     Added,
     Gap,
@@ -44,8 +46,11 @@ from .select_records import usable
 from .shares import budget as budget_of
 from .term import Term, term_of
 from .verdict import Decision, decide
-from .where import locate, motions
+from .where import locate, motions, nowhere
 
+T = TypeVar("T")
+
+_RUNS_AFTER = 6  # free runs of all recordings behind a search
 _DOUBLED = 4  # times at most that the steps a sample of a model handed back are doubled
 _NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
 _IN_PARTS = "fewer than four records: parts of each were left out in turn, so other parts of every drive had been seen"
@@ -73,6 +78,8 @@ class Diagnosis:
         handed_back: its parts beyond the nominal.
         term: a force without a name as an equation found in the data.
         lane_steps: the work of the search, samples x steps a sample x simulations.
+        pieces: where the search worked on pieces of a long set; None: on all of it.
+        interrupted: the search was interrupted; the result is the best of what it had scored.
     """
 
     verdict: str
@@ -95,6 +102,8 @@ class Diagnosis:
     folds: tuple[tuple[str, ...], ...] = ()
     handed_back: tuple[str, ...] = ()
     lane_steps: int = 0
+    pieces: tuple[Piece, ...] | None = None
+    interrupted: bool = False
 
     @property
     def records(self) -> dict[str, list]:
@@ -117,6 +126,7 @@ class Diagnosis:
             if experiment is None
             else {"separates": list(experiment.separates), "excitation": experiment.excitation, "csv": csv},
             "records": self.records,
+            "pieces": None if self.pieces is None else [vars(p) for p in self.pieces],
             "handed_back": list(self.handed_back),
             "coefficients_over_given": [float(v) for v in self.shift],
             "notes": list(self.notes),
@@ -156,7 +166,8 @@ def diagnose(
         mesh: devices of this process that share the runs (`records_mesh`); default one device.
 
     Returns:
-        verdict, effects, budget, and the best model that beats the nominal out of fold.
+        verdict, effects, budget, and the best model that beats the nominal out of fold. An interrupt (Ctrl-C) ends the
+        search, and the result is the best so far (`interrupted`).
 
     Raises:
         BadInput: no records, of several rates, two of one name or none that moves; a nominal that diverges on one; a
@@ -171,19 +182,29 @@ def diagnose(
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     records, notes = usable(records)
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
-    case = build_case(model, records, tuple(mesh.devices.flat) if mesh is not None else ())
-    limit = Budget(seconds)
+    limit = Budget(seconds, progress=progress)
+    searched, pieces = cut(model, records)
+    case = build_case(model, searched, tuple(mesh.devices.flat) if mesh is not None else (), records)
+    began = limit.elapsed
+    before = _package_error(model, records)
+    # free runs of all recordings follow the search: of the best hypotheses, and for the report
+    limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), seconds / 2)
     misfit, source = own_misfit(case) if not refit_nominal else (0.0, "unknown in a refit")
     noise = _thinned(case, 0.0)
     # in a refit the nominal was made from these records: what it left of others is not known
     own = _thinned(case, misfit) if not refit_nominal else 0.0
-    search = Search(case, refit_nominal, exclude, limit, progress, max(own, noise), misfit)
+    search = Search(case, refit_nominal, exclude, limit, max(own, noise), misfit)
+    interrupted = False
     if not search.given.rms <= rules.OWN * own:
-        search.run()
+        try:
+            search.run()
+        except KeyboardInterrupt:  # what was scored so far is judged; a second interrupt ends it
+            interrupted = True
+            limit.stop("the rest of the search (interrupted)")
     distinct = excitations(case)
-    progress("which of them is sure")
+    limit.begin("which of them is sure")
     decision = decide(search, own, noise, distinct)
-    handed, made, parts = hand_back(search, decision, model, records)
+    handed, made, parts = hand_back(search, decision, model, records, before)
     why = ""
     if not set(decision.said) <= set(handed.labels):
         why = _NO_BETTER
@@ -191,25 +212,42 @@ def diagnose(
         why = _DISAGREE
     if decision.said and why:
         decision = replace(decision, verdict="unknown", said=(), tied={}, reason=why)
-        handed, made, parts = hand_back(search, decision, model, records)
+        handed, made, parts = hand_back(search, decision, model, records, before)
+    failed: list[str] = []
+
+    def told(what: str, make: Callable[[], T], otherwise: T) -> T:
+        """Make what only describes the result; its failure is a note."""
+        try:
+            return make()
+        except Exception as error:
+            failed.append(f"{what} failed ({type(error).__name__}: {error}); the rest of the result is complete")
+            return otherwise
+
     # told in % of range, as the gap is
     low = _floor(search, own)
     gap = _gap(search, decision, handed, low, source)
     errors = errors_of(search, handed.fit)
     # names that a verdict says stand in the model with their numbers; else what was handed back is told as it is
-    seen = motions(case, search.scale)
     effects = decision.said
     equivalent = decision.tied.get(effects[0], ()) if effects else ()
-    experiment = _experiment(search, decision, limit) if decision.verdict != "no_gap" else None
+    experiment = None
+    if decision.verdict != "no_gap":
+        experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
-    term = term_of(search, decision, handed, made, errors, gap) if FREE in decision.chosen.names else None
+    term = None
+    if FREE in decision.chosen.names:
+        term = told("the equation of the term", lambda: term_of(search, decision, handed, made, errors, gap), None)
+    where = told("the place of the gap", lambda: locate(motions(case, search.scale), search.base.residuals), nowhere())
+    traces, names = traces_of(model, made[0], records), tuple(case.recordings)
     notes = (
         *notes,
-        *([_IN_PARTS] if case.blocks > 1 and len(case.series) > 1 else []),
+        *([_IN_PARTS] if 1 < len(names) < FEWEST_FOLDS else []),
+        *([] if pieces is None else [_on_pieces(pieces, records, traces)]),
         *([decision.reason] if decision.verdict == "unknown" and decision.reason else []),
         *limit.notes(),
+        *failed,
     )
-    raw, names = _raw(search), tuple(s.record.name for s in case.series)
+    raw = _raw(search)
     return Diagnosis(
         verdict=decision.verdict,
         effects=effects,
@@ -217,21 +255,58 @@ def diagnose(
         added=added_of(search, made[0], made[1], handed.fit, errors) + _moved(search, handed, errors),
         gap=gap,
         ranking=ranking_of(search, low),
-        where=locate(seen, search.base.residuals),
+        where=where,
         next_experiment=experiment,
         fitted=names,
         heldout=names if len(names) > 1 else (),
         shift=shift,
-        traces=traces_of(model, made[0], records),
+        traces=traces,
         model=fitted_of(made[0]),
         notes=notes,
         term=term,
         budget=budget_of(search, decision, raw),
         probability=decision.probabilities,
-        folds=tuple(dict.fromkeys(tuple(names[k] for k in f) for f in case.folds)) if len(names) > 1 else (),
+        folds=_folds(case) if len(names) > 1 else (),
         handed_back=parts,
         lane_steps=limit.lane_steps,
+        pieces=pieces,
+        interrupted=interrupted,
     )
+
+
+def _folds(case: Case) -> tuple[tuple[str, ...], ...]:
+    """Names of the recordings that were left out together, or in parts."""
+    names = [s.record.name for s in case.series]
+    return tuple(dict.fromkeys(tuple(dict.fromkeys(names[k] for k in fold)) for fold in case.folds))
+
+
+def _on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequence[Trace]) -> str:
+    """Say on what the search worked, and the errors over all recordings and over what it left out."""
+    searched = {r.name: np.zeros(r.samples, bool) for r in records}
+    for p in pieces:
+        time = next(r.time for r in records if r.name == p.record)
+        searched[p.record] |= (time - time[0] >= p.from_s) & (time - time[0] <= p.to_s)
+    every = [np.ones(r.samples, bool) for r in records]
+    others = [~searched[t.name] for t in traces]
+    (before, after), (_, left) = (
+        [_traced(traces, which, places) for which in ("nominal", "augmented")] for places in (every, others)
+    )
+    part = 100 * sum(map(np.sum, searched.values())) / sum(r.samples for r in records)
+    return (
+        f"the search worked on {len(pieces)} pieces, {figure(part, 2)} % of the samples; over all recordings the model "
+        f"handed back leaves {of_range(after)} of range (the nominal {of_range(before)}), over what was left out "
+        f"{of_range(left)}"
+    )
+
+
+def _traced(traces: Sequence[Trace], which: str, places: Sequence[np.ndarray]) -> float:
+    """Free-run error (% of range) of "nominal" or "augmented" at some samples, pooled over recordings."""
+    squares = []
+    for t, here in zip(traces, places, strict=True):
+        e = (getattr(t, which) - t.measured)[here]
+        if np.isfinite(e).any():
+            squares.append(np.nanmean(e**2) / np.ptp(t.measured[np.isfinite(t.measured)]) ** 2)
+    return 100 * float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
 def own_misfit(case: Case) -> tuple[float, str]:
@@ -296,8 +371,14 @@ def _raw(search: Search):
     return search.weigh(rows)
 
 
-def hand_back(search: Search, decision: Decision, model: Model, records) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
+def hand_back(
+    search: Search, decision: Decision, model: Model, records, before: float
+) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
     """The best hypothesis that beats the nominal with P >= SURE and whose model does so in the package's own free runs.
+
+    Args:
+        search, decision, model, records: of the diagnosis.
+        before: the nominal's error in these free runs, `_package_error`.
 
     Returns:
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
@@ -311,7 +392,6 @@ def hand_back(search: Search, decision: Decision, model: Model, records) -> tupl
         sure = [h for h in deeper if said <= set(h.labels) and probability(h.evidence.bare, chosen) >= rules.SURE]
         tried = [*sure[:3], *tried]
     tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
-    before = _package_error(model, records)
     for h in tried:
         if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
             continue
@@ -372,7 +452,7 @@ def _package_error(model: Model, records: Sequence[Record]) -> float:
 
 def _moved(search: Search, handed: Hypothesis, errors: dict) -> tuple[Added, ...]:
     rows = factors_of(search, handed.fit, errors)
-    return (Added("parameter_change", "refitted coefficients", rows),) if rows and not search.refit else ()
+    return (Added(CHANGED, "refitted coefficients", rows),) if rows and not search.refit else ()
 
 
 def _shift(case: Case, fit, model: Model) -> np.ndarray:

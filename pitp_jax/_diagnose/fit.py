@@ -255,7 +255,7 @@ class Fitter:
             f.done = f.done or not np.isfinite(f.cost) or not f.free
         for _ in range(iterations + _REFUSED):
             active = [f for f in fits if not f.done and f.taken < iterations]
-            if not active:
+            if not active or self.budget.spent:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
             trials = [at(f, coordinates(f) + self._move(f), self.lowest) for f in active]

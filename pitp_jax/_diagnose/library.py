@@ -6,13 +6,14 @@ name of the search may have several. `slots` are the core's three coefficients, 
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 
 from .._effects import CATALOGUE, lookup
 from .._effects.effect import Effect
-from .._effects.found_term import term_row
+from .._effects.found_term import TERM
 from .._effects.physical import in_scales
 from .._effects.spec import EffectSpec
 from .._model.drive import DirectDrive
@@ -20,16 +21,13 @@ from .._model.encoder import ConstantEncoder
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model, linear_model
 
-BORDER = 15.0  # tau omega: creep above, relaxation below
-GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
 FREE = "term"  # a force without a name
-# names that one linear plant, or one sensor, cannot tell apart whatever is played
-TWINS = (
-    {"sensor_gain", "parameter_change"},
-    {"delay", "sensor_lag"},
-)
-DAMPER = term_row(("x x'", "x^2 x'", "x' F"))
-_LINEAR = tuple(r for r in CATALOGUE if r.linear and r.form != "two lags")
+CHANGED = "parameter_change"  # the label of coefficients that have moved
+# names that share a law in one form or another: a hypothesis holds at most one form of each
+_GROUPS = {
+    "stiffening": "spring", "softening": "spring", "creep": "viscoelastic", "relaxation": "viscoelastic",
+    "charge_leak": "charge", "charge_retention": "charge", TERM.name: FREE,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,12 +36,13 @@ class Form:
 
     Attributes:
         name: of the search, which takes at most one form of a name.
+        spec: the row; None: the coefficients of the nominal.
         start: values of the numbers that it sets, by their slots.
     """
 
     name: str
+    spec: EffectSpec | None
     start: dict[str, float]
-    specs: tuple[EffectSpec, ...] = ()
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -53,12 +52,7 @@ class Form:
     @property
     def stiffness(self) -> float:
         """Stiffness that it adds, in units of the core's."""
-        return sum(self.start[slots_of_row(spec)[0]] for spec in self.specs if spec.stiffens)
-
-    @property
-    def second(self) -> bool:
-        """Whether it needs a mass."""
-        return any(spec.needs_mass for spec in self.specs)
+        return next(iter(self.start.values())) if self.spec and self.spec.stiffens else 0.0
 
 
 @dataclass(frozen=True)
@@ -84,15 +78,20 @@ class Scale:
 
 
 def forms(s: Scale) -> list[Form]:
-    """Every form with its starts."""
+    """List every form with its starts."""
     made = []
-    for name, spec, *starts in _starts(s):
-        for numbers in starts:
-            made.append(Form(name, dict(zip(slots_of_row(spec), numbers, strict=True)), (spec,)))
-    if s.a2 <= 0:
-        damping = _damping(s)
-        made += [Form("added_mass", {"a2": f * s.tau * damping}) for f in (0.05, 0.5)]
-    return made
+    for key, *starts in _starts(s):
+        spec = _BY_KEY[key]
+        made += [Form(group(spec.name), spec, dict(zip(slots_of_row(spec), n, strict=True))) for n in starts]
+    # a mass that moved: heavier and lighter; beside none, two that are small and large beside the damping
+    masses = (1.2 * s.a2, 0.85 * s.a2) if s.a2 > 0 else (0.05 * s.tau * _damping(s), 0.5 * s.tau * _damping(s))
+    mass = lookup("added_mass")
+    return made + [Form(mass.name, mass, {"a2": a2}) for a2 in masses]
+
+
+def group(name: str) -> str:
+    """Return the name under which a search tries an effect."""
+    return _GROUPS.get(name, name)
 
 
 def slots_of_row(spec: EffectSpec) -> tuple[str, ...]:
@@ -106,73 +105,78 @@ def _damping(s: Scale) -> float:
 
 
 def _starts(s: Scale) -> Iterator[tuple]:
-    """Name, row, and numbers of every start."""
+    """Yield every row with the numbers that it starts from."""
     x, pull, tau, volts, damping = s.reach, s.force, s.tau, s.voltage, _damping(s)
     span, middle = s.top - s.bottom, (s.top + s.bottom) / 2
-    yield "spring", lookup("stiffening", "cubic"), (0.1 / x**2,), (0.5 / x**2,)
-    yield "spring", lookup("softening", "quadratic"), (0.2 / x,)
     terms = (0, -0.1, 0), (0.2, 0, 0), (0.05, 0.1, 0), (0, 0.1, 0.1)
-    yield "spring", lookup("stiffening", "polynomial"), *((c2 / x, c3 / x**2, c5 / x**4) for c2, c3, c5 in terms)
-    yield "spring", lookup("stiffening", "limited chain"), (0.3 / x,), (0.6 / x,), (0.85 / x,)
-    yield "spring", lookup("softening", "saturating"), (0.6 / x,)
-    yield "spring", lookup("softening", "exponential"), (0.5 / x,)
-    yield "spring", lookup("softening", "gravity"), (0.5 / x,), (1.2 / x,), (2.5 / x,)
-    yield "spring", lookup("softening", "root"), (1 / x,)
-    yield "end_stop", lookup("end_stop", "above"), *((k, s.bottom + f * span) for k in (2.0, 20.0) for f in (0.6, 0.9))
-    yield "end_stop", lookup("end_stop", "below"), *((k, 0.85 * span - s.top) for k in (2.0, 20.0))
-    each = lookup("end_stop", "each side")
-    yield "end_stop", each, *((k, middle + 0.375 * span, 0.375 * span - middle) for k in (2.0, 20.0))
-    if s.acceleration > 0:
-        yield "slack", lookup("slack", "free fall"), *((f / s.acceleration,) for f in (1.3, 3.0))
-    branch = [(k, f * tau) for k, f in ((0.2, 3.0), (1.0, 3.0), (0.2, 20.0), (1.0, 20.0), (0.3, 100.0))]
-    yield "viscoelastic", lookup("creep", "one branch"), *branch
-    yield "hysteresis", lookup("hysteresis", "Dahl"), (5.0, 0.01 * x), *((0.3, w * x) for w in (0.1, 0.5))
-    signed = lookup("hysteresis", "Bouc-Wen, either sign")
-    yield "hysteresis", signed, *((0.5, w * x, g) for w, g in ((0.1, -0.5), (0.5, -0.5), (0.5, 0.5)))
-    yield "hysteresis", lookup("hysteresis", "plays"), *((0.4, 0.6 * w * x) for w in (0.1, 0.5))
-    integral = lookup("hysteresis", "Dahl of the command's integral")
-    yield "hysteresis", integral, *((c * volts, f * s.area) for c in (0.5, -0.5) for f in (0.1, 0.5))
-    yield "hysteresis", lookup("hysteresis", "plays of the drive"), *((*4 * (0.1,), f * volts) for f in (0.5, 1.5))
-    yield "coulomb_friction", lookup("coulomb_friction", "Coulomb"), *((f * pull,) for f in (0.01, 0.05, 0.2))
-    yield "coulomb_friction", lookup("coulomb_friction", "Stribeck"), (0.04 * pull, 0.5, 0.1 * s.speed)
-    yield "coulomb_friction", lookup("coulomb_friction", "smooth"), (0.05 * pull, 0.05 * s.speed)
-    loaded = lookup("coulomb_friction", "loaded by the spring")
-    yield "coulomb_friction", loaded, *((f * pull, mu) for f, mu in ((0.02, 0.1), (0.1, 0.3), (0.003, 0.05)))
-    yield "drag", lookup("drag"), *((f * damping / s.speed,) for f in (0.3, 2.0))
-    yield "electrode_rc", lookup("electrode_rc"), (0.2 * tau,), (tau,)
-    yield "slew_limit", lookup("slew_limit"), *((1 / (f * s.slew),) for f in (0.1, 0.4, 0.8))
-    yield "voltage_clip", lookup("voltage_clip"), *((1 / (f * volts),) for f in (0.55, 0.8, 0.93))
-    yield "voltage_offset", lookup("voltage_offset"), (-0.05 * volts,), (0.05 * volts,)
-    yield "dead_zone", lookup("dead_zone"), (0.05 * volts,), (0.2 * volts,)
-    yield "delay", lookup("delay"), (s.dt,), (0.1 * tau,), (0.5 * tau,)
-    for charge in ("charge_leak", "charge_retention"):
-        yield "charge", lookup(charge), (0.15, 5 * tau), (0.15, 50 * tau)
-    yield "stretch_coupling", lookup("stretch_coupling", "linear"), (0.1 / x,), (-0.1 / x,)
-    yield "stretch_coupling", lookup("stretch_coupling", "exponential"), (-1 / x,)
-    yield "dielectric_saturation", lookup("dielectric_saturation"), (0.1 / pull,), (0.6 / pull,)
+    curve = (0.05, 0), (-0.05, 0), (0, 0.03), (0.03, 0.03)
+    branches = (0.2, 3.0), (1.0, 3.0), (0.2, 20.0), (1.0, 20.0), (0.3, 100.0)
     modes = [(f / tau, 0.05) for f in (0.6, 1.6, 3.5)]
-    yield "second_mode", lookup("second_mode", "between film and sensor"), *((0.3, *m) for m in modes)
-    # a second mass hangs on a first: on none, it is a core of another order
-    yield "second_mode", lookup("second_mode", "hung on"), *((0.2, *m) for m in modes)
+    yield "stiffening: cubic", (0.1 / x**2,), (0.5 / x**2,)
+    yield "stiffening: polynomial", *((c2 / x, c3 / x**2, c5 / x**4) for c2, c3, c5 in terms)
+    yield "stiffening: limited chain", *((f / x,) for f in (0.3, 0.6, 0.85))
+    yield "softening: quadratic", (0.2 / x,)
+    yield "softening: saturating", (0.6 / x,)
+    yield "softening: exponential", (0.5 / x,)
+    yield "softening: gravity", *((f / x,) for f in (0.5, 1.2, 2.5))
+    yield "softening: root", (1 / x,)
+    yield "end_stop: above", *((k, s.bottom + f * span) for k in (2.0, 20.0) for f in (0.6, 0.9))
+    yield "end_stop: below", *((k, 0.85 * span - s.top) for k in (2.0, 20.0))
+    yield "end_stop: each side", *((k, middle + 0.375 * span, 0.375 * span - middle) for k in (2.0, 20.0))
+    if s.acceleration > 0:
+        yield "slack: free fall", *((f / s.acceleration,) for f in (1.3, 3.0))
+    yield "creep: one branch", *((k, f * tau) for k, f in branches)
+    yield "hysteresis: Dahl", (5.0, 0.01 * x), (0.3, 0.1 * x), (0.3, 0.5 * x)
+    yield "hysteresis: Bouc-Wen, either sign", *((0.5, w * x, g) for w, g in ((0.1, -0.5), (0.5, -0.5), (0.5, 0.5)))
+    yield "hysteresis: plays", (0.4, 0.06 * x), (0.4, 0.3 * x)
+    yield (
+        "hysteresis: Dahl of the command's integral",
+        *((c * volts, f * s.area) for c in (0.5, -0.5) for f in (0.1, 0.5)),
+    )
+    yield "hysteresis: plays of the drive", *((*4 * (0.1,), f * volts) for f in (0.5, 1.5))
+    yield "coulomb_friction: Coulomb", *((f * pull,) for f in (0.01, 0.05, 0.2))
+    yield "coulomb_friction: Stribeck", (0.04 * pull, 0.5, 0.1 * s.speed)
+    yield "coulomb_friction: smooth", (0.05 * pull, 0.05 * s.speed)
+    yield (
+        "coulomb_friction: loaded by the spring",
+        *((f * pull, mu) for f, mu in ((0.02, 0.1), (0.1, 0.3), (0.003, 0.05))),
+    )
+    yield "coulomb_friction: loaded by spring and mass", (0.02 * pull, 0.1), (0.1 * pull, 0.3)
+    yield "coulomb_friction: bristles under load", (0.1, 0.03, 0.02 * x), (0.3, 0.1, 0.1 * x)
+    yield "drag: quadratic", *((f * damping / s.speed,) for f in (0.3, 2.0))
+    yield "electrode_rc: one lag", (0.2 * tau,), (tau,)
+    yield "slew_limit: rate limit", *((1 / (f * s.slew),) for f in (0.1, 0.4, 0.8))
+    yield "voltage_clip: hard", *((1 / (f * volts),) for f in (0.55, 0.8, 0.93))
+    yield "voltage_offset: constant", (-0.05 * volts,), (0.05 * volts,)
+    yield "dead_zone: symmetric", (0.05 * volts,), (0.2 * volts,)
+    yield "delay: pure", (s.dt,), (0.1 * tau,), (0.5 * tau,)
+    yield "charge_leak: one trap", (0.15, 5 * tau), (0.15, 50 * tau)
+    yield "charge_retention: one store", (0.15, 5 * tau), (0.15, 50 * tau)
+    yield "stretch_coupling: linear", (0.1 / x,), (-0.1 / x,)
+    yield "stretch_coupling: exponential", (-1 / x,)
+    yield "dielectric_saturation: rational", (0.1 / pull,), (0.6 / pull,)
+    yield "second_mode: between film and sensor", *((0.3, *m) for m in modes)
+    yield "second_mode: hung on", *((0.2, *m) for m in modes)
     if s.session > 1.5 * s.duration:
-        yield "stiffness_drift", lookup("stiffness_drift"), (0.1, 0.3 * s.session), (-0.1, 0.3 * s.session)
-    yield "sensor_lag", lookup("sensor_lag", "one lag"), (0.2 * tau,), (tau,)
-    curve = [(c2 / x, c3 / x**2) for c2, c3 in ((0.05, 0), (-0.05, 0), (0, 0.03), (0.03, 0.03))]
-    yield "sensor_nonlinearity", lookup("sensor_nonlinearity", "quadratic and cubic"), *curve
-    yield "sensor_nonlinearity", lookup("sensor_nonlinearity", "saturating"), (0.5 / x,)
-    yield "sensor_nonlinearity", lookup("sensor_nonlinearity", "folded"), (0.0,)
-    yield "backlash", lookup("backlash", "play"), *((f * x,) for f in (0.04, 0.2, 0.5))
-    yield "backlash", lookup("backlash", "coasting"), (0.1 * x, 0.05 / tau), (0.1 * x, 0.5 / tau)
-    yield "mullins", lookup("mullins"), (0.15, 0.5 * x)
-    yield "sensor_gain", lookup("sensor_gain"), (0.05,)
+        yield "stiffness_drift: settling", (0.1, 0.3 * s.session), (-0.1, 0.3 * s.session)
+    yield "sensor_lag: one lag", (0.2 * tau,), (tau,)
+    yield "sensor_nonlinearity: quadratic and cubic", *((c2 / x, c3 / x**2) for c2, c3 in curve)
+    yield "sensor_nonlinearity: saturating", (0.5 / x,)
+    yield "sensor_nonlinearity: folded", (0.0,)
+    yield "backlash: play", *((f * x,) for f in (0.04, 0.2, 0.5))
+    yield "backlash: coasting", (0.1 * x, 0.05 / tau), (0.1 * x, 0.5 / tau)
+    yield "mullins: exponential", (0.15, 0.5 * x)
+    yield "sensor_gain: share", (0.05,)
     by_place = [(f * damping / x, 0, 0) for f in (-0.3, 0.5)] + [(0, f * damping / x**2, 0) for f in (0.3, 2.0)]
-    yield FREE, DAMPER, *by_place, *((0, 0, f * damping / pull) for f in (-0.3, 0.5))
+    yield TERM.key, *by_place, *((0, 0, f * damping / pull) for f in (-0.3, 0.5))
 
 
+_BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM)}
 _UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0})
-_STARTED = {spec for _, spec, *_ in _starts(_UNIT)} | {lookup("relaxation", "one branch"), *_LINEAR}
-# the rows that a hypothesis may hold, in the order in which they act
-ROWS: tuple[EffectSpec, ...] = (*(r for r in CATALOGUE if r in _STARTED), DAMPER)
+_STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
+_BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
+# the rows that a hypothesis may hold, in the order in which they act: those with a start, and parts of linear models
+ROWS = tuple(r for r in (*CATALOGUE, TERM) if r in _STARTED | _BESIDE or r.linear)
 CORE = ("a0", "a1", "a2")
 _NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
 NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))
@@ -183,28 +187,28 @@ LEAST = np.array([-np.inf] * 3 + [p.least for p in _NUMBERS])
 MOST = np.array([np.inf] * 3 + [p.most for p in _NUMBERS])
 COSTLY = np.array([False] * 3 + [spec.costly and p.off is not None for spec in ROWS for p in spec.parameters])
 SLOW = tuple(name for name, p in zip(NAMES[3:], _NUMBERS, strict=True) if p.slow)
-_ENDS = np.cumsum([3, *(len(r.parameters) for r in ROWS)])
-PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1:], strict=False)}
 # numbers that do nothing where the strength beside them is off
 SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
+_ENDS = np.cumsum([3, *(len(r.parameters) for r in ROWS)])
+PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1:], strict=False)}
+# what stands behind the core of a linear model
 (DELAY,), (LAG,), (FILTER, FILTER_ZETA) = (
-    slots_of_row(lookup(*key)) for key in (("delay",), ("sensor_lag", "one lag"), ("sensor_lag", "second order"))
+    slots_of_row(_BY_KEY[key]) for key in ("delay: pure", "sensor_lag: one lag", "sensor_lag: second order")
 )
-BRANCHES = slots_of_row(lookup("creep", "one branch")), slots_of_row(lookup("relaxation", "one branch"))
-
-
-_INTEGRAL = lookup("hysteresis", "Dahl of the command's integral")
-_GROUPS = {spec: name for name, spec, *_ in _starts(_UNIT)} | {lookup("relaxation", "one branch"): "viscoelastic"}
+# numbers of a memory, and of the same law once more, by the name of the search
+DOUBLED = {group(r.name): (slots_of_row(r), slots_of_row(lookup(*r.second))) for r in ROWS if r.second}
+# names that are one number of the linear model, and those that nothing tells apart
+LONE = {spec.name for spec in CATALOGUE if spec.moves}
+TWINS = {spec.name: (spec.twin,) for spec in CATALOGUE if spec.twin}
+_MOST_POLES = 4  # of a model whose poles are all in its core, its lag and its filter (`sections`)
+_IN_POLES = {3: (LAG,), 4: (FILTER, FILTER_ZETA)}  # the slots that the coefficients of a model of this order hold
 
 
 def named(name: str, slots: np.ndarray, scale: Scale) -> str:
-    """The catalogue's name of a fitted form: signs and time constants decide those that share one."""
-    mine = [spec(*slots[PLACES[spec]]) for spec in ROWS if _GROUPS.get(spec) == name and is_on(spec, slots)]
-    labels = [_reported(e, slots[0], scale).name for e in mine if e.spec != DAMPER]
-    if any(e.spec == _INTEGRAL and e.width < GIVE * scale.area for e in mine):
-        return "voltage_offset"  # a loop that is run through at once is the level it ends at
+    """Return the catalogue's name of a fitted form: signs and time constants decide those that share one."""
+    mine = [spec for spec in ROWS if group(spec.name) == name != FREE and is_on(spec, slots)]
     # of two memories the slower one
-    return min(labels, default=name)
+    return min((_reported(spec, slots, scale)[0] for spec in mine), default=name)
 
 
 def family(name: str) -> str:
@@ -218,36 +222,27 @@ def is_on(spec: EffectSpec, slots: np.ndarray) -> bool:
     return any(p.off is not None and v != p.off for p, v in pairs)
 
 
-def effects_of(slots: np.ndarray, scale: Scale) -> list[tuple[Effect, tuple[str, ...]]]:
-    """The effects that these slots are, each as the row that it is reported as, with its numbers' slots."""
+def effects_of(slots: np.ndarray, scale: Scale, only: str = "") -> list[tuple[Effect, tuple[str, ...]]]:
+    """List the effects that these slots are, each as the row that it is reported as, with its numbers' slots.
+
+    `only`: those of this name of the search.
+    """
     found = []
     for spec in ROWS:
-        values, names = slots[PLACES[spec]], slots_of_row(spec)
-        if not is_on(spec, slots):
-            continue
-        if spec == DAMPER:
-            on = [k for k, v in enumerate(values) if v]
-            row = term_row(tuple(spec.functions[k] for k in on))
-            found.append((row(*values[on]), tuple(names[k] for k in on)))
-        else:
-            found.append((_reported(spec(*values), slots[0], scale), names))
+        if is_on(spec, slots) and only in ("", group(spec.name)):
+            name, form, numbers = _reported(spec, slots, scale)
+            # where only the name changes the row stays
+            row = _BY_KEY.get(f"{name}: {form}", spec)
+            found.append((row(*numbers), slots_of_row(spec)))
     return found
 
 
-def _reported(effect: Effect, k: float, scale: Scale) -> Effect:
-    """The same effect as the row of the name that its numbers give it; k: of the core."""
-    numbers = [float(v) for _, v in effect.numbers()]
-    if effect.name in ("creep", "relaxation"):
-        return lookup("creep" if numbers[1] > BORDER * scale.tau else "relaxation", effect.form)(*numbers)
-    if effect.form == "Dahl" and numbers[1] < GIVE:
-        return lookup("coulomb_friction", "bristles")(k * numbers[0] * numbers[1], numbers[1])
-    if effect.form == "polynomial":
-        places = np.array([scale.bottom, (scale.top + scale.bottom) / 2, scale.top])
-        c2, c3, c5 = numbers
-        slope = np.polyval([5 * c5, 0, 3 * c3, 2 * c2, 0], places)
-        name = "stiffening" if (slope[0] + slope[2]) / 2 > slope[1] else "softening"
-        return lookup(name, "polynomial")(*numbers)
-    return effect
+def _reported(spec: EffectSpec, slots: np.ndarray, scale: Scale) -> tuple[str, str, tuple]:
+    values = slots[PLACES[spec]]
+    if spec.reported is None:
+        return spec.name, spec.form, tuple(values)
+    p = SimpleNamespace(**{q.name: v for q, v in zip(spec.parameters, values, strict=True)})
+    return spec.reported(p, slots[0], scale)
 
 
 def slots_of(model: Model) -> tuple[np.ndarray, bool]:
@@ -272,14 +267,27 @@ def slots_of(model: Model) -> tuple[np.ndarray, bool]:
 
 
 def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
-    """The nominal with these slots in place of its own, and what was added, each with its numbers' slots."""
-    slots = slots.copy()
+    """The nominal with these slots in place of its own, and what was added, each with its numbers' slots.
+
+    A model of order 3 or 4 holds its lag or filter in its coefficients, and there it is changed. A trained model keeps
+    its order: where a fit gives the core a mass that it has not, its coefficients stay.
+    """
+    slots, order = slots.copy(), model.order
     for k in (DELAY, LAG, FILTER):  # what a fit has pushed to nothing is not there
         slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
     slots[:3] = _no_faster(slots[:3], 2 / model.dt)
-    changed = {r for r in ROWS if not np.array_equal(slots[PLACES[r]], nominal[PLACES[r]])}
-    if model.order <= 2 and ((slots[:3] > 0) == (nominal[:3] > 0)).all():
-        factors = np.where(nominal[:3] > 0, slots[:3] / np.where(nominal[:3] > 0, nominal[:3], 1), 1)
+    same = bool(((slots[:3] > 0) == (nominal[:3] > 0)).all())
+    trained = not isinstance(model.encoder, ConstantEncoder)
+    if order <= _MOST_POLES and (same or trained):
+        inside = [INDEX[k] for k in _IN_POLES.get(order, ()) if nominal[INDEX[k]] > 0]
+        slots[inside] = np.maximum(slots[inside], model.dt / 2)
+        if not same:
+            slots[:3] = nominal[:3]
+        before, after = (_coefficients(s, order) for s in (nominal, slots))
+        factors = np.where(before != 0, after / np.where(before != 0, before, 1), 1)
+        moved = slots != nominal
+        moved[inside] = False
+        changed = {r for r in ROWS if moved[PLACES[r]].any()}
         change = OFF.copy()
         change[:3] = slots[:3]
         for r in changed:
@@ -289,8 +297,7 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
         # the nominal keeps its own parts; those that moved are made anew
         own = tuple(e for e in model.effects if e.spec not in changed)
         added = effects_of(change, scale)
-        whole = replace(model.changed(factors[: model.order + 1]), effects=(*own, *(e for e, _ in added)))
-        return whole, added
+        return replace(model.changed(factors), effects=(*own, *(e for e, _ in added))), added
     size, force, rates = np.asarray(model.scales.state, float), float(model.scales.force), rates_of(model)
     a = slots[:3] * force / size[0]
     a = a if a[2] > 0 else a[:2]
@@ -303,6 +310,17 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
     added = [(in_scales(e, simulated, (state, force)), names) for e, names in effects_of(slots, scale)]
     whole = replace(plain, effects=tuple(e for e, _ in added))
     return cast(Model, Fitted(whole, fitted_of(model).origin)), added
+
+
+def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:
+    """Return a_0 ... a_n of a core with the lag and the filter that `sections` takes from this order, scaled."""
+    poles = np.polynomial.Polynomial(slots[: min(order, 2) + 1])
+    if order == 3:
+        poles *= np.polynomial.Polynomial([1.0, slots[INDEX[LAG]]])
+    if order == 4:
+        tau, zeta = slots[INDEX[FILTER]], slots[INDEX[FILTER_ZETA]]
+        poles *= np.polynomial.Polynomial([1.0, 2 * zeta * tau, tau**2])
+    return np.pad(poles.coef, (0, order + 1 - len(poles.coef)))
 
 
 def rates_of(model: Model) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from .._record.record import Record
 from .._simulate.prediction import predict
 from .evidence import probability
 from .fit import Fit
-from .library import CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, OFF, effects_of, family
+from .library import CHANGED, CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, effects_of, family
 from .search import Hypothesis, Search
 from .shares import energies
 
@@ -154,16 +154,16 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
 
 def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
     """Parameters of one effect in physical units; `names`: the slots they are."""
-    numbers, rows = effect.numbers(), {}
-    for k, (p, value) in enumerate(numbers):
+    rows = {}
+    for slot, (p, value) in zip(names, effect.numbers(), strict=True):
+        if float(value) == p.off:  # a term that is not there
+            continue
         number, unit = physical(model, p, float(value))
-        slot = names[k]
         error = None
         if slot in errors and np.isfinite(number):
             size = 1.0 if LOGARITHM[INDEX[slot]] else 1 / max(abs(fit.value(slot)), 1e-300)
             error = abs(number) * size * errors[slot]
-        name = f"c{k + 1}" if effect.name == "found_term" else p.name
-        rows[name] = {"value": float(number), "unit": unit, "stderr": error}
+        rows[p.name] = {"value": float(number), "unit": unit, "stderr": error}
     return rows
 
 
@@ -190,17 +190,11 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     judged = search.level(1)
     others = sorted((f for f in search.waiting.values() if len(f.names) == 1), key=lambda f: f.cost)
     for fit, label in [(h.fit, h.labels[0]) for h in judged] + [(f, search.labels(f)[0]) for f in others]:
-        # what the form moved alone: the base's own delay and lags are none of it
-        same = fit.slots == search.base.fit.slots
-        same[[INDEX[k] for k in (DELAY, LAG, FILTER)]] |= label not in ("delay", "sensor_lag")
-        slots = np.where(same, OFF, fit.slots)
-        slots[:3] = fit.slots[:3]
-        effects = effects_of(slots, search.scale)
-        mine = next(((e, c) for e, c in effects if e.name in (label, "found_term")), None)
+        mine = next(iter(effects_of(fit.slots, search.scale, only=fit.names[0])), None)
         # each takes slopes of its own: of the first three, which a reader compares
         errors = errors_of(search, fit) if len(rows) < 3 else {}
         numbers = in_units(search.case.model, *mine, fit, errors) if mine else factors_of(search, fit, errors)
-        moved = label == "parameter_change"
+        moved = label == CHANGED
         form = mine[0].form if mine else "refitted coefficients" if moved else "of the library"
         row = Ranked(label, family(label), form, numbers, _train(search, fit), float("nan"), None, None, float("nan"))
         if len(rows) < len(judged):

@@ -14,17 +14,19 @@ import numpy as np
 
 from . import rules
 from .budget import Budget
-from .data import Case
+from .data import FEWEST_FOLDS, Case
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
 from .library import (
-    BRANCHES,
+    CHANGED,
     CORE,
     DELAY,
+    DOUBLED,
     FILTER,
     FILTER_ZETA,
     INDEX,
     LAG,
+    LONE,
     SLOW,
     Form,
     Scale,
@@ -38,9 +40,8 @@ _CERTAIN = 4  # hypotheses that go to their optimum whatever their first steps g
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
-_AT_A_TIME = 2  # sets fitted between looks at the clock, where there is a limit
+_AT_A_TIME = 4  # sets fitted between looks at the clock, where there is a limit
 PARAMETERS = "parameters"
-LONE = ("added_mass", "sensor_gain", "delay")  # one number of the linear model has moved
 
 
 @dataclass(frozen=True)
@@ -109,12 +110,13 @@ class Search:
     """The hypotheses of a case that were tried, by their names."""
 
     def __init__(
-        self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None,
-        progress: Callable[[str], None] = lambda line: None, own: float = 0.0, misfit: float = 0.0,
+        self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None, own: float = 0.0,
+        misfit: float = 0.0,
     ):  # fmt: skip
         self.case, self.refit, self.exclude = case, refit, set(exclude)
         self.own, self.misfit = own, misfit  # the nominal's own error with the sensor's noise, and beyond it
-        self.budget, self.progress = budget or Budget(), progress
+        self.budget = budget or Budget()
+        self.budget.run_steps = sum(len(s.output) for s in case.series) * case.simulator.substeps
         self.fitter = Fitter(case, self.budget)
         self.floors = np.array(self.fitter.floors)
         self.samples = sum(int(s.counts.sum()) for s in case.series)
@@ -136,25 +138,22 @@ class Search:
         self.every[frozenset()] = base
         # a memory of the drive that is faster than the plant is a filter of it, no charge
         self.fitter.lowest = dict.fromkeys(SLOW, self.scale.tau)
-        self.library = [
-            f for f in forms(self.scale) if f.name not in self.exclude and not (f.second and self.scale.a2 <= 0)
-        ]
-        self.library = [f for f in self.library if not (f.name == "delay" and DELAY in self.core and refit)]
-        if refit:
-            self.library = [
-                f
-                for f in self.library
-                if f.name != "sensor_gain" and not (f.name == "added_mass" and self.scale.a2 > 0)
-            ]
-        else:
-            if self.scale.a2 > 0:
-                # a mass that moved: two starts, heavier and lighter
-                heavier = [Form("added_mass", {"a2": f * self.scale.a2}) for f in (1.2, 0.85)]
-                self.library += heavier if "added_mass" not in self.exclude else []
-            moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=("parameter_change",))
-            if "parameter_change" not in self.exclude:
-                self.every[frozenset([PARAMETERS])] = moved
-                self.library += [Form(PARAMETERS, {})]
+        self.library = [f for f in forms(self.scale) if self._is_tried(f)]
+        if not refit and CHANGED not in self.exclude:
+            moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=(CHANGED,))
+            self.every[frozenset([PARAMETERS])] = moved
+            self.library += [Form(PARAMETERS, None, {})]
+
+    def _is_tried(self, form: Form) -> bool:
+        """Return whether a form means something beside the base and is not left out."""
+        spec, mass = form.spec, self.scale.a2 > 0
+        if spec is None or spec.needs_mass and not mass or form.name in self.exclude:
+            return False
+        if spec.reported is None and spec.name in self.exclude:
+            return False
+        # in a refit these numbers of the linear model are free in every set
+        free = {"gain", *(["mass"] if mass else []), *(["delay"] if DELAY in self.core else [])}
+        return not (self.refit and spec.moves in free)
 
     def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
         """Evidence of out-of-fold residuals."""
@@ -168,7 +167,7 @@ class Search:
 
     def labels(self, fit: Fit) -> tuple[str, ...]:
         """Catalogue names of a fit."""
-        return tuple("parameter_change" if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
+        return tuple(CHANGED if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
 
     def _linear(self) -> Hypothesis:
         """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
@@ -244,14 +243,14 @@ class Search:
         fresh = {key: [f for f in g if f.names not in self._climbed] for key, g in groups.items()}
         keys = [key for key, g in fresh.items() if g]
         # what promises most first; without a limit of time all of them side by side
-        size = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME
+        size, depth = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, len(fronts[0].names) + 1
         for first in range(0, len(keys), max(size, 1)):
             some = {key: fresh[key] for key in keys[first : first + size]}
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
             self._climb(some)
-        self.judge(len(fronts[0].names) + 1, without)
+            self.judge(depth, without)
 
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
         """Fit every hypothesis that lowers the error of the one below it to its optimum, where it waits to be judged.
@@ -298,6 +297,8 @@ class Search:
             if len(best) == _RANKED and errors[id(fits[0])] >= best[-1].rms:
                 break
             count = max(_RANKED - len(best), 1)
+            if not self.budget.allows(f"hypotheses of {depth} effects out of fold"):
+                break
             self._settle(fits[:count])
             fits = fits[count:]
 
@@ -322,14 +323,13 @@ class Search:
         """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
-            if f.names[-1] != "viscoelastic":
+            if f.names[-1] not in DOUBLED:
                 continue
+            (strength, tau), second = DOUBLED[f.names[-1]]
             # a decade apart: nearer, two branches are one of a time constant between them
             for ratio in (0.1, 10.0):
-                slots = f.slots.copy()
-                slots[INDEX[BRANCHES[1][0]]] = 0.3 * f.value(BRANCHES[0][0])
-                slots[INDEX[BRANCHES[1][1]]] = ratio * f.value(BRANCHES[0][1])
-                free = (*f.free, *BRANCHES[1])
+                slots, free = f.slots.copy(), (*f.free, *second)
+                slots[[INDEX[k] for k in second]] = 0.3 * f.value(strength), ratio * f.value(tau)
                 more.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
@@ -370,14 +370,16 @@ class Search:
         Folds that are parts of records do not say whether one machine was recorded: numbers fitted to two loads at
         once describe neither, and predict a third load worse than the nominal does.
         """
-        if self.case.blocks == 1 or len(self.case.series) == 1:
+        recordings = self.case.recordings
+        if not 1 < len(recordings) < FEWEST_FOLDS:
             return None
-        rows = []
-        for k in range(len(self.case.series)):
-            fitter = Fitter(self.case.alone(k), self.budget)
-            fit = self.linear.fit.again(starts=self.linear.fit.starts[[k]], residuals=[], jacobian=None, cost=np.inf)
+        rows: list[np.ndarray] = [np.zeros(0)] * len(self.case.series)
+        for places in recordings.values():
+            fitter = Fitter(self.case.alone(places), self.budget)
+            fit = self.linear.fit.again(starts=self.linear.fit.starts[places], residuals=[], jacobian=None, cost=np.inf)
             fitter.fit([fit], _LINEAR_STEPS)
-            rows.append(fitter.refitted_without([fit], _FOLD_STEPS)[0][0])
+            for k, row in zip(places, fitter.refitted_without([fit], _FOLD_STEPS)[0], strict=True):
+                rows[k] = row
         return self.weigh(rows)
 
     def fewer_moved(self) -> None:
@@ -409,13 +411,15 @@ class Search:
         fronts, levels = [self.base], [self.base]
         fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
         for depth in range(1, DEPTH + 1):
-            self.progress(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
+            if depth == 1 and not self.budget.allows("sets of 1 effect"):
+                break
+            self.budget.begin(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
             level = self.level(depth)
             if not level:
                 break
             if depth == 1 and not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
-                self.progress("no single effect helps")
+                self.budget.begin("no single effect helps")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
             # down to the nominal's own error there is nothing more to explain

@@ -1,12 +1,13 @@
 """A term found in the data where no name fits: the missing force as an equation, with units and intervals.
 
-    sum_i a_i x^(i) = F - f,   f = sum_j c_j phi_j(x, x', F)        (`_effects.found_term`)
+    sum_i a_i x^(i) = F - f,   f = c1 x x' + c2 x^2 x' + c3 x' F        (`_effects.found_term`)
 
 It is fitted on whole free runs and judged out of fold as an effect is; it acts as one, describes, and names no cause.
 """
 
 from dataclasses import dataclass
 
+from .._effects.found_term import PRODUCTS, TERM
 from .result import Gap, in_units
 from .search import Hypothesis, Search
 
@@ -38,29 +39,23 @@ class Term:
 
 def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: dict, gap: Gap) -> Term | None:
     """The term of the model that is handed back; None where it has none."""
-    pair = next(((e, names) for e, names in made[1] if e.name == "found_term"), None)
+    pair = next(((e, names) for e, names in made[1] if e.spec == TERM), None)
     if pair is None:
         return None
     effect, names = pair
     rows = in_units(made[0], effect, names, handed.fit, errors)
     kept = {}
-    for name, row in list(rows.items())[: len(names)]:
+    for name, row in rows.items():
         near = [row["value"] - 1.96 * row["stderr"], row["value"] + 1.96 * row["stderr"]] if row["stderr"] else None
         kept[name] = row | {"ci95": near}
     beside = [e for e, _ in made[1] if e is not effect]
-    line = equation(effect, beside, search.case.simulator.square)
+    line = equation(tuple(rows), beside, search.case.simulator.square)
     return Term(line, kept, gap.closed_fraction, gap.ci95, gap.after, effect)
 
 
-def equation(effect, beside: list, square: bool) -> str:
-    """`missing force = c1 x x' + c2 x^3`, with what stands beside it."""
-    terms = " + ".join(f"c{k + 1} {written(name, square)}" for k, name in enumerate(effect.spec.functions))
+def equation(coefficients: tuple[str, ...], beside: list, square: bool) -> str:
+    """Write `missing force = c1 x x' + c3 x' V^2` of the coefficients that it has, with what stands beside it."""
+    products = dict(zip((p.name for p in TERM.parameters), PRODUCTS, strict=True))
+    terms = " + ".join(f"{c} {products[c].replace('F', 'V^2' if square else 'V')}" for c in coefficients)
     others = f", beside {' and '.join(f'{f.name} ({f.form})' for f in beside)}" if beside else ""
     return f"missing force = {terms}{others}"
-
-
-def written(name: str, square: bool) -> str:
-    """A function with the voltage in it."""
-    if not square:
-        return name.replace("F", "V")
-    return name.replace("F^2", "V^4").replace("|F|", "V^2").replace("F", "V^2").replace("U", "|V|")

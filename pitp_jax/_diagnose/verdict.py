@@ -17,9 +17,9 @@ import numpy as np
 
 from . import rules
 from .evidence import Evidence, probability
-from .library import FREE, TWINS
+from .library import CHANGED, FREE, LONE, TWINS
 from .reference import reference
-from .search import LONE, PARAMETERS, Hypothesis, Search
+from .search import PARAMETERS, Hypothesis, Search
 
 _DIFFERS = "the machine differs from record to record: a linear model of each by itself leaves less than any set"
 
@@ -93,7 +93,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         rivals[name] = _rival(search, chosen, {name})
         p[label] = _needed(chosen, rivals[name])
     if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
-        p["parameter_change"] = probability(chosen.evidence, search.given.evidence)
+        p[CHANGED] = probability(chosen.evidence, search.given.evidence)
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
@@ -119,10 +119,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
             why = "too few kinds of excitation to tell" if few else "these records cannot tell"
             return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **seen)
         # no record can tell these apart, so they are told however sure the set is
-        twins = {n for group in TWINS if label in group for n in group} - {label}
-        twins = set() if label == "parameter_change" or search.refit and label != "delay" else twins
+        twins = TWINS.get(label, ())
+        if search.refit and label not in LONE:
+            twins = ()
         said.append(label)
-        tied[label] = tuple(dict.fromkeys((*equal, *sorted(twins))))
+        tied[label] = tuple(dict.fromkeys((*equal, *twins)))
     if not said:
         return answer("unknown", reason="no single effect of the set closes much", **seen)
     open_ = more >= rules.SURE or deepest is not None

@@ -105,6 +105,12 @@ def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
     return out
 
 
+def nowhere() -> dict:
+    """Return the `where` of a gap that could not be located."""
+    empty: dict = {"records": {}, "harmonics": {}, "tone": None, "summary": ""}
+    return empty | {name: [] for name in ("frequency", "time", "displacement", "velocity", "voltage", "cells")}
+
+
 def _quiet(seen: Seen) -> float:
     """Mean square of the missing force that noise alone makes: the lowest of its local mean squares."""
     size = max(int(np.pi / seen.omega / seen.dt), 8)
@@ -120,7 +126,10 @@ def _shares(values) -> np.ndarray:
 
 def _records(seen: Seen, errors) -> dict:
     energy = [np.sum(s.weight * (e**2 - s.noise**2)) for s, e in zip(seen.motions, errors, strict=True)]
-    return {s.record.name: float(v) for s, v in zip(seen.motions, _shares(energy), strict=True)}
+    shares: dict[str, float] = {}
+    for s, v in zip(seen.motions, _shares(energy), strict=True):  # pieces of a recording have its name
+        shares[s.record.name] = shares.get(s.record.name, 0.0) + float(v)
+    return shares
 
 
 def _edges_hz(seen: Seen) -> np.ndarray:
@@ -256,8 +265,6 @@ def _sentence(seen: Seen, out: dict) -> str:
     # as many of the loudest cells as hold most of the gap
     held = np.cumsum([c["share"] for c in ordered])
     loud = ordered[: int(np.searchsorted(held, _MOST)) + 1]
-    band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]
-    size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
     record = max(out["records"], key=out["records"].get)
     lines = max(out["frequency"], key=lambda f: f["share"])
     tone = out["tone"]
@@ -267,8 +274,15 @@ def _sentence(seen: Seen, out: dict) -> str:
             f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap or more in "
             f"every record, whatever its drive. "
         )
-    return steady + (
-        f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
-        f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; {100 * out['records'][record]:.0f} % of the gap is "
+    largest = ""
+    if loud:
+        band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]
+        size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
+        largest = (
+            f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
+            f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; "
+        )
+    return f"{steady}{largest}" + (
+        f"{100 * out['records'][record]:.0f} % of the gap is "
         f"in {record}, {100 * lines['share']:.0f} % between {lines['band_hz'][0]:.3g} and {lines['band_hz'][1]:.3g} Hz."
     )

@@ -13,10 +13,10 @@ from .inertia import MASSES, SLACK
 from .memory import BRANCHES, DRIFT, LOOPS
 from .sensor import SENSOR
 from .spec import EffectSpec
-from .stiffness import BUMPERS, SPRINGS
+from .stiffness import SPRINGS
 
 CATALOGUE: tuple[EffectSpec, ...] = (
-    *SPRINGS, *BRANCHES, *LOOPS, *DRIFT, *MASSES, *BUMPERS, *DRAG, *FRICTION, *SLACK, *DRIVE, *COUPLING, *SENSOR,
+    *SPRINGS, *BRANCHES, *LOOPS, *DRIFT, *MASSES, *DRAG, *FRICTION, *SLACK, *DRIVE, *COUPLING, *SENSOR,
 )  # fmt: skip
 
 

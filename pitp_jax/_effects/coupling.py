@@ -1,7 +1,7 @@
 """Change what the film makes of its voltage at the square (port SQ).
 
-stretch_coupling        F (1 + b x),  F (1 + b x / 2)^2,  F exp(b x): never a push
-dielectric_saturation   F / (1 + |F| / F_s),  F_s tanh(F / F_s)
+stretch_coupling        F (1 + b x),  F exp(b x): never a push
+dielectric_saturation   F / (1 + |F| / F_s)
 """
 
 from collections.abc import Callable
@@ -10,7 +10,6 @@ import jax.numpy as jnp
 
 from .spec import EffectSpec, Parameter
 
-_SMALL = 0.03  # below, a ratio is replaced by its series: 0/0 in float32
 _ALONG = Parameter("b", "1/x", length=-1, positive=False, off=0.0)
 _INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
@@ -34,31 +33,11 @@ def _unsaturated(p, force, x):
     return _no_field(force, remains > 0, force / jnp.where(remains > 0, remains, 1.0))
 
 
-def _ratio(r, small, of, series):
-    """Compute of(r) / r, by its series near zero."""
-    return jnp.where(small, series, of(r) / jnp.where(small, 1.0, r))
-
-
-def _tanh(p, force, x):
-    r = p.inverse * force
-    return force * _ratio(r, jnp.abs(r) < _SMALL, jnp.tanh, 1 - r**2 / 3)
-
-
-def _arctanh(p, force, x):
-    r = p.inverse * force
-    inside = jnp.where(jnp.abs(r) < 1, r, 0.0)
-    return _no_field(force, jnp.abs(r) < 1, force * _ratio(inside, jnp.abs(r) < _SMALL, jnp.arctanh, 1 + inside**2 / 3))
-
-
 COUPLING = (
     _stretched(
         "linear", "The film's force depends on how far it is stretched.", "F (1 + b x)",
         # far up, since an actuator that snaps in one record has a reach its others never see
         lambda r: jnp.maximum(1 + r, 0.05),
-    ),
-    _stretched(
-        "quadratic", "The film gets thinner and its area larger as it is stretched.", "F (1 + b x / 2)^2",
-        lambda r: jnp.maximum(1 + r / 2, 0.1) ** 2,
     ),
     _stretched(
         "exponential", "Electrodes that zip up pull less and less, or more and more, as they move.", "F exp(b x)",
@@ -68,10 +47,5 @@ COUPLING = (
         "dielectric_saturation", "rational", (_INVERSE,), "At high field more voltage no longer brings its full force.",
         "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ",
         law=lambda p, force, x: force / (1 + p.inverse * jnp.abs(force)), inverse=_unsaturated,
-    ),
-    EffectSpec(
-        "dielectric_saturation", "tanh", (_INVERSE,), "The film's force nears a limit that no field exceeds.",
-        "F_s tanh(F / F_s), inverse = 1 / F_s", "coupling", "SQ",
-        law=_tanh, inverse=_arctanh,
     ),
 )  # fmt: skip

@@ -1,8 +1,9 @@
 """Add forces that take energy (port C).
 
-drag              f = c x' |x'|  or  c x' |x' / v|^p
+drag              f = c x' |x'|
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
-                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see)
+                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see),
+                  or mu_avg |f| z / g + mu_dif f (z / g)^2,  f the transmitted force k x + a_2 x''  (gears under load)
 
 Friction is resolved: f is what brings x' to rest within the step, no more than F_c (orders 1 and 2); above, and along a
 motion of order 1 that is given, it is regularised at a hundredth of the usual speed.
@@ -46,9 +47,9 @@ def _stribeck(p, now: Instant):
     return dry(now, p.level * (1 + p.rise * jnp.exp(-(speed**2))))
 
 
-def _power(p, now: Instant):
-    # |x'|^p by its logarithm: the slope of a power below 1 is infinite at 0, the small number keeps it finite
-    return p.c * now.v * jnp.exp(p.p * jnp.log(jnp.abs(now.v / p.usual) + 1e-9))
+def _loaded(p, now: Instant):
+    g, z = now.k * now.x + now.inertial, now.z[0] / p.give
+    return p.mu_avg * jnp.abs(g) * z + p.mu_dif * g * z**2
 
 
 _LEVEL = Parameter("level", "V^2", force=1, off=0.0)
@@ -58,12 +59,6 @@ DRAG = (
         "drag", "quadratic", (Parameter("c", "V^2 s^2/x^2", speed=-2, force=1, off=0.0),),
         "Damping grows with speed, as of a body in a fluid.", "f = c x' |x'|", "dissipation", "C",
         law=lambda p, now: p.c * now.v * jnp.abs(now.v),
-    ),
-    EffectSpec(
-        "drag", "power",
-        (Parameter("c", "V^2 s/x", speed=-1, force=1, off=0.0), Parameter("p"), Parameter("usual", "x/s", speed=1)),
-        "Damping grows with a power of the speed.", "f = c x' |x' / usual|^p", "dissipation", "C",
-        law=_power,
     ),
 )  # fmt: skip
 FRICTION = (
@@ -99,5 +94,15 @@ FRICTION = (
         "Dry friction whose contact gives a little before it slides (Dahl 1968).",
         "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"), costly=True,
         law=lambda p, now: p.level * now.z[0] / p.give,
+    ),
+    EffectSpec(
+        "coulomb_friction", "bristles under load",
+        (
+            Parameter("mu_avg", off=0.0), Parameter("mu_dif", positive=False, off=0.0),
+            Parameter("give", "x", length=1),
+        ),
+        "Dry friction that grows with the force that a gear transmits, and differs when the load drives it.",
+        "f = mu_avg |g| z / give + mu_dif g (z / give)^2, g = k x + a_2 x'', dz = dx - |dx| z / give",
+        "dissipation", "C", kernel=dahl("give"), costly=True, law=_loaded,
     ),
 )  # fmt: skip

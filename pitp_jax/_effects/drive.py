@@ -1,7 +1,7 @@
 """Change what amplifier and electrodes make of the command before the square (port IN): u to the film's V.
 
-electrode_rc      tau V' = u - V, once or three times in a row
-slew_limit        |V'| <= s, as fast as it may or behind a lag           voltage_clip    V = min(max(u, -u_max), u_max)
+electrode_rc      tau V' = u - V
+slew_limit        |V'| <= s                      voltage_clip    V = min(max(u, -u_max), u_max)
 dead_zone         V = u - u_0 sgn(u) beyond |u| = u_0, else 0
 charge_leak       V = u - kappa q,  tau q' = u - q                       voltage_offset  V = u + V_0
 charge_retention  V = u + q,  tau q' = k |u| - q                         delay           V(t) = u(t - T)
@@ -13,12 +13,9 @@ u runs linearly between samples, and lags are exact for it. A record that rests 
 import jax.numpy as jnp
 
 from .._model.drive import slope
-from .._numerics.linear_recurrence import lag_after
-from .kernels import DELAY, dahl_of_integral, lags, lead, play, slew
+from .kernels import DELAY, dahl_of_integral, lag, lead, play, slew
 from .spec import EffectSpec, Parameter
 
-_LADDER = (0.8, 0.15, 0.05)  # of tau: the slowest modes of a diffusion line, gathered in three lags
-_ROUND = 0.99  # of the limit of a rounded clip: as far as it is undone
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
 # a memory of the drive that is faster than the plant is a filter of it, not a charge
 _STORE = Parameter("tau", "s", slow=True)
@@ -29,11 +26,7 @@ def last_lag(p, w, z):
     return jnp.where(p.tau > 0, z[-1], w)
 
 
-def _rounded(p, v, dt):
-    r = jnp.clip(jnp.abs(p.inverse * v), 0.0, _ROUND)  # at the limit itself no drive is high enough
-    return v * (1 - r**8) ** (-1 / 8)
-
-
+_AT_ONCE = 0.05  # of the integral of the drive
 _SLEW = Parameter("inverse", "s/V", off=0.0, linear=False)
 
 
@@ -45,17 +38,17 @@ def _slow_enough(p, v, dt):
     return jnp.abs(slope(v, dt)) * p.inverse <= 1.0
 
 
+def _by_area(p, k, plant):
+    """Report a loop that is run through at once as the level that it ends at."""
+    name = "voltage_offset" if p.width < _AT_ONCE * plant.area else "hysteresis"
+    return name, "Dahl of the command's integral", (p.level, p.width)
+
+
 DRIVE = (
     EffectSpec(
         "electrode_rc", "one lag", (_TAU,), "The electrodes' resistance delays the charging of the film.",
-        "tau V' = u - V", "drive", "IN", kernel=lags(1.0), law=last_lag,
+        "tau V' = u - V", "drive", "IN", kernel=lag(), law=last_lag,
         inverse=lambda p, v, dt: lead(v, dt, p.tau),
-    ),
-    EffectSpec(
-        "electrode_rc", "ladder", (_TAU,), "A resistive electrode charges from its edge inwards.",
-        "three lags of (0.8, 0.15, 0.05) tau in a row: a diffusion line", "drive", "IN",
-        kernel=lags(*_LADDER, in_a_row=True), law=last_lag,
-        inverse=lambda p, v, dt: lead(v, dt, *(r * p.tau for r in _LADDER)),
     ),
     EffectSpec(
         "slew_limit", "rate limit", (_SLEW,), "The amplifier cannot change its voltage faster than a limit.",
@@ -63,23 +56,10 @@ DRIVE = (
         inverse=lambda p, v, dt: v, passes=_slow_enough,
     ),
     EffectSpec(
-        "slew_limit", "rate limit and lag", (_SLEW, Parameter("tau", "s")),
-        "The amplifier nears its rate limit gradually.",
-        "tau V' = u - V with |V'| <= s, inverse = 1 / s", "drive", "IN", law=_slewed, passes=_slow_enough,
-        kernel=slew(lambda p, z, before, after, h: lag_after(z, before, after, p.tau, h)),
-        inverse=lambda p, v, dt: v + jnp.where(p.inverse > 0, p.tau * slope(v, dt), 0.0),
-    ),
-    EffectSpec(
         "voltage_clip", "hard", (Parameter("inverse", "1/V", off=0.0, linear=False),),
         "The amplifier does not go above a voltage.", "V = min(max(u, -u_max), u_max), inverse = 1 / u_max",
         "drive", "IN",
         law=lambda p, u, z: jnp.clip(u, -1 / jnp.maximum(p.inverse, 1e-30), 1 / jnp.maximum(p.inverse, 1e-30)),
-    ),
-    EffectSpec(
-        "voltage_clip", "rounded", (Parameter("inverse", "1/V", off=0.0, linear=False),),
-        "The amplifier's voltage bends off towards a limit.", "V = u / (1 + |u / u_max|^8)^(1/8), inverse = 1 / u_max",
-        "drive", "IN",
-        law=lambda p, u, z: u * (1 + (p.inverse * u) ** 8) ** (-1 / 8), inverse=_rounded,
     ),
     EffectSpec(
         "dead_zone", "symmetric", (Parameter("threshold", "V", off=0.0, linear=False),),
@@ -95,19 +75,20 @@ DRIVE = (
     ),
     EffectSpec(
         "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts T later.",
-        "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, linear=True, law=lambda p, u, z: u,
+        "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
+        law=lambda p, u, z: u,
         # to a period of the resonance: behind a bus or a filter it may be that late
     ),
     EffectSpec(
         "charge_leak", "one trap", (Parameter("kappa", off=0.0), _STORE),
         "Charge creeps into the film and takes away part of a held voltage.", "V = u - kappa q, tau q' = u - q",
-        "drive", "IN", kernel=lags(1.0),
+        "drive", "IN", kernel=lag(),
         law=lambda p, u, z: u - p.kappa * z[0],
     ),
     EffectSpec(
         "charge_retention", "one store", (Parameter("k", off=0.0), _STORE),
         "Charge stays in the film and goes on pulling when the voltage is gone.", "V = u + q, tau q' = k |u| - q",
-        "drive", "IN", kernel=lags(1.0, of=lambda p, u: p.k * jnp.abs(u)),
+        "drive", "IN", kernel=lag(of=lambda p, u: p.k * jnp.abs(u)),
         law=lambda p, u, z: u + z[0],
     ),
     EffectSpec(
@@ -122,7 +103,8 @@ DRIVE = (
         "hysteresis", "Dahl of the command's integral",
         (Parameter("level", "V", positive=False, off=0.0), Parameter("width", "V s")),
         "Where the command is a speed, a force builds up over the way that it asks for and then stays.",
-        "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN", costly=True, kernel=dahl_of_integral(),
+        "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN",
+        costly=True, kernel=dahl_of_integral(), reported=_by_area,
         law=lambda p, u, z: u + p.level * z[0],
     ),
 )  # fmt: skip

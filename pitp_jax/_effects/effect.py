@@ -164,9 +164,7 @@ class Effect:
 
     def numbers(self) -> list[tuple["Parameter", Array]]:
         """List its numbers one by one, and what each of them is."""
-        # a found term keeps many numbers in one array
-        flat = [v[k] if v.ndim else v for v in self.theta for k in (range(v.shape[0]) if v.ndim else (0,))]
-        return list(zip(self.spec.parameters, flat, strict=True))
+        return list(zip(self.spec.parameters, self.theta, strict=True))
 
     def times(self, factors) -> "Effect":
         """Multiply each of its numbers by a factor."""

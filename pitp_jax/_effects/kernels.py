@@ -1,13 +1,13 @@
 """Advance the few memories that all forms of the catalogue need, by an exact rule where one is known.
 
-    lags         tau_i z_i' = w - z_i, side by side, or each behind the one before         (exact for w linear)
+    lag          tau z' = w - z                                                            (exact for w linear)
     oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
     play         z stays within w - r <= z <= w + r                                        (exact for w monotonic)
     coasting     the same, but z'' = -rate z' until it is caught, then z' = w'              (exact but for the instant)
     dahl         dz = dw - |dw| z / r, of w or of its integral                             (exact for w monotonic)
-    bouc_wen     dz = dw (1 - c |z / r|^n), c one number on loading and one on unloading   (midpoint rule)
+    bouc_wen     dz = dw (1 - (sgn(dw z) + gamma) |z| / r)                                 (midpoint rule)
     farthest     z = max |w| so far,                clock   z' = 1                         (exact)
-    slew         |z'| <= s towards u, or towards a lag of u                                (exact for one step's goal)
+    slew         |z'| <= s towards u                                                       (exact for one step's goal)
     delay        a shift of the whole record: no state of a step
 
 w is what enters: u at the drive, x for forces and sensors. A kernel reads its numbers by name from `p`.
@@ -53,39 +53,25 @@ NOTHING = Kernel(0, lambda p, w, age: jnp.zeros((0,)))
 DELAY = Kernel(0, NOTHING.start)  # differs from NOTHING by identity: the shift acts on records, see `shifted`
 
 
-def lags(*ratios: float, in_a_row: bool = False, of: Callable = lambda p, w: w) -> Kernel:
-    """Build lags with the time constants ratio * tau; `of` is what they follow of w."""
+def lag(of: Callable = lambda p, w: w) -> Kernel:
+    """Build a lag with the time constant tau; `of` is what it follows of w."""
 
-    def taus(p):  # the smallest number stands for no lag, and keeps h / tau finite
-        return [jnp.maximum(r * p.tau, 1e-9) for r in ratios]
-
-    def once(p, h):
-        tau = jnp.stack(taus(p))
+    def once(p, h):  # the smallest number stands for no lag, and keeps h / tau finite
+        tau = jnp.maximum(p.tau, 1e-9)
         return (*lag_weights(tau, h), -jnp.expm1(-h / 2 / tau))
 
     def advance(p, z, before, after, weights):
-        before, after = of(p, before), of(p, after)
-        settle, ramp, _ = weights
-        if not in_a_row:
-            return lag_followed(z, before, after, settle, ramp)
-        chain = []
-        for k, state in enumerate(z):
-            chain.append(lag_followed(state, before, after, settle[k], ramp[k]))
-            # the first is exact; the next takes its output as linear over the step
-            before, after = state, chain[-1]
-        return jnp.stack(chain)
+        return lag_followed(z, of(p, before), of(p, after), *weights[:2])
 
     def ahead(p, z, now):  # x taken as held over half a step: its end is not known yet
         return z + (now.x - z) * now.h[2]
 
-    return Kernel(len(ratios), lambda p, w, age: jnp.full((len(ratios),), of(p, w)), advance, ahead, once=once)
+    return Kernel(1, lambda p, w, age: jnp.full((1,), of(p, w)), advance, ahead, once=once)
 
 
-def lead(values: Float[Array, " time"], dt: float, *taus) -> Float[Array, " time"]:
-    """Undo lags in a row for smooth values: v + tau v', lag by lag."""
-    for tau in taus:
-        values = values + tau * slope(values, dt)
-    return values
+def lead(values: Float[Array, " time"], dt: float, tau) -> Float[Array, " time"]:
+    """Undo a lag for smooth values: v + tau v'."""
+    return values + tau * slope(values, dt)
 
 
 def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
@@ -167,20 +153,18 @@ def dahl_of_integral() -> Kernel:
     return Kernel(1, lambda p, w, age: jnp.zeros((1,)), advance)
 
 
-def bouc_wen(loading: Callable, unloading: Callable, power: Callable) -> Kernel:
-    """Build a state whose growth is resisted by c |z / width|^n, c = loading(p) or unloading(p), n = power(p)."""
+def bouc_wen() -> Kernel:
+    """Build a state whose growth |z| / width resists: times gamma + 1 on loading, times gamma - 1 on unloading."""
 
     def advance(p, z, before, after, h):
         way = after - before
 
         def slope_at(z):
-            # the small number keeps the power's slope finite at z = 0 for exponents below one
-            resists = jnp.where(z * way > 0, loading(p), unloading(p))
-            return 1 - resists * (jnp.abs(z) / p.width + 1e-9) ** power(p)
+            return 1 - (p.gamma + jnp.where(z * way > 0, 1, -1)) * jnp.abs(z) / p.width
 
         middle = z + way / 2 * slope_at(z)
         # where nothing resists the loading z grows without end; ten widths are more than any recording shows
-        most = p.width * jnp.clip(loading(p), 0.1, None) ** (-1 / power(p))
+        most = p.width / jnp.clip(p.gamma + 1, 0.1, None)
         return jnp.clip(z + way * slope_at(middle), -most, most)
 
     return _travelled(advance)
@@ -200,12 +184,12 @@ CLOCK = Kernel(
 )
 
 
-def slew(goal: Callable = lambda p, z, before, after, h: after) -> Kernel:
-    """Build a state that runs towards a goal, no faster than 1 / inverse."""
+def slew() -> Kernel:
+    """Build a state that runs towards what enters, no faster than 1 / inverse."""
 
     def advance(p, z, before, after, h):
         most = h / jnp.maximum(p.inverse, 1e-30)  # inverse 0: no limit
-        return z + jnp.clip(goal(p, z, before, after, h) - z, -most, most)
+        return z + jnp.clip(after - z, -most, most)
 
     return Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), advance)
 

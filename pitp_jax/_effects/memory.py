@@ -1,43 +1,48 @@
 """Add forces that remember (port K) and springs that change over a session (port T), k = sigma_0 of the nominal.
 
-creep, relaxation   f = k kappa mean_i (x - z_i),  or, beside a nominal that is the fresh film,  -k kappa mean_i z_i
-                    tau_i z_i' = x - z_i;  creep where tau omega_0 > 15, relaxation below: near the border they are tied
+creep, relaxation   f = k kappa (x - z),  tau z' = x - z;  creep where tau omega_0 > 15, relaxation below
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)
-                    f = k kappa z  or  k kappa (z - x),  dz = dx (1 - sgn(dx) z / r)       (Dahl; Bouc and Wen)
-                    f = k kappa z,  dz = dx (1 - |z / r|^n) on loading, dx on unloading    (Wen, beta = gamma)
+                    f = k kappa z,  dz = dx (1 - sgn(dx) z / r)                            (Dahl)
                     f = k kappa z,  dz = dx (1 - (sgn(dx z) + gamma) |z| / r)              (Bouc and Wen, either sign)
-stiffness_drift     f = -k d (1 - exp(-t / T)) x  or  -k rate t x,  t the session's clock
+stiffness_drift     f = -k d (1 - exp(-t / T)) x,  t the session's clock
 
 A loop of hysteresis has the same area however fast it is run through.
 """
 
 import jax.numpy as jnp
 
-from .kernels import CLOCK, bouc_wen, dahl, lags, play
+from .kernels import CLOCK, bouc_wen, dahl, lag, play
 from .spec import EffectSpec, Parameter
 
+_SLOW = 15.0  # times the plant's time constant: creep above, relaxation below
+_GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
 _STRENGTH = Parameter("kappa", off=0.0)
 _BRANCH = (_STRENGTH, Parameter("tau", "s"))
 _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
-def _branches(name: str, form: str, title: str, *ratios: float, fresh: bool = False) -> EffectSpec:
-    """Build one row of creep or relaxation; `fresh`: the nominal is the film before it gave way."""
-    pull = "-z_i" if fresh else "x - z_i"
+def _by_time(p, k, plant):
+    """Report a memory as creep where it is slow beside the plant."""
+    return "creep" if p.tau > _SLOW * plant.tau else "relaxation", "one branch", (p.kappa, p.tau)
+
+
+def _by_give(p, k, plant):
+    """Report a loop as the bristles of dry friction where it gives little before it slides."""
+    if p.width < _GIVE:
+        return "coulomb_friction", "bristles", (k * p.kappa * p.width, p.width)
+    return "hysteresis", "Dahl", (p.kappa, p.width)
+
+
+def _branch(name: str, title: str, **how) -> EffectSpec:
     return EffectSpec(
-        name, form, _BRANCH, title, f"f = k kappa mean_i ({pull}), tau_i z_i' = x - z_i, tau_i = tau {ratios}",
-        "viscoelastic", "K", kernel=lags(*ratios),
-        law=lambda p, now: now.k * p.kappa * (-now.z if fresh else now.x - now.z).mean(),
+        name, "one branch", _BRANCH, title, "f = k kappa (x - z), tau z' = x - z", "viscoelastic", "K",
+        kernel=lag(), law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]), reported=_by_time, **how,
     )  # fmt: skip
 
 
 BRANCHES = (
-    _branches("creep", "one branch", "The actuator keeps yielding slowly under a held load.", 1.0),
-    _branches("creep", "three branches", "It keeps yielding over three decades of time.", 0.2, 1.0, 5.0),
-    _branches("creep", "loss of stiffness", "The spring slowly gives way while it is stretched.", 1.0, fresh=True),
-    _branches("relaxation", "one branch", "Part of the spring gives way within a few periods, which also damps.", 1.0),
-    _branches("relaxation", "three branches", "Parts of the spring give way at three speeds.", 0.25, 1.0, 4.0),
-    _branches("relaxation", "loss of stiffness", "The spring gives way within a period.", 1.0, fresh=True),
+    _branch("creep", "The actuator keeps yielding slowly under a held load.", second=("relaxation", "one branch")),
+    _branch("relaxation", "Part of the spring gives way within a few periods, which also damps."),
 )
 LOOPS = (
     EffectSpec(
@@ -51,26 +56,14 @@ LOOPS = (
     EffectSpec(
         "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each turn and then stays.",
         "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", costly=True, kernel=dahl(),
-        stiffens=True, law=lambda p, now: now.k * p.kappa * now.z[0],
-    ),
-    EffectSpec(
-        "hysteresis", "Bouc-Wen", _WIDTH, "Part of the spring yields and slips.",
-        "f = k kappa (z - x), dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", costly=True, kernel=dahl(),
-        law=lambda p, now: now.k * p.kappa * (now.z[0] - now.x),
-    ),
-    EffectSpec(
-        "hysteresis", "Wen", (*_WIDTH, Parameter("sharpness")),
-        "A spring that yields as smoothly or sharply as n says.",
-        "f = k kappa z, dz = dx (1 - |z / width|^n) on loading, dx on unloading, n = sharpness", "dissipation", "K",
-        costly=True, kernel=bouc_wen(lambda p: 1.0, lambda p: 0.0, lambda p: p.sharpness),
-        law=lambda p, now: now.k * p.kappa * now.z[0],
+        stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     EffectSpec(
         # beyond its bounds gamma makes a spring of any shape
         "hysteresis", "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False, least=-1.5, most=1.5)),
         "A loop that gets softer, or with gamma below -1 harder, the further it is run through.",
         "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K", costly=True,
-        kernel=bouc_wen(lambda p: p.gamma + 1, lambda p: p.gamma - 1, lambda p: 1.0), stiffens=True,
+        kernel=bouc_wen(), stiffens=True,
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
 )  # fmt: skip
@@ -81,10 +74,5 @@ DRIFT = (
         "stiffness_drift", "settling", (Parameter("d", positive=False, off=0.0), Parameter("time", "s")),
         "The stiffness changes as the session goes on, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
         costly=True, kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
-    ),
-    EffectSpec(
-        "stiffness_drift", "steady", (Parameter("rate", "1/s", positive=False, off=0.0),),
-        "The stiffness changes steadily over the session.", "f = -k rate t x", "drift", "T", costly=True, kernel=CLOCK,
-        law=lambda p, now: -now.k * p.rate * now.z[0] * now.x,
     ),
 )  # fmt: skip

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from .._model.drive import slope
 from .drive import last_lag
 from .inertia import MODE
-from .kernels import coasting, lags, lead, oscillator, play
+from .kernels import coasting, lag, lead, oscillator, play
 from .spec import EffectSpec, Parameter
 
 _TURN = 50.0  # samples a play takes to be crossed at the speed from which a motion has one direction
@@ -37,20 +37,10 @@ def _across(p, y, dt):
 SENSOR = (
     EffectSpec(
         "sensor_gain", "share", (Parameter("d", positive=False, off=0.0),), "The sensor's scale factor is off.",
-        "y = (1 + d) x", "sensor", "OUT",
+        "y = (1 + d) x", "sensor", "OUT", moves="gain", twin="parameter_change",
         law=lambda p, x, z: (1 + p.d) * x,
     ),
     # the curves rise as far as the records go: within these bounds they can be undone
-    EffectSpec(
-        "sensor_nonlinearity", "quadratic", (_SECOND,), "The sensor's scale is curved.", "y = x + c2 x^2",
-        "sensor", "OUT",
-        law=lambda p, x, z: x + p.c2 * x**2,
-    ),
-    EffectSpec(
-        "sensor_nonlinearity", "cubic", (_THIRD,), "The sensor's scale bends alike on both sides.", "y = x + c3 x^3",
-        "sensor", "OUT",
-        law=lambda p, x, z: x + p.c3 * x**3,
-    ),
     EffectSpec(
         "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
         "The sensor's scale bends differently on either side.",
@@ -89,18 +79,13 @@ SENSOR = (
     ),
     EffectSpec(
         "sensor_lag", "one lag", (_TAU,), "The sensor answers late.", "tau y' = x - y", "sensor", "OUT",
-        kernel=lags(1.0), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True,
-    ),
-    EffectSpec(
-        "sensor_lag", "two lags", (_TAU,), "The sensor answers late, by two equal lags.",
-        "two lags of tau / 2 in a row", "sensor", "OUT", kernel=lags(0.5, 0.5, in_a_row=True),
-        law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau / 2, p.tau / 2),
+        kernel=lag(), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True, twin="delay",
     ),
     EffectSpec(
         "sensor_lag", "second order", (_TAU, Parameter("zeta")),
         "The sensor is a low-pass filter, or stands on a soft mount.",
         "tau^2 y'' + 2 zeta tau y' + y = x", "sensor", "OUT",
-        kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True,
+        kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True, twin="delay",
         # at tau = 0 the oscillator stands at its bound, and would be read instead of x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),

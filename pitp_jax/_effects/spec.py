@@ -75,9 +75,12 @@ class EffectSpec:
         resolved: friction and slack, whose force is found within a step on the motion that all other forces leave.
         linear: a part of a linear model (what delays or filters drive or reading).
         stiffens: its first number is a stiffness beside the nominal's, in units of that.
+        moves: the one number of a linear model that it changes: "mass", "gain" or "delay".
+        twin: the name that one linear plant, or one sensor, cannot tell from it whatever is played.
+        second: name and form of the row that is the same law once more, for a second time constant beside it.
+        reported: fn(p, k, plant), name, form and numbers of the row that it is reported as: signs and sizes decide
+            between those that share a law. k is the plant's stiffness, `plant` has its tau, area, bottom and top.
         needs_mass: it means nothing for a nominal of order one.
-        arrays: of a found term: names and sizes of the arrays its numbers are stored in.
-        functions: of a found term: what it sums.
     """
 
     name: str
@@ -98,9 +101,11 @@ class EffectSpec:
     resolved: bool = field(default=False, compare=False)
     linear: bool = field(default=False, compare=False)
     stiffens: bool = field(default=False, compare=False)
+    moves: str = field(default="", compare=False)
+    twin: str = field(default="", compare=False)
+    second: tuple[str, str] | None = field(default=None, compare=False)
+    reported: Callable[..., Any] | None = field(default=None, compare=False)
     needs_mass: bool = field(default=False, compare=False)
-    arrays: tuple[tuple[str, int], ...] = field(default=(), compare=False)
-    functions: tuple[str, ...] = field(default=(), compare=False)
 
     @property
     def key(self) -> str:
@@ -109,8 +114,8 @@ class EffectSpec:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the arrays that hold its numbers."""
-        return tuple(name for name, _ in self.arrays) or tuple(p.name for p in self.parameters)
+        """Names of its numbers."""
+        return tuple(p.name for p in self.parameters)
 
     @property
     def off(self) -> tuple[float, ...]:
@@ -124,14 +129,7 @@ class EffectSpec:
         if len(values) != len(self.parameters):
             raise TypeError(f"{self.key} has {len(self.parameters)} numbers, not {len(values)}")
         # an array keeps its precision, a plain number has that of training and rollout
-        numbers = [v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values]
-        if not self.arrays:
-            return Effect(self, tuple(numbers))
-        # a found term stores its coefficients as one array, so that a sum of many functions has few leaves
-        ends = np.cumsum([0, *(size for _, size in self.arrays)])
-        # one array to cut into those the row names
-        flat = jnp.stack(numbers)
-        return Effect(self, tuple(flat[a:b] for a, b in zip(ends, ends[1:], strict=False)))
+        return Effect(self, tuple(v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values))
 
     def neutral(self) -> Effect:
         """Make the effect that is not there."""

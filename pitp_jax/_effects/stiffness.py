@@ -1,15 +1,16 @@
 """Add springs that are not linear (port K), k = sigma_0 of the nominal; forces f beside k x.
 
-stiffening  k c x^3,   k c x |x / x_r|^p,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
+stiffening  k c x^3,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
             k (L (sqrt(1 + 2|x|/L) - 1) sgn(x) - x),   k (c2 x^2 + c3 x^3 + c5 x^5)
 mullins     -k d (1 - exp(-m/L)) x,   m = max |x| so far
-end_stop    k kappa max(x - x_s, 0),   k kappa max(x - x_s, 0)^(3/2) max(1 + lambda x', 0)   (Hunt and Crossley)
+end_stop    k kappa max(x - x_s, 0),   its mirror image, or both
 
 A Gent-like spring fitted by a cubic alone lost to an end stop, hence several forms under one name.
 """
 
 import jax.numpy as jnp
+import numpy as np
 
 from .kernels import FARTHEST
 from .spec import EffectSpec, Parameter
@@ -17,12 +18,6 @@ from .spec import EffectSpec, Parameter
 _LIMIT = 0.97**2  # of the squared length of the Gent-like spring; beyond, the force goes on linearly
 _SMALL = 0.03  # below, a ratio is replaced by its series: 0/0 in float32
 _LOST = 0.97  # of a saturating spring; without the other 3 % nothing would bring it back
-
-
-def _power(p, now):
-    # by the logarithm, whose small number keeps the slope finite at x = 0; capped, or a wall would overflow
-    grown = jnp.exp(p.p * jnp.log(jnp.abs(now.x / p.reach) + 1e-9))
-    return now.k * p.c * now.x * jnp.minimum(grown, 1e3)
 
 
 def _gent(p, now):
@@ -63,31 +58,22 @@ def _root(p, now):
     return now.k * now.x * _ratio(r, lambda r: jnp.sqrt(1 + 2 * r) - 1, -r / 2 + r**2 / 2)
 
 
+def _by_tangent(p, k, plant):
+    """Report a polynomial as what its tangent does from the middle of the motion to its ends."""
+    places = np.array([plant.bottom, (plant.top + plant.bottom) / 2, plant.top])
+    low, middle, high = np.polyval([5 * p.c5, 0, 3 * p.c3, 2 * p.c2, 0], places)
+    return "stiffening" if (low + high) / 2 > middle else "softening", "polynomial", (p.c2, p.c3, p.c5)
+
+
 def _polynomial(name: str, title: str) -> EffectSpec:
     """Build a row of a spring whose terms may have either sign."""
     return EffectSpec(
         name, "polynomial", _POLYNOMIAL, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)", "stiffness", "K",
-        law=lambda p, now: now.k * now.x**2 * (p.c2 + now.x * (p.c3 + p.c5 * now.x**2)),
+        reported=_by_tangent, law=lambda p, now: now.k * now.x**2 * (p.c2 + now.x * (p.c3 + p.c5 * now.x**2)),
     )  # fmt: skip
 
 
-def _hertz(depth):
-    # linear again where it is deeper than any contact: the slope is bounded, so the step stays stable
-    deep = jnp.maximum(depth, 0.0)
-    return deep * jnp.sqrt(jnp.minimum(deep, 2.0))
-
-
-def _contact(p, depth, speed):
-    """Compute Hertz's contact with a loss, over k kappa; never a pull."""
-    return _hertz(depth) * jnp.clip(1 + p.loss * speed, 0.0, 10.0)
-
-
 _STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1, positive=False))
-_BUMPER = (
-    Parameter("kappa", "1/x^(1/2)", length=-0.5, off=0.0),
-    Parameter("place", "x", length=1),
-    Parameter("loss", "s/x", speed=-1),
-)
 # the tangent at the ends of the motion decides which of the two names a polynomial has
 _POLYNOMIAL = tuple(
     Parameter(f"c{n}", f"1/x^{n - 1}" if n > 2 else "1/x", length=1 - n, positive=False, off=0.0) for n in (2, 3, 5)
@@ -99,11 +85,6 @@ SPRINGS = (
         "stiffening", "cubic", (Parameter("c", "1/x^2", length=-2, off=0.0),),
         "The spring gets harder the further it is moved.", "f = k c x^3", "stiffness", "K",
         law=lambda p, now: now.k * p.c * now.x**3,
-    ),
-    EffectSpec(
-        "stiffening", "power", (Parameter("c", off=0.0), Parameter("p"), Parameter("reach", "x", length=1)),
-        "The spring gets harder with a power of the displacement.", "f = k c x |x / reach|^p", "stiffness", "K",
-        law=_power,
     ),
     EffectSpec(
         "stiffening", "limited chain", _CURVATURE, "The spring cannot be stretched further than a length L (Gent).",
@@ -156,31 +137,9 @@ SPRINGS = (
         law=lambda p, now: -now.k * p.kappa * jnp.maximum(-now.x - p.place, 0.0),
     ),
     EffectSpec(
-        "end_stop", "both sides", (_STOP[0], Parameter("place", "x", length=1)),
-        "On either side the motion runs into something stiff.",
-        "f = k kappa (max(x - place, 0) - max(-x - place, 0))", "stiffness", "K",
-        law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.place, p.place)),
-    ),
-    EffectSpec(
         "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1, positive=False)),
         "On each side, at a place of its own, the motion runs into something stiff.",
         "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),
-    ),
-)  # fmt: skip
-
-# the speed they lose energy by is read after the masses' forces, so they stand behind those in the catalogue
-BUMPERS = (
-    EffectSpec(
-        "end_stop", "above, damped", _BUMPER, "Beyond a displacement the motion hits a bumper that takes energy.",
-        "f = k kappa max(x - place, 0)^(3/2) max(1 + loss x', 0)", "stiffness", "K",
-        law=lambda p, now: now.k * p.kappa * _contact(p, now.x - p.place, now.v),
-    ),
-    EffectSpec(
-        "end_stop", "both sides, damped", _BUMPER, "On either side the motion hits a bumper that takes energy.",
-        "the damped stop above, and its mirror image", "stiffness", "K",
-        law=lambda p, now: now.k * p.kappa * (
-            _contact(p, now.x - p.place, now.v) - _contact(p, -now.x - p.place, -now.v)
-        ),
     ),
 )  # fmt: skip

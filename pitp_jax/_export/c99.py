@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from .. import __version__
+from .._model.coordinate import direction, sign
 from .._model.fitted import Fitted
 from .._model.model import Model
+from .._table.quantity import grouped, per_second
 from . import plan as planning
 from . import steps
 from .differentiator import ALLOWED, BLOCKS
-from .equilibria import stroke
 from .pi_gains import PIGains
 from .plan import Plan, rate_error, whole_folder
 from .writing import Writer
@@ -73,7 +74,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
     values |= {
         "weights": table(writer, plan.differentiator.weights), "onward": table(writer, plan.reference()),
         "units": table(writer, plan.reference_time ** -np.arange(n + 1.0)).strip(),
-        "polarity": writer.number(float(plan.model.output.polarity)),
+        "sign": writer.number(float(sign(plan.model))), "sensor": writer.number(float(direction(plan.model))),
         "force_of": "u * u" if square else "u",
         "voltage_of": ("sqrtf(kept)" if plan.single else "sqrt(kept)") if square else "kept",
     }  # fmt: skip
@@ -90,8 +91,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
         "force_error": "(u * u) - ((double)planned[k] * (double)planned[k])" if square else "u - (double)planned[k]",
         "target_error": "(got * got) - (right * right)" if square else "got - right",
         "target_force": "right * right" if square else "right",
-        "rest_number": repr(float(plan.model.output.offset)),
-        "stroke": repr(float(plan.model.output.polarity) * float(np.ptp(test.motion[:, 0]))),
+        "stroke": repr(float(test.motion[np.argmax(np.abs(test.motion[:, 0])), 0])),
         "slow": repr(plan.model.natural_frequency / 2), "target_tolerance": repr(ALLOWED),
         "period": f"{1e6 * plan.dt:.0f}_us", "hz": f"{1 / plan.dt:g}",
         "ahead_ms": f"{1e3 * plan.differentiator.look_ahead * plan.dt:.0f}_ms",
@@ -104,7 +104,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
 def frame(plan: Plan, cost: float | None) -> dict[str, str]:
     """Collect what a README and a check of any language say, as text."""
     test, precision = plan.test, "single" if plan.single else "double"
-    full = max(float(np.ptp(test.displacement)), stroke(plan.model))
+    full = max(float(np.ptp(test.displacement)), plan.stroke)
     # a reading far from zero is rounded, in float by more than the bound
     kind = np.float32 if plan.single else np.float64
     rounding = float(np.spacing(kind(np.abs(test.displacement).max()))) / full
@@ -120,13 +120,15 @@ def frame(plan: Plan, cost: float | None) -> dict[str, str]:
 
 def substitutions(plan: Plan) -> dict[str, str]:
     """Collect what the header says, as text."""
-    writer, model = Writer("c", plan.single), plan.model
+    writer, model, units = Writer("c", plan.single), plan.model, plan.units
+    per, stiffness = units.coefficient(0)
     low, high, slew = plan.voltages
     bottom, top = plan.displacements
     differentiates = plan.differentiator
     numbers = {
         "dt_number": plan.dt, "low": low, "high": high, "slew": slew, "bottom": bottom, "top": top, "ahead": plan.late,
-        "rest": float(model.output.offset), "zero": 0.0, "p": plan.gains.p, "i": plan.gains.i,
+        "rest": float(units.si.shown(model.output.offset)), "zero": 0.0, "p": per * plan.gains.p,
+        "i": per * plan.gains.i,
         "track": 1 / plan.gains.time_constant,
     }  # fmt: skip
     identifier = f"pitp_{plan.name}"
@@ -136,11 +138,21 @@ def substitutions(plan: Plan) -> dict[str, str]:
         "model_states": str(plan.predict.states), "plan_states": str(plan.inverse.states),
         "blocks": str(BLOCKS), "block": str(differentiates.block), "window": str(BLOCKS * differentiates.block),
         "watchdog": str(plan.silent), "look_ahead": str(differentiates.look_ahead),
-        "force_unit": "V^2" if model.input_map.one_sided else "V", "reference_order": str(model.order + 1),
+        "force_unit": units.force, "gain_unit": stiffness, "integral_unit": per_second(stiffness),
+        "in": units.input.unit, "slew_unit": units.input.rate, "out": units.si.unit, "meaning": _meaning(plan),
+        "derivative_unit": f"{grouped(units.si.unit)}/s^i", "reference_order": str(model.order + 1),
         "reference_ms": f"{1e3 * plan.reference_time:.3g}",
         "late": str(steps.predict(model, plan.dt).late),
         "title": f"{identifier}: written by pitp_jax {__version__}; do not edit, write it again.",
     }  # fmt: skip
+
+
+def _meaning(plan: Plan) -> str:
+    """Say what a displacement means, in the words of headers and pages."""
+    units, line = plan.units, f"0 at 0 {plan.units.input.unit}"
+    if units.squared:
+        return f"{line}, growing as the actuator extends whatever the sensor's direction"
+    return f"{line}, with the sensor's sign"
 
 
 def loop_text(gains: PIGains) -> str:

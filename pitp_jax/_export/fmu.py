@@ -9,6 +9,7 @@ plays it.
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from shutil import rmtree, which
 from uuid import UUID, uuid5
@@ -19,11 +20,18 @@ import numpy as np
 from .._errors import BadInput
 from .._model.fitted import Fitted
 from .._model.model import Model
+from .._table.quantity import Quantity, per_second
+from .._table.units import kind_of
 from . import plan as planning
-from . import steps
 from .c99 import filled, frame, substitutions, write_sources
 from .plan import Plan, half_step, played, rate_error, whole_folder
 
+_BASES = {  # powers of SI's base units, by kind of quantity
+    "voltage": {"kg": 1, "m": 2, "s": -3, "A": -1}, "current": {"A": 1}, "length": {"m": 1}, "speed": {"m": 1, "s": -1},
+    "acceleration": {"m": 1, "s": -2}, "force": {"kg": 1, "m": 1, "s": -2}, "torque": {"kg": 1, "m": 2, "s": -2},
+    "pressure": {"kg": 1, "m": -1, "s": -2}, "angle": {"rad": 1}, "angular speed": {"rad": 1, "s": -1},
+    "temperature": {"K": 1},
+}  # fmt: skip
 # what an importer looks up in every FMU and one of this kind has not: nothing to read, or no other mode
 _MISSING = {
     2: "SetInteger GetBoolean SetBoolean GetString SetString GetDirectionalDerivative SetRealInputDerivatives "
@@ -86,15 +94,15 @@ def export_fmu(
 
 
 def _values(plan: Plan, fmi: int) -> dict[str, str]:
-    values, n = substitutions(plan), plan.model.order
-    rest = float(plan.model.output.offset)
-    named = [("target", "m", "wanted displacement")]
-    named += [(f"target_{i}", f"m/s{i if i > 1 else ''}", f"derivative {i} of the target") for i in range(1, n + 1)]
-    starts = [0.0, 0.0, rest, *[0.0] * n, rest, 0.0, 0.0]
-    rows = [("voltage", "V", "drive voltage, held over a step", "input", 0.0)]
-    rows += [(*row, "input", rest if row[0] == "target" else 0.0) for row in named]
-    rows += [("displacement", "m", "as the sensor reads it", "output", None)]
-    rows += [("command", "V", "voltage for the target, within the limits", "output", None)]
+    values, n, units = substitutions(plan), plan.model.order, plan.units
+    drive, motion = units.input.unit, units.si.unit
+    named = [("target", motion, f"wanted {units.output_word}, {values['meaning']}")]
+    named += [(f"target_{i}", per_second(motion, i), f"derivative {i} of the target") for i in range(1, n + 1)]
+    starts = [0.0, 0.0, 0.0, *[0.0] * n, 0.0, 0.0, 0.0]
+    rows = [("voltage", drive, f"{units.input_word}, held over a step", "input", 0.0)]
+    rows += [(*row, "input", 0.0) for row in named]
+    rows += [("displacement", motion, f"{units.output_word}, {values['meaning']}", "output", None)]
+    rows += [("command", drive, f"{units.input_word} for the target, within the limits", "output", None)]
     variables = ""
     for k, (word, unit, text, causality, start) in enumerate(rows, start=1):
         begin = "" if start is None else f' start="{start!r}"'
@@ -102,8 +110,10 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
         variables += filled(f"fmi{fmi}_variable.xml", fields)
     units = "".join(
         f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>\n'
-        for unit, base in [("V", 'kg="1" m="2" s="-3" A="-1"'), ("s", 's="1"')]
-        + [(row[1], 'm="1"' + (f' s="-{i}"' if i else "")) for i, row in enumerate(named)]
+        for unit, base in dict.fromkeys(
+            [(drive, _base(units.input)), ("s", 's="1"')]
+            + [(row[1], _base(units.si, i)) for i, row in enumerate(named)]
+        )
     )
     # the token must change with anything an importer compiled against, and with nothing else
     text = "".join((filled("fmu.c", {}), *values.values(), str(fmi)))
@@ -117,6 +127,14 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
         "stop": repr(len(plan.test.voltage) * plan.dt), "index_y": str(n + 4), "index_u": str(n + 5),
         "index_f": str(n + 6),
     }  # fmt: skip
+
+
+def _base(quantity: Quantity, times: int = 0) -> str:
+    """Write the base unit of a quantity's derivative of some order, as attributes of a model description."""
+    powers = dict(_BASES.get(kind_of(quantity.unit) or "", {}))
+    powers["s"] = powers.get("s", 0) - times
+    words = [f'{unit}="{power}"' for unit, power in powers.items() if power]
+    return " ".join(words + ([f'factor="{quantity.factor!r}"'] if quantity.factor != 1 else []))
 
 
 def _build(inside: Path, name: str, fmi: int) -> None:
@@ -140,10 +158,10 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     (folder / "check.py").write_text(filled("check_fmu.txt", values), encoding="utf-8")
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
-    (y,) = played(steps.predict(plan.model, plan.dt, held=True), test.voltage, float(plan.model.output.offset))
+    (y,) = played(plan.predict_step(held=True), test.voltage, 0.0)
     # the same held voltage, integrated apart in steps that are a sixteenth as long
-    fine = steps.predict(plan.model, plan.dt / _FINER, held=True)
-    (held,) = played(fine, np.repeat(test.voltage, _FINER), float(plan.model.output.offset))
+    fine = replace(plan, dt=plan.dt / _FINER).predict_step(held=True)
+    (held,) = played(fine, np.repeat(test.voltage, _FINER), 0.0)
     rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned, held[_FINER - 1 :: _FINER]]
     _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command", "held"], rows)  # at the end of their step
     values |= {"half_ms": f"{500 * plan.dt:.3g}", "half_percent": f"{100 * half_step(plan):.2g}"}

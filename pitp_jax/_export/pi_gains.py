@@ -20,6 +20,7 @@ import numpy as np
 from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._invert.loop import Plant, linearised, margins
+from .._model.coordinate import from_model, sign
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import in_double
@@ -154,14 +155,14 @@ def operating_points(model: Model, dt: float) -> tuple[list[Plant], list[float]]
     late = total_delay(model.effects)
     model = replace(model, effects=tuple(e for e in model.effects if not e.delays))
     forward = steps.predict(model, dt, held=True)
-    square, polarity = model.input_map.one_sided, float(model.output.polarity)
+    square, way = model.input_map.one_sided, float(sign(model))
     points, stiffness = [], []
     for point in equilibria(model):
         # past a snap no voltage holds it still: the loop is not tuned about it
         if point.stiffness > 0:
             u = point.voltage
-            state = forward.start(jnp.asarray(model.output.to_rig(point.displacement)), jnp.asarray(u))
-            points.append((state, u, polarity / (2 * u) if square else polarity))  # dx/dF = dx/du du/dF, F = u^2
+            state = forward.start(jnp.asarray(from_model(model, point.displacement)), jnp.asarray(u))
+            points.append((state, u, way / (2 * u) if square else way))  # dx/dF = dx/du du/dF, F = u^2
             stiffness.append(point.stiffness)
     if not points:
         raise BadInput(f"no PI controller: no voltage of the model's range holds a displacement of its stroke{_ALONE}")

@@ -23,10 +23,13 @@ from scipy.linalg import expm
 from .._effects.kernels import total_delay
 from .._errors import BadInput
 from .._metrics import e_rms_percent
+from .._model.coordinate import from_model
 from .._model.fitted import Fitted, Origin, fitted_of
 from .._model.model import Model
 from .._model.programs import in_double
+from .._model.units import units_of
 from .._numerics.spline_derivative import derivatives
+from .._table.quantity import Units
 from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
 from .equilibria import stroke
@@ -73,15 +76,29 @@ class Plan:
     held: bool = False
     time_constant: float | None = None
 
+    @property
+    def units(self) -> Units:
+        """The units of everything that is written: V and m, or those of the model's records."""
+        return units_of(Fitted(self.model, self.origin))
+
+    def predict_step(self, *, held: bool = False) -> steps.Step:
+        """Build the decoder's step in the units that are written."""
+        return steps.in_units(steps.predict(self.model, self.dt, held=held), self.units, inverse=False)
+
+    @property
+    def inverse_step(self) -> steps.Step:
+        """The step of eq. 13 in the units that are written."""
+        return steps.in_units(steps.inverse(self.model, self.dt), self.units, inverse=True)
+
     @cached_property
     def predict(self) -> Written:
         """The decoder's step as a program."""
-        return _written(steps.predict(self.model, self.dt, held=self.held))
+        return _written(self.predict_step(held=self.held))
 
     @cached_property
     def inverse(self) -> Written:
         """The step of eq. 13; out: the voltage and whether none makes it."""
-        return _written(steps.inverse(self.model, self.dt))
+        return _written(self.inverse_step)
 
     @property
     def late(self) -> float:
@@ -90,22 +107,28 @@ class Plan:
 
     @property
     def voltages(self) -> tuple[float, float, float]:
-        """Lowest and highest voltage (V) and slew (V/s) of the records the model was trained on."""
-        low, high = self.model.domain.voltage_range
+        """Lowest and highest input and its slew, of the records the model was trained on, in the units written."""
+        low, high = self.units.input.shown(self.model.domain.voltage_range)
         if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
-        slew = float(self.model.domain.slew)
+        slew = float(self.units.input.shown(self.model.domain.slew))
         return min(float(low), 0.0), min(max(float(high), 0.0), _NONE), min(slew, _NONE)
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """The range the model was trained in, a twentieth wider, as the sensor reads it, m; without one, no limit."""
+        """The range the model was trained in, a twentieth wider, in the unit written; without one, no limit."""
         if not len(self.model.domain.region):
             return -_NONE, _NONE
         low, high = self.model.domain.region[0]
         wide = 0.05 * (high - low)
-        ends = [float(self.model.output.to_rig(v * self.model.scales.state[0])) for v in (low - wide, high + wide)]
+        scale = self.model.scales.state[0]
+        ends = [float(self.units.si.shown(from_model(self.model, v * scale))) for v in (low - wide, high + wide)]
         return min(ends), max(ends)
+
+    @property
+    def stroke(self) -> float:
+        """The largest displacement of the training, in the unit written."""
+        return float(self.units.si.shown(stroke(self.model)))
 
     @property
     def silent(self) -> int:
@@ -121,16 +144,15 @@ class Plan:
         """
         model, full = self.model, stroke(self.model)
         smallest = min(full, max(full / 50, _SMALLEST))
-        farthest = abs(float(model.output.offset)) + full
         kind = np.float32 if self.single else np.float64
-        rounding = float(np.spacing(kind(farthest))) / np.sqrt(12) / (smallest / 2)
+        rounding = float(np.spacing(kind(full))) / np.sqrt(12) / (smallest / 2)
         window, error = differentiator(
             model.physical_coefficients, self.dt, model.natural_frequency, rounding, self.late
         )
         if self.single and error > ALLOWED:
             raise BadInput(
-                f"--precision single: at {1 / self.dt:g} Hz a target of {1e6 * smallest:.3g} um around "
-                f"{1e3 * farthest:.3g} mm would be off by {100 * error:.2g} % of the force: "
+                f"--precision single: at {1 / self.dt:g} Hz a target of {self.units.output.text(smallest, 3)} within "
+                f"{self.units.output.text(full, 3)} would be off by {100 * error:.2g} % of the force: "
                 "export it in double precision, or at another --rate"
             )
         return window
@@ -166,7 +188,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Vector:
-    """A run both ways: voltage (V), displacement (m) and motion [y, ..., y^(n)] with its voltage within the limits.
+    """A run both ways, in the units written: input, displacement, motion [y, ..., y^(n)] and its input within limits.
 
     `every`: steps from one number of a file to the next; voltage and motion are linear in between.
     """
@@ -214,7 +236,7 @@ def _written(step: steps.Step) -> Written:
 
 
 def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Run a step along its inputs, by JAX in float64, from an actuator held at y0 (m) under u0 (V)."""
+    """Run a step along its inputs, by JAX in float64, from an actuator held at y0 under u0."""
     with jax.enable_x64(True):
         rows = jnp.asarray(values, jnp.float64).reshape(len(values), -1)
         start = step.start(jnp.asarray(y0, jnp.float64), jnp.asarray(u0, jnp.float64))
@@ -234,34 +256,34 @@ def _vector(plan: Plan) -> Vector:
     # at a high rate the numbers of a file are some samples apart: the actuator has to move within them
     periods = _PERIODS * 2 * np.pi / plan.model.natural_frequency
     every = max(int(np.ceil(periods / (SAMPLES * plan.dt))), 1)
-    rest, full = float(plan.model.output.offset), stroke(plan.model)
     low, high, _ = plan.voltages
     stored, what = plan.origin.long_record, "a record the model was identified on"
     u, y = np.zeros(0), np.zeros(1)
     if stored is not None and stored.seconds > 2 * SAMPLES * every * plan.dt:
         record = stored.record()
-        first = 0 if stored.rest else np.argmin(np.abs(record.voltage))
-        u = np.interp(np.arange(1, SAMPLES + 1) * every * plan.dt, record.time - record.time[first], record.voltage)
+        first, voltage = 0 if stored.rest else np.argmin(np.abs(record.voltage)), plan.units.input.shown(record.voltage)
+        u = np.interp(np.arange(1, SAMPLES + 1) * every * plan.dt, record.time - record.time[first], voltage)
         u, y = _answered(plan, u, every)
-    if np.ptp(y) < _COVERED * full:
+    if np.ptp(y) < _COVERED * plan.stroke:
         what, t = "a sum of sines", np.arange(SAMPLES) * every * plan.dt * plan.model.natural_frequency
-        top = high if high < _NONE else float(plan.model.input_map.voltage(np.asarray(plan.model.scales.force)))
+        widest = float(plan.model.input_map.voltage(jnp.asarray(plan.model.scales.force)))
+        top = high if high < _NONE else float(plan.units.input.shown(widest))
         swell = np.sin(np.pi / 2 * np.arange(SAMPLES) / SAMPLES) ** 2
         u, y = _answered(plan, np.clip(0.75 * top * swell * (1 + 0.3 * np.sin(0.71 * t)), low, high), every)
-    smooth = rest + (y[np.argmax(np.abs(y - rest))] - rest) * 0.4 * np.sin(np.pi * np.arange(len(y)) / len(y)) ** 4
+    smooth = y[np.argmax(np.abs(y))] * 0.4 * np.sin(np.pi * np.arange(len(y)) / len(y)) ** 4
     motion = _between(derivatives(smooth, plan.dt, plan.model.order)[every - 1 :: every], every)
-    planned = within(plan, played(steps.inverse(plan.model, plan.dt), motion, rest)[0])
+    planned = within(plan, played(plan.inverse_step, motion, 0.0)[0])
     return Vector(what, every, u, y, motion, planned)
 
 
 def _answered(plan: Plan, coarse: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the voltage of every step between these (V), and the displacement that the model gives (m)."""
+    """Return the input of every step between these, and the displacement that the model gives."""
     low, high, _ = plan.voltages
     u = np.clip(coarse, low, high)
     if plan.single:  # the controller reads the vector in float: the reference must begin with the same numbers
         u = u.astype(np.float32).astype(np.float64)
     u = _between(u, every)
-    return u, played(steps.predict(plan.model, plan.dt), u, float(plan.model.output.offset))[0]
+    return u, played(plan.predict_step(), u, 0.0)[0]
 
 
 def _between(coarse: np.ndarray, every: int) -> np.ndarray:
@@ -276,7 +298,7 @@ def _between(coarse: np.ndarray, every: int) -> np.ndarray:
 def half_step(plan: Plan) -> float:
     """Compute the largest difference that half a step makes over the test vector, over the stroke."""
     y = plan.test.displacement
-    return float(np.abs(np.diff(y)).max()) / 2 / max(float(np.ptp(y)), stroke(plan.model))
+    return float(np.abs(np.diff(y)).max()) / 2 / max(float(np.ptp(y)), plan.stroke)
 
 
 def rate_error(plan: Plan) -> float | None:
@@ -290,8 +312,7 @@ def rate_error(plan: Plan) -> float | None:
     known = replace(plan, dt=own).test
     fine = np.arange(len(known.voltage)) * own
     t = np.arange(0, fine[-1], plan.dt)
-    step = steps.predict(plan.model, plan.dt)
-    (y,) = played(step, np.interp(t, fine, known.voltage), float(plan.model.output.offset))
+    (y,) = played(plan.predict_step(), np.interp(t, fine, known.voltage), 0.0)
     late, own_late = (steps.predict(plan.model, d).late * d for d in (plan.dt, own))
     return e_rms_percent(y, np.interp(t - late, fine - own_late, known.displacement))
 

@@ -1,4 +1,6 @@
-"""Define the steps that are written out: one sample of the decoder and one of eq. 13, with effects, in rig coordinates.
+"""Define the steps that are written out: one sample of the decoder and one of eq. 13, with effects.
+
+Displacements y are in the one coordinate (`_model.coordinate`): 0 at 0 V.
 
     predict   (s, V, u_{-1}), u                    ->  y at the sample of u (7 samples later with hold "bandlimited")
     inverse   (m, z, x_{-1}, V_{-1}, V_{-2}), [y, y', ..., y^(n)]
@@ -11,7 +13,7 @@ asked for ahead.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -22,11 +24,13 @@ from jaxtyping import Array, Float
 from .._effects.effect import Effect
 from .._effects.kernels import shifted
 from .._invert.realtime import film_after, film_held, memory_after
+from .._model.coordinate import from_model, to_model
 from .._model.model import Model
 from .._numerics.intersample import weights
 from .._simulate import ports
 from .._simulate.decoder import stage_fractions, step, still_state
 from .._simulate.prediction import at_rate
+from .._table.quantity import Units
 
 _HUGE = 1e3  # of the training force: what stands for a force no field makes, as in `_invert.equation`
 _BESIDE = 8  # samples of the parabola on either side: four slopes, each of which looks two samples away
@@ -38,7 +42,7 @@ class Step:
     """A pure step and what it starts from.
 
     Attributes:
-        start: fn(y, u) -> carry of an actuator held at y (m) under u (V) for ever.
+        start: fn(y, u) -> carry of an actuator held at y (m from 0 V) under u (V) for ever.
         run: fn(carry, input) -> (carry, outputs).
         inputs: how many numbers it takes per sample.
         late: samples by which its output is behind its input.
@@ -51,7 +55,7 @@ class Step:
 
 
 def predict(model: Model, dt: float, *, held: bool = False) -> Step:
-    """Build the step from a drive voltage (V) to the displacement (rig, m) at its sample.
+    """Build the step from a drive voltage (V) to the displacement (m from 0 V) at its sample.
 
     `held`: the voltage stands from this call to the next, and the displacement is that of the next.
     """
@@ -62,7 +66,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     delays = [e for e in model.effects if e.delays]
 
     def start(y, u):
-        x = model.output.to_model(y) / scale
+        x = to_model(model, y) / scale
         lines = [jnp.full(samples_of(e, dt), u) for e in delays]
         return still_state(model, x, u, 0.0), jnp.full(len(taps), u), u, lines
 
@@ -80,9 +84,23 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
             films = jnp.append(films[1:], film_after(model.drive, films[-1], before, u, dt))
             volts = films @ jnp.asarray(taps)
         state = step(model, state, volts, dt)
-        return (state, films, u, moved), (model.output.to_rig(ports.reading(model, state) * scale),)
+        return (state, films, u, moved), (from_model(model, ports.reading(model, state) * scale),)
 
     return Step(start, run, 1, len(taps) // 2 - 1)
+
+
+def in_units(step: Step, units: Units, *, inverse: bool) -> Step:
+    """Convert what enters and leaves a step from base units to those of exported code."""
+    drive, motion = units.input.factor, units.si.factor
+    if drive == motion == 1:
+        return step
+    into, out_of = (motion, drive) if inverse else (drive, motion)
+
+    def run(carry, values):
+        carry, (first, *more) = step.run(carry, values * into)
+        return carry, (first / out_of, *more)
+
+    return replace(step, start=lambda y, u: step.start(y * motion, u * drive), run=run)
 
 
 def samples_of(effect: Effect, dt: float) -> int:
@@ -91,12 +109,12 @@ def samples_of(effect: Effect, dt: float) -> int:
 
 
 def inverse(model: Model, dt: float) -> Step:
-    """Build the step from [y, ..., y^(n)] (rig, m / s^i) to the drive voltage (V) and whether none makes it."""
+    """Build the step from [y, ..., y^(n)] (m / s^i, from 0 V) to the drive voltage (V) and whether none makes it."""
     n, scales = model.order, jnp.asarray(model.scales.state)
     senses = bool(ports.sensors(model))
 
     def start(y, u):
-        x = model.output.to_model(y) / scales[0]
+        x = to_model(model, y) / scales[0]
         film, levels = u, []
         for effect in ports.drives(model):
             begun = effect.start(film)
@@ -108,7 +126,7 @@ def inverse(model: Model, dt: float) -> Step:
 
     def run(carry, values):
         before, memory, states, films, levels, rows, begun = carry
-        x = values.at[0].add(-model.output.offset) * model.output.polarity / scales
+        x = to_model(model, values) / scales
         if senses:
             rows = jnp.concatenate([rows[1:], x[None]])
             x = behind_sensor(model, rows, dt)

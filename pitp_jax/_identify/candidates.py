@@ -1,7 +1,8 @@
 """Fit every candidate (order, delay, hold) and choose: the fewest parameters whose held-out score is near the best.
 
     score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, nothing below 0.1 % of the output counting
-    fewest poles and delays;  of as many the lower order within 1 %, else the better score;  of those the better hold
+    fewest poles and delays;  of as many the lower order within 1 %, else the better score;  of those the better hold,
+foh where the difference is below two of its standard errors
 
 Every order stands under its own best hold (in sample: as many parameters), since half a sample of lag is a pole:
 compared under one hold, a plant of order 2 behind a held voltage becomes one of order 3. More than 3 % would take zoh
@@ -24,6 +25,7 @@ from .output_error import Problem, Structure, least_squares
 from .starts import best_starts, guesses, one_more
 
 NEAR, TIE = 1.03, 1.01
+_BLOCKS, _SURE = 9, 2.0  # blocks of a record that are left out, and standard errors of a difference that counts
 _ALWAYS = 3  # orders that are tried in any case; one more since a mode is two; then while the last wins
 _NO_WORSE = 1.001  # an order holds every lower one: a higher cost means that the search stopped short
 _HALF = 0.5  # of the output's deviation; of a cost, the mean square that is left
@@ -165,4 +167,17 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
     near = [c for c in near if c.structure.complexity == fewest]
     least = min(c.score for c in near)
     order = min(c.structure.order for c in near if c.score <= TIE * least)
-    return min((c for c in near if c.structure.order == order), key=lambda c: c.score)
+    alike = sorted((c for c in near if c.structure.order == order), key=lambda c: c.score)
+    # a tie between holds would decide half a sample of every delay by chance
+    linear = [c for c in alike if c.structure.hold == "foh"]
+    return linear[0] if linear and _tied(alike[0], linear[0]) else alike[0]
+
+
+def _tied(better: Candidate, other: Candidate) -> bool:
+    """Tell whether two held-out errors differ by less than the uncertainty of the difference, over blocks."""
+    gained = []
+    for one, two in zip(better.heldout.error, other.heldout.error, strict=True):
+        edges = np.linspace(0, len(one), _BLOCKS + 1).astype(int)[:-1]
+        gained.append(np.add.reduceat(two**2 - one**2, edges))
+    gained = np.concatenate(gained) if gained else np.zeros(1)
+    return bool(gained.sum() < _SURE * np.sqrt(len(gained)) * gained.std())

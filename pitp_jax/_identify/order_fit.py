@@ -43,9 +43,11 @@ class OrderFit(Shown):
         natural_stderr: of the natural frequencies, Hz.
         offset, polarity: the sensor's zero (m) and direction (+1 or -1).
         converged: the least squares met its tolerance.
-        identifiable: converged, and every pole is known: its logarithm to better than +-3 (a strong nonlinearity
+        poles_known: converged, and every pole is known: its logarithm to better than +-3 (a strong nonlinearity
             inflates the errors of a perfectly good linear fit). The pole may be open that makes it `static`, or the
             one by which it `integrates`; none stands at the fastest that is sought.
+        identifiable: its poles are known, and every coefficient is larger than its standard error, but for the one
+            that a `static` plant or one that `integrates` does not show.
         static: order 1, and its pole lies beyond what the samples show.
         integrates: the slowest pole turns less than 0.1 rad in the longest record: a plant without a spring.
         delay, delay_stderr: of the drive in s, where one was fitted.
@@ -65,6 +67,7 @@ class OrderFit(Shown):
     offset: float
     polarity: float
     converged: bool
+    poles_known: bool
     identifiable: bool
     static: bool = False
     integrates: bool = False
@@ -83,6 +86,8 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     of_coefficients = jacobian @ main @ jacobian.T
     stderr = np.sqrt(np.clip(np.diag(of_coefficients), 0, None))
     determined, static, slow = _determined(poles, spread, problem)
+    known = candidate.converged and determined
+    hidden = [0] * slow + [1] * static
     upper = sorted(poles[np.imag(poles) >= 0], key=abs)
     delay = float(np.exp(params[-1])) if structure.delayed else 0.0
     return OrderFit(
@@ -100,7 +105,8 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         offset=zero_of(problem.main, solved.gains, problem),
         polarity=float(np.sign(solved.gains[0]) or 1.0),
         converged=candidate.converged,
-        identifiable=candidate.converged and determined,
+        poles_known=known,
+        identifiable=known and bool(np.delete(stderr < np.abs(coefficients), hidden).all()),
         static=static,
         integrates=slow,
         delay=delay,

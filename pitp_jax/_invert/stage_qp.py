@@ -13,10 +13,11 @@ right-hand side. Meant for float64.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from .._model.programs import jit
 
 _ITERATIONS = 50
 _GAP = 1e-6  # of duality gap and residuals, where objective and bounds are of order one
@@ -48,7 +49,7 @@ class _Iterate(NamedTuple):
     multiplier: tuple[Array, Array, Array]
 
 
-@eqx.filter_jit
+@jit
 def solve_stage_qp(problem: StageQP, start: float) -> tuple[Float[Array, "stages n"], Array, Array]:
     """Solve for all z_k; also the iterations taken and the last duality gap. The smallest slack begins at `start`."""
     still = jnp.zeros_like(problem.q)

@@ -18,8 +18,7 @@ import numpy as np
 
 from .._effects import CATALOGUE
 from .._effects.effect import Effect
-from .._effects.found_term import NAMES as LISTED
-from .._effects.found_term import term_row
+from .._effects.found_term import TERM
 from .._errors import BadInput
 from .._model.domain import Domain
 from .._model.drive import DirectDrive, ElectrodeLag
@@ -120,13 +119,17 @@ DRIVES = {
     "direct": Part(DirectDrive, _nothing, DirectDrive),
     "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
 }
-EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in CATALOGUE} | {
-    term_row(()).key: Part(
-        Effect,
-        lambda e: {f"function{k}": LISTED.index(name) for k, name in enumerate(e.spec.functions)},
-        lambda **k: term_row(tuple(LISTED[int(place)] for place in k.values())).neutral(),
-    )
-}
+EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in (*CATALOGUE, TERM)}
+# forms that no command made; files that hold one are refused by this name
+REMOVED = frozenset({
+    "stiffening: power", "end_stop: both sides", "end_stop: above, damped", "end_stop: both sides, damped",
+    "creep: three branches", "creep: loss of stiffness", "relaxation: three branches",
+    "relaxation: loss of stiffness", "hysteresis: Bouc-Wen", "hysteresis: Wen", "stiffness_drift: steady",
+    "second_mode: attached", "second_mode: come loose", "drag: power", "slack: free fall, hanging",
+    "slack: free fall, soft", "electrode_rc: ladder", "slew_limit: rate limit and lag", "voltage_clip: rounded",
+    "stretch_coupling: quadratic", "dielectric_saturation: tanh", "sensor_nonlinearity: quadratic",
+    "sensor_nonlinearity: cubic", "sensor_lag: two lags", "found_term: sum of functions",
+})  # fmt: skip
 
 
 def describe(fitted: Fitted) -> dict:
@@ -195,6 +198,8 @@ def _named(registry: dict[str, Part], part) -> dict:
 def _part(registry: dict[str, Part], described: dict):
     settings = dict(described)
     name = settings.pop("name")
+    if name in REMOVED:
+        raise BadInput(f"holds the effect {name!r}, which is no longer part of pitp_jax; diagnose the recordings again")
     if name not in registry:
         raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
     for key, value in settings.items():

@@ -126,13 +126,30 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     return Planned(f"sine_{hz[0]:.3g}Hz_{size}{unit}", "sine", text, time, voltage, limits.rest)
 
 
-def in_order(recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False) -> tuple[Planned, ...]:
-    """Number the recordings, add the strokes at which each may follow, and turn every second one where asked for."""
+def in_order(
+    recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
+) -> tuple[Planned, ...]:
+    """Number the recordings, add the strokes at which each may follow, and turn every second one where asked for.
+
+    `recorded`: the largest stroke of the recordings that were taken before, m.
+    """
     bound = np.isfinite(limits.farthest) and len(recordings) > 1
-    farther = growth([r.voltage for r in recordings], 1 / limits.rate, limits.band) if bound else []
+    farther = _farther(recordings, limits, recorded) if bound else []
     ordered = []
     for k, r in enumerate(recordings, 1):
         go_on = limits.farthest / max(farther[k - 1], 1.0) if bound and k > 1 else np.inf
         sign = -1.0 if alternate and k % 2 == 0 else 1.0
         ordered.append(replace(r, name=f"{k:02d}_{r.name}", voltage=sign * r.voltage, go_on=go_on))
     return tuple(ordered)
+
+
+def _farther(recordings: Sequence[Planned], limits: Limits, recorded: float) -> np.ndarray:
+    """Compute how much farther than all before it each recording may go; shape (recordings,).
+
+    A model predicts both strokes, the next one with half its damping. Without a model any resonance of the band counts.
+    """
+    own = np.array([r.stroke for r in recordings])
+    if not np.isfinite(own).all():
+        return growth([r.voltage for r in recordings], 1 / limits.rate, limits.band)
+    before = np.maximum.accumulate(np.append(max(recorded, 1e-30), own))[:-1]
+    return np.array([r.stroke_half_damped for r in recordings]) / before

@@ -23,6 +23,7 @@ from .drives import Planned
 from .first_session import default_duration, first_session, in_order, space_filling_set
 from .limits import Limits, default_rate
 from .next_recordings import bearable, following, ranked
+from .rests import first_rest, rest_after
 
 REACHED = (
     "If the largest stroke so far is above what a recording asks for, leave it out and try the next. When none is "
@@ -87,7 +88,7 @@ def plan(
     max_displacement: float | None = None,
     band: tuple[float, float] | None = None,
     duration: float | None = None,
-    rest: float = 0.0,
+    rest: float | None = None,
     rate: float | None = None,
     choose_from: Sequence[Record] = (),
     alternate: bool = False,
@@ -104,7 +105,8 @@ def plan(
         max_displacement: m from 0 V either way.
         band: lowest and highest drive frequency in Hz; default 0.05 to 1.3 times the model's resonance.
         duration: seconds of drive in all recordings together, rests not counted.
-        rest: seconds at 0 V between recordings, for the membrane.
+        rest: seconds at 0 V between recordings; default until the model is within 0.5 % of its stroke again, without a
+            model by a damping of 0.05.
         rate: samples per second; default the model's, else a hundred a period of the highest frequency.
         choose_from: existing recordings to choose among instead; their output is not looked at.
         alternate: play every second recording with negative voltage (a bipolar amplifier).
@@ -132,24 +134,31 @@ def plan(
     length = duration or default_duration(limits, fresh=model is None)
     if model is None:
         return _played(first_session(limits, length, seed), limits, alternate)
+    recorded = max(map(_stroke, records), default=0.0)
     if not trained(model):  # a linear model knows how far a drive goes, but not what it lacks
         filling, notes = bearable(model, space_filling_set(limits, length, seed), limits)
-        return _played(filling, limits, alternate, notes=notes)
+        return _played(filling, limits, alternate, recorded, notes=notes)
     if not records:
         raise BadInput("a trained model says what it lacks only beside the records it was trained on: give them too")
     chosen, notes = following(model, records, limits, length, seed), ()
     if 0 < chosen.worth < len(chosen.recordings):
         notes = ("after these another recording would not lower the error visibly",)
     taken, expected = chosen.recordings[: chosen.worth], chosen.expected[: chosen.worth + 1]
-    return _played(taken, limits, alternate, expected=expected, stop=not taken, notes=chosen.notes + notes)
+    return _played(taken, limits, alternate, recorded, expected=expected, stop=not taken, notes=chosen.notes + notes)
 
 
-def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, **remarks) -> Plan:
+def _stroke(record: Record) -> float:
+    """Compute how far a record moves from its first reading, m."""
+    read = record.displacement[np.isfinite(record.displacement)]
+    return float(np.abs(read - read[0]).max())
+
+
+def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded: float = 0.0, **remarks) -> Plan:
     """Number the drives, every second one turned over where asked for and the force is the same."""
     # from 0 V up the input is squared; of either sign it is not, and a turned drive is another one
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits
-    return Plan(in_order(drives, limits, alternate=alternate), kept, **remarks)
+    return Plan(in_order(drives, limits, alternate=alternate, recorded=recorded), kept, **remarks)
 
 
 def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None, units: Units) -> Plan:
@@ -202,6 +211,8 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
         # of a sine over the whole range at the highest frequency, the steepest of what is planned
         max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement
+    if rest is None:
+        rest = first_rest(band) if model is None else rest_after(model, float(high), float(rate))
     return Limits(
         low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest), units
     )

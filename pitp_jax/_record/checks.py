@@ -31,6 +31,7 @@ def check_samples(
     place: Callable[[int], str] = _sample,
     *,
     uniform: bool = True,
+    least: int = MIN_SAMPLES,
 ) -> None:
     """Refuse samples no later step could use.
 
@@ -42,12 +43,13 @@ def check_samples(
         columns: names of the three columns, for the message.
         place: turns a sample index (from 0) into words, for the message (`sample 7 (line 9)`).
         uniform: whether the times must be uniform already.
+        least: how many samples are needed.
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, infinite values, missing input or time, no output at
             all, decreasing, repeated or non-uniform time; all of them in one message, each with its first sample.
     """
-    _check_shapes((time, voltage, displacement), source, columns)
+    _check_shapes((time, voltage, displacement), source, columns, least)
     problems = []
     for values, column in zip((time, voltage, displacement), columns, strict=True):
         bad = np.isinf(values)

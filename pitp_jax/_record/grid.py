@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 
 from .._errors import BadInput
+from .._table.held import mean_of_held
 from .checks import MIN_SAMPLES, TIME_TOLERANCE, line
 from .preprocess import force_band
 from .stamps import EVEN, FEW, Rows, average_stamps, evenness
@@ -303,10 +304,7 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
 def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
     """Return one stretch at steps of dt, and how many output samples are masked within gaps of the output."""
     grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
-    # the mean of the held command over a step has the effect of the command, whenever in the step it changed
-    impulse = np.append(0.0, np.cumsum(voltage[:-1] * np.diff(time)))
-    ends = np.append(grid, grid[-1] + dt)
-    drive = np.diff(np.interp(ends, time, impulse) + voltage[-1] * np.maximum(ends - time[-1], 0.0)) / dt
+    drive = mean_of_held(time, voltage, np.append(grid, grid[-1] + dt))
     seen = np.isfinite(displacement)
     t, y = time[seen], displacement[seen]
     if len(t) < 2:

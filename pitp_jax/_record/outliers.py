@@ -24,6 +24,7 @@ _NOISE_OF_STEP = 0.002  # noise of a good laser beside the steps of its motion; 
 _NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; odds of a run by chance in a record
 _JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the drive, and of its range: from there on it steps
 _OFTEN = 0.1  # of a record: what stands still for longer is a machine at rest, no sensor that drops out
+_FROZEN = 0.5  # of the input's range, swept while the output keeps one value: no motion slows down so far
 _FEWEST_VALUES = 32  # distinct ones, below which a record is no measured motion (two levels, a counter)
 
 
@@ -38,8 +39,8 @@ class Masked:
         largest: the value farthest off among the outliers, in the output's unit; nan where there is none.
         limit: the value it was clipped at, or that `unseen` samples have; nan where there is none.
         unseen: samples off scale that are kept, since they are more than half.
-        held: samples that repeat one value while the drive moves, then jump, of a sensor that repeats values elsewhere:
-            kept, since it may be stiction.
+        held: samples that repeat one value while the drive moves and then jump, of a sensor that repeats values
+            elsewhere, or that keep it for long: they stay, since it may be stiction.
         turns: whole turns that were removed from the input and from the output before.
     """
 
@@ -197,6 +198,9 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     low, high = y.min(), y.max()
     often = sum(e - b for b, e in runs if y[b] not in (low, high)) > _OFTEN * len(y)
     for begin, end in runs:
+        # a machine that moved before stands still while its input sweeps half of its range, or the sensor is frozen
+        frozen = begin >= 3 and y[begin] not in (low, high) and np.ptp(drive[begin:end]) > _FROZEN * swing
+        kept[begin:end] = frozen and end - begin >= _SHORTEST_CLIP and (end == len(y) or end - begin > _OFTEN * len(y))
         if begin < 3 or end > len(y) - 3 or end - begin > _OFTEN * len(y) or y[begin] in (low, high):
             continue
         # entered and left by jumps: far more than the steps beside the run

@@ -14,7 +14,10 @@ _COUNTED = {  # kind: what is counted, what became of it
     "outliers": ("output sample", "masked as spikes or dropouts"),
     "clipped": ("output sample", "masked at the sensor's limit"),
     "unseen": ("output sample", "off scale and kept, since they are most: does the sensor see?"),
-    "held": ("output sample", "of one value while the drive moves, then a jump; kept: a blind sensor, or stiction?"),
+    "held": (
+        "output sample",
+        "of one value while the input moves; kept. Did the sensor drop out, or does the joint stick?",
+    ),
     "lost": ("lost sample", "filled in, the output there missing"),
     "doubled": ("row", "equal to the row before, left out"),
     "turns": ("overflow", "of the clock's counter, continued"),

@@ -29,6 +29,7 @@ _WORD = {
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
 _SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are no seconds for certain
+_RISING = 0.9  # of the steps of a clock
 _MONITOR = 10.0  # V: the range of a DAQ
 
 
@@ -108,6 +109,8 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     """
     seen = [_seen(place, column) for place, column in enumerate(table.columns) if column.name]
     chosen, problems, pools = {}, {}, _pools(seen, options, quantities)
+    if options.time_column is None and "time" in pools:
+        pools["time"] = _likeliest_clocks(table, pools["time"])
     for quantity in quantities:
         try:
             chosen[quantity] = _choose(seen, pools[quantity], quantity, options)
@@ -237,14 +240,50 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
 
 
 def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
-    """Columns that could be the time: named ones with a unit, else all that have one or are named so."""
-    clocks = [s for s in seen if s.column.form == "stamp" or s.kind == "time"]
-    named = [s for s in clocks if s.role == "time"]
-    counting = [s for s in named if s.column.form != "stamp"]  # beside dates, which are often coarser
-    if counting or named:
-        return counting or named
-    bare = [s for s in seen if s not in clocks and s.role == "time" and (s.unit is None or s.conflict)]
-    return clocks + [s for s in bare if not (clocks and s.unknown)]
+    """Return the columns that could be the time: those with its unit, and those named so without one."""
+    return [
+        s for s in seen
+        if s.column.form == "stamp" or s.kind == "time" or (s.role == "time" and (s.unit is None or s.conflict))
+    ]  # fmt: skip
+
+
+def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
+    """Return the clocks that the values, the names and the units leave, in this order of importance.
+
+    A latency or a cycle time has a unit of time, and does not rise. Of clocks that agree the one with the smallest
+    values is taken, which loses the fewest digits.
+    """
+    if len(clocks) < 2:
+        return clocks
+    values = {s.place: _values(table, s.place) for s in clocks}
+    rules = (
+        lambda s: s.column.form == "stamp" or _ticks(values[s.place]),
+        lambda s: s.header.clock_only,
+        # beside dates, which are often coarser
+        lambda s: s.role == "time" and s.kind == "time" and s.column.form != "stamp",
+        lambda s: s.role == "time" and (s.kind == "time" or s.column.form == "stamp"),
+        lambda s: s.unknown is None,
+    )
+    for rule in rules:
+        clocks = [s for s in clocks if rule(s)] or clocks
+    seconds = {s.place: to_base(values[s.place], (s.kind == "time" and s.unit) or "s") for s in clocks}
+    first = seconds[clocks[0].place]
+    if len(clocks) > 1 and all(_agree(first, other) for other in seconds.values()):
+        clocks = [min(clocks, key=lambda s: float(np.nanmax(np.abs(seconds[s.place]))))]
+    return clocks
+
+
+def _ticks(values: np.ndarray) -> bool:
+    """Return whether values go on as those of a clock, which may overflow or start again."""
+    steps = np.diff(values[np.isfinite(values)])
+    return len(steps) > 0 and bool((steps >= 0).mean() > _RISING and (steps > 0).any())
+
+
+def _agree(first: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether two clocks differ by a constant, to half a step."""
+    if len(first) != len(other) or not np.isfinite(first).any():
+        return False
+    return float(np.nanmax(first - other) - np.nanmin(first - other)) <= 0.5 * float(np.nanmedian(np.diff(first)))
 
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
@@ -264,7 +303,9 @@ def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
         some = [s for s in free if s.kind in kinds]
         if some:
             return some + bare
-    return bare
+    # a temperature is most often recorded beside the motion
+    warm = [s for s in free if s.kind in ("temperature", "absolute temperature") and role == "output"]
+    return bare or warm
 
 
 def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options: ReadOptions) -> Choice:

@@ -12,6 +12,7 @@ import numpy as np
 from .._errors import BadInput
 from .choice import Choice, choose_columns, clock_question, listed
 from .formats import Parts, open_parts
+from .held import hold_sparse
 from .names import read_header
 from .options import OPTIONS, ReadOptions, with_folder
 from .refusal import Refused
@@ -155,9 +156,17 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
                 loaded[quantity] = base if scale is None else base * scale
     if "time" in chosen:
         chosen = chosen | {"time": _timed(table, chosen["time"], loaded, count, options)}
-        if loaded["time"] is not None and chosen["time"].place is not None:
-            loaded = _without_empty_rows(loaded)
-    return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options)
+    rows = None
+    if "voltage" in chosen and "time" in chosen:
+        loaded, rows, fraction = hold_sparse(loaded)
+        if rows is not None:
+            note = f"in {100 * fraction:.2g} % of the rows, held between them"
+            voltage = chosen["voltage"]
+            note = f"{voltage.note}; {note}" if voltage.note else note
+            chosen = chosen | {"voltage": replace(voltage, note=note)}
+    if "time" in chosen and chosen["time"].place is not None:
+        loaded, rows = _without_empty_rows(loaded, rows)
+    return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options, rows=rows)
 
 
 def _values(
@@ -218,13 +227,16 @@ def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
     return "" if seconds else f"the clock {name!r} has no unit"
 
 
-def _without_empty_rows(loaded: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _without_empty_rows(loaded: dict[str, np.ndarray], rows: np.ndarray | None) -> tuple[dict, np.ndarray | None]:
     """Rows without a filled cell taken out: the clock shows the gap."""
     if len({len(v) for v in loaded.values()}) > 1:
-        return loaded
+        return loaded, rows
     # only rows empty in all columns: an empty input alone must be refused later
     empty = np.all([np.isnan(v) for v in loaded.values()], axis=0)
-    return {q: v[~empty] for q, v in loaded.items()} if empty.any() else loaded
+    if not empty.any():
+        return loaded, rows
+    rows = np.arange(len(empty)) if rows is None else rows
+    return {q: v[~empty] for q, v in loaded.items()}, rows[~empty]
 
 
 def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, name: str) -> list[Loaded]:
@@ -238,6 +250,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     whole = _load(table, chosen, options)
     count = len(whole.values["voltage"] if "voltage" in whole.values else next(iter(whole.values.values())))
     keys = table.texts(places[0]) if table.texts is not None else table.load(places)[0]
+    keys = keys if whole.rows is None else keys[whole.rows[whole.rows < len(keys)]]
     if len(keys) != count:
         raise BadInput(f"{table.source}: column {name!r} of --split-by has {len(keys)} values for {count} samples")
     # run 1.0 of a float column is called 1
@@ -251,5 +264,6 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     for label in first:
         # a run may be taken up again later in the file
         rows = np.flatnonzero(np.array(labels) == label)
-        parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=rows))
+        kept = rows if whole.rows is None else whole.rows[rows]
+        parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=kept))
     return parts

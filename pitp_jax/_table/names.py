@@ -12,24 +12,27 @@ from dataclasses import dataclass
 from .units import kind_of, plain, spelt
 
 _VOCABULARY = {
-    "time": "t time zeit timestamp date datetime datum uhrzeit temps tiempo tempo elapsed clock millis micros "
-    "x_value x_werte время 時間 时间 時刻",
+    "time": "t time zeit timestamp stamp reltime abstime date datetime datum uhrzeit temps tiempo tempo "
+    "elapsed clock millis micros x_value x_werte время 時間 时间 時刻",
     "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input in vin amplifier amp "
     "excitation eingang anregung actuation monitor command cmd setpoint desired des target reference ref goal soll "
-    "demand duty pwm throttle potential напряжение 電圧 电压 電圧値",
+    "demand duty pwm throttle ctrl action qfrc heater potential напряжение 電圧 电压 電圧値",
     "output": "x y z d w q displacement disp position pos weg auslenkung verschiebung abstand hub laser stroke "
     "deflection distance output out motion extension elongation height hoehe deplacement response lvdt sensor ausgang "
-    "vout angle theta encoder measured actual ist feedback перемещение смещение 変位 位移",
+    "vout angle theta encoder qpos qvel measured actual ist feedback перемещение смещение 変位 位移",
 }
 _WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
 _COMMANDS = frozenset(
-    "command cmd setpoint desired des goal target soll demand".split()
+    "command cmd setpoint desired des goal target soll demand ctrl action".split()
 )  # also before the word "position"
 _PORTS = frozenset("input output in out vin vout eingang ausgang".split())  # of the DAQ or of the actuator, who knows
 _BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
 _LAST = re.compile(r"^(.*\S)(?:\s*[_,:;-]\s*|\s+)(\S+)$")
-_ROLE_OF = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None}
-_OWN = {"A": {"current", "strom", "i", "input", "output"}, "N": {"force", "kraft", "f", "input", "output"}}
+_ROLE_OF = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None, "K": None}
+_OWN = {
+    "A": {"current", "strom", "i", "input", "output"}, "N": {"force", "kraft", "f", "input", "output"},
+    "K": {"temperature", "temp", "t"},
+}  # fmt: skip
 _R_BRACKETS = re.compile(r"\.\.([^.\s]+)\.$")  # R makes `Weg..mm.` of `Weg (mm)`
 _PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  # what no quantity is called
 
@@ -51,6 +54,11 @@ class Header:
     unknown: str | None
     words: frozenset[str]
     role: str | None
+
+    @property
+    def clock_only(self) -> bool:
+        """Whether it is the name of a clock and nothing else: `time`, no `cycle time` and no `latency`."""
+        return bool(self.words) and self.words <= _WORDS["time"]
 
     @property
     def port_only(self) -> bool:
@@ -76,6 +84,7 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
         # `(in)` is an inch, the word before a unit is none
         inch = inside == "in" and text[: bracket.start()].strip() not in ("V", "I")  # V(in) is a node of SPICE
         unit = "inch" if inch else spelt(inside) or spelt(re.split(r"[,;]", inside)[0])
+        unit = unit or {"C": "degC"}.get(inside)  # a bare C is a channel
         if unit:
             return (text[: bracket.start()] + text[bracket.end() :]).strip(), unit, None
         if not inside.isdecimal():  # position[2] is the third joint
@@ -100,7 +109,8 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
     said = stem != ending[1].rstrip(" /_,:;-") or text.lower().startswith("in ")
     if not said and unit in _ROLE_OF and len(ending[2]) == 1 + 2 * (unit == "min"):
         words = _words(stem)
-        if not (_role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]):
+        suits = _role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]
+        if not suits and not (unit == "m" and words & _COMMANDS):  # a commanded position
             return text, None, None  # `Channel A` is no current
     return stem, unit, None
 

@@ -5,7 +5,7 @@ u(t) = what was sent last at or before t        (a command holds until the next 
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ def is_bag(path: Path) -> bool:
 
 
 def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
-    """A Parquet file: its columns, dates as seconds; `unit` in a column's metadata counts."""
+    """A Parquet file: its columns, dates as seconds, lists as `name[1]`, ...; `unit` in a column's metadata counts."""
     if not file_bytes(path, 4).startswith(b"PAR1"):
         raise BadInput(f"{cleaned(path)}: is not a Parquet file as its suffix says; write it again")
     import pandas as pd  # here: `pitp info` reads no table, and loads none
@@ -54,15 +54,36 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
 
     beside = {f.name: (f.metadata or {}).get(b"unit") for f in schema}
     beside |= {f.name: b"s" for f in schema if str(f.type).startswith(("timestamp", "duration"))}
-    stored = {name: (lambda name=name: _plain(column(name))) for name in schema.names}
+    stored, origin = {}, []
+    for field in schema:
+        count = _entries(field, column)
+        for k in range(max(count, 1)):
+            name = f"{field.name}[{k + 1}]" if count else field.name
+            entry = k if count else None
+            stored[name] = lambda of=field.name, entry=entry: _plain(column(of), entry)
+            beside[name] = beside[field.name]
+            origin.append(field.name)
     table = array_table(path, stored, "Parquet file", beside=beside)
-    return [[replace(table, texts=lambda k: column(schema.names[k]).astype(str).to_numpy())]]
+    return [[replace(table, texts=lambda k: column(origin[k]).astype(str).to_numpy())]]
 
 
-def _plain(column: "pd.Series") -> np.ndarray:
-    """Numbers of a column, nan where empty; dates and spans in seconds."""
+def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
+    """Return how many numbers each cell of a column of lists holds; 0 where it holds none or very many."""
+    from pyarrow import types
+
+    listed = types.is_list(field.type) or types.is_large_list(field.type) or types.is_fixed_size_list(field.type)
+    if not listed or not (types.is_integer(field.type.value_type) or types.is_floating(field.type.value_type)):
+        return 0
+    count = max((len(row) for row in column(field.name) if row is not None), default=0)
+    return count if count <= _LONGEST else 0
+
+
+def _plain(column: "pd.Series", entry: int | None = None) -> np.ndarray:
+    """Numbers of a column, or of one entry of its lists; nan where empty; dates and spans in seconds."""
     import pandas as pd
 
+    if entry is not None:
+        return np.array([np.nan if row is None or len(row) <= entry else row[entry] for row in column], np.float64)
     if column.dtype.kind in "mM":
         unzoned = column.dt.tz_convert(None) if getattr(column.dt, "tz", None) else column
         begin = pd.Timestamp(0) if column.dtype.kind == "M" else pd.Timedelta(0)

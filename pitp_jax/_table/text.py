@@ -35,7 +35,6 @@ _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
 _ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
 _BROKEN = 50  # lines looked through for names that are broken within their quotes
-_FOOTER = 50  # lines below the rows of numbers that may be a summary
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
@@ -63,7 +62,7 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
 
 def _table(path: Path, data: bytes, start: int, layout: Layout, encoding: str) -> Table:
     source, above = cleaned(path), data[:start].count(b"\n")
-    body, below = _without_summary(_rows_only(data[start:], layout), layout, encoding)
+    body = _rows_only(data[start:], layout)
     check_count(body.count(b"\n"), source)
 
     def place(sample: int) -> str:
@@ -81,8 +80,7 @@ def _table(path: Path, data: bytes, start: int, layout: Layout, encoding: str) -
     parts += ["decimal comma"] if layout.decimal == "," else []
     parts += [encoding] if encoding not in ("utf-8", "ascii") else []
     blanks = data[start:].strip(b"\n").count(b"\n\n")
-    summary = (f"{below} line{'s' if below > 1 else ''} of words below the numbers left out",) if below else ()
-    form = ", ".join((*parts, *layout.notes, *summary))
+    form = ", ".join((*parts, *layout.notes))
     return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
 
 
@@ -306,21 +304,6 @@ def _rows_only(body: bytes, layout: Layout) -> bytes:
     kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
     end = body.find(b"\n", len(kept))  # an empty last cell belongs to its row
     return body if end < 0 else body[:end]
-
-
-def _without_summary(body: bytes, layout: Layout, encoding: str) -> tuple[bytes, int]:
-    """The rows without lines of words at their end (`Mean;2.5;0.4`, `*** END ***`), and how many those were.
-
-    Only where the first column holds numbers; a word within the rows is refused later, with its line.
-    """
-    count = 0
-    while layout.columns[0].form == "number" and count < _FOOTER:
-        begin = body.rfind(b"\n") + 1
-        words = cells_of(body[begin:].decode(encoding, "replace"), layout.separator)
-        if not begin or not words or not words[0].lstrip("*=-> ")[:1].isalpha() or is_number(words[0], layout.decimal):
-            break
-        body, count = body[: begin - 1], count + 1
-    return body, count
 
 
 def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:

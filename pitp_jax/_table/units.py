@@ -18,6 +18,8 @@ _KINDS: dict[str, dict[str, float]] = {  # the first unit of a kind is its base
     "angular speed": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": 2 * math.pi / 60},
     "speed": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
     "acceleration": {"m/s2": 1.0},
+    "temperature": {"degC": 1.0},
+    "absolute temperature": {"K": 1.0},
     "number": {"counts": 1.0, "percent": 1e-2},
 }
 _FACTORS = {unit: factor for units in _KINDS.values() for unit, factor in units.items()}
@@ -57,6 +59,8 @@ _WORDS = {
     "deg/s": "°/s deg/sec",
     "rpm": "rpm u/min r/min rev/min 1/min min-1",
     "m/s2": "m/s^2 m/s/s m/s**2",
+    "degC": "°c degc deg_c celsius",
+    "K": "kelvin",
     "counts": "count counts cnt cnts cts inc ticks pulses",
     "percent": "% percent pct",
 }

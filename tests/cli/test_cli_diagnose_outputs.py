@@ -48,6 +48,33 @@ def test_options_reach_the_diagnosis(bench, quick, call):
     assert "wrote" not in out
 
 
+@pytest.mark.parametrize(("error", "code"), [(RuntimeError("no ink"), 0), (KeyboardInterrupt(), 130)])
+def test_a_page_that_fails_loses_nothing_else(bench, quick, call, tmp_path, monkeypatch, error, code):
+    """Model and JSON are there before the page; an error is reported, an interrupt ends the command."""
+
+    def broken(*_):
+        raise error
+
+    monkeypatch.setattr(command, "report", broken)
+    argv = ["diagnose", bench / "records", "--nominal", bench / "nominal", "--json", tmp_path / "j"]
+    ended, _, err = call(*argv, "--out", tmp_path / "d")
+    assert ended == code and ("report.html failed (RuntimeError: no ink)" in err) == (code == 0)
+    written = set(tree(tmp_path / "d"))
+    assert {command.MODEL, command.JSON} <= written and command.REPORT not in written
+    assert ("figures/where.png" in written) == (code == 0)
+    assert json.loads((tmp_path / "j").read_text())["effects"] == list(quick.found.effects)
+    model_file.load(tmp_path / "d" / command.MODEL)
+
+
+def test_an_interrupted_diagnosis_writes_the_best_so_far(bench, quick, call, tmp_path):
+    quick.found = replace(quick.found, interrupted=True)
+    argv = ["diagnose", bench / "records", "--nominal", bench / "nominal", "--out", tmp_path / "d"]
+    code, out, err = call(*argv)
+    assert code == 130 and f"the best result so far is in {tmp_path / 'd'}" in err
+    assert {command.MODEL, command.JSON, command.REPORT} <= set(tree(tmp_path / "d"))
+    assert quick.found.effects[0] in out
+
+
 @pytest.mark.slow
 def test_an_experiment_is_written_and_named_and_an_old_one_goes(bench, quick, call, tmp_path):
     time = np.arange(500) / 500

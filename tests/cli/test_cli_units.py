@@ -2,12 +2,15 @@
 
 import json
 import re
+import subprocess
 from dataclasses import replace
 from html import unescape
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from cli_cases import columns_of, refused, truth
+from exported import COMPILERS, Exported
 from scipy.signal import lsim
 
 from pitp_jax._commands.amounts import amount, in_base
@@ -213,3 +216,58 @@ def test_a_reversed_sensor_is_named_in_words(call, bench, tmp_path, polarity, en
     code, text, _ = call("info", tmp_path / "m")
     assert code == 0 and f"The sensor reads 18.41 mm {end}" in text
     assert ("(reversed sensor)" in text) == (polarity < 0)
+
+
+@pytest.mark.parametrize("to", ["c", "fmu", "matlab"])
+def test_exported_code_has_the_units_of_the_machine(call, motor, tmp_path, to):
+    """Comments, pages and model descriptions; the first lines say what a target is."""
+    code, text, _ = call("export", motor / "model", "--to", to, "--out", tmp_path / "rig")
+    assert code == 0 and foreign(text) == []
+    said = {path.name: path.read_text() for path in (tmp_path / "rig").iterdir() if path.suffix != ".fmu"}
+    if to == "fmu":
+        with ZipFile(tmp_path / "rig" / "pitp_model.fmu") as archive:
+            said |= {name: archive.read(name).decode() for name in archive.namelist() if name.endswith((".xml", ".h"))}
+        assert 'name="deg/s"' in said["modelDescription.xml"] and 'unit="A"' in said["modelDescription.xml"]
+        assert f'factor="{DEGREE!r}"' in said["modelDescription.xml"]
+    words = {name: commented(name, text) for name, text in said.items() if not name.endswith(".csv")}
+    assert {name: lines for name, text in words.items() if (lines := foreign(text))} == {}
+    assert "displacements in deg/s: 0 at 0 A, with the sensor's sign" in said["README.md"][:300]
+
+
+def commented(name, text):
+    """The comments of a source; all of a page or a model description but for SI's base units."""
+    if name.endswith((".c", ".h", ".ino")):
+        return "\n".join(re.findall(r"/\*.*?\*/|//[^\n]*", text, flags=re.DOTALL))
+    if name.endswith(".m"):
+        return "\n".join(re.findall(r"%[^\n]*", text))
+    return re.sub(r"<BaseUnit [^>]*>", "", text) if name.endswith((".md", ".xml")) else ""
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+def test_exported_code_takes_amperes_and_gives_degrees_per_second(call, motor, tmp_path):
+    """A step of 1 A ends at 200 deg/s, and the target of 200 deg/s asks for 1 A."""
+    assert call("export", motor / "model", "--to", "c", "--out", tmp_path / "rig")[0] == 0
+    made = Exported(tmp_path / "rig", 2)
+    found = made.predict(np.where(np.arange(1500) > 0, 1.0, 0.0))
+    np.testing.assert_allclose(found, speed(np.where(TIME > 0, 1.0, 0.0)), atol=1.0)
+    assert found[-1] == pytest.approx(200, rel=1e-4)
+    assert made.plan([[200.0, 0.0, 0.0]])[0] == pytest.approx(1.0, rel=1e-6)
+    assert subprocess.run(["make"], cwd=tmp_path / "rig", capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+def test_a_reading_at_zero_volts_is_the_zero_of_exported_code(call, bench, tmp_path):
+    """A laser that is mounted anew, at 30 mm and reversed: predictions, targets and the PI steps are from 0 V."""
+    known = truth()
+    reversed_ = replace(known.model, output=Output(offset=18.4e-3, polarity=-1.0))
+    model_file.save(tmp_path / "m", Fitted(reversed_, known.origin))
+    assert call("export", tmp_path / "m", "--to", "c", "--out", tmp_path / "rig")[0] == 0
+    made = Exported(tmp_path / "rig", 2)
+    still = made.predict(np.full(3000, 1000.0), y0=30e-3)
+    assert still[0] == pytest.approx(0, abs=1e-4) and still[-1] == pytest.approx(1e-3, rel=1e-3)  # 1 mm at 1 kV
+    rows = np.tile([1e-3, 0.0, 0.0], (1500, 1))
+    short = 0.9e-3 * np.ones(1500)  # the actuator stays a tenth short: the voltage grows
+    anew, before = (made.command(2, rows, at_rest - short, y0=at_rest)[0] for at_rest in (30e-3, 18.4e-3))
+    np.testing.assert_allclose(anew, before, atol=1e-6)
+    assert anew[-1] > anew[1] and made.command(2, rows, 30e-3 - 1.1e-3 * short / short, y0=30e-3)[0][-1] == 0
+    assert "as the actuator extends" in (tmp_path / "rig" / "pitp_model.h").read_text()[:600]

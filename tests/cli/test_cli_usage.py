@@ -1,9 +1,11 @@
 """The command line itself: usage errors, help, version, and what it imports."""
 
 import os
+import shlex
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from cli_cases import refused
 
@@ -106,3 +108,45 @@ def test_compiled_programs_are_kept_unless_told_otherwise(bench, tmp_path):
     first = kept()
     assert first
     assert kept() == first
+
+
+def machine_log(path, header):
+    rows = [f"{k / 100},{np.sin(k / 9):.6f},{np.cos(k / 9):.6f}" for k in range(200)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "columns"),
+    [
+        ("time_s,ctrl [rad],qpos [rad]", ("ctrl", "qpos")),
+        ("time_s,qvel_rad/s,ctrl [rad]", ("ctrl", "qvel")),
+        ("time_s,action [rad],joint_pos [rad]", ("action", "joint_pos")),
+        ("t [s],command_m,position_m", ("command", "pos")),
+        ("time_s,qfrc_applied [N m],qpos [rad]", ("qfrc_applied", "qpos")),
+        ("time_s,target_rad,qpos_rad", ("target", "qpos")),
+        ("time_s,cmd_rad,qpos_rad", ("cmd", "qpos")),
+    ],
+)
+def test_names_of_simulators_are_columns(tmp_path, header, columns):
+    (record,) = pitp_jax.read(machine_log(tmp_path / "log.csv", header))
+    assert columns[0] in record.recognised["input"] and columns[1] in record.recognised["output"]
+
+
+def test_a_proposed_command_is_of_the_command_that_was_run(call, tmp_path):
+    """Run as it is proposed, it gets past the refusal."""
+    path = machine_log(tmp_path / "log.csv", "time_s,left_rad,right_rad")
+    argv = ["identify", path, "--out", tmp_path / "m", "--order", "1", "--input-map", "linear"]
+    line = refused(call(*argv))
+    proposed = shlex.split(line.rpartition("; try: pitp ")[2])
+    assert proposed[: len(argv)] == [str(a) for a in argv] and "--input-column" in proposed
+    assert "--input-column" not in call(*proposed)[2].rpartition("; try: ")[2]
+
+
+def test_for_one_of_two_sets_a_pitp_toml_is_proposed(call, tmp_path):
+    sim, robot = tmp_path / "sim", tmp_path / "robot"
+    sim.mkdir(), robot.mkdir()
+    machine_log(sim / "log.csv", "time_s,left_rad,right_rad")
+    machine_log(robot / "log.csv", "time_s,command_rad,angle_rad")
+    line = refused(call("compare", sim, robot))
+    assert f"put into {sim / 'pitp.toml'}: " in line and "input-column = " in line and "pitp check" not in line

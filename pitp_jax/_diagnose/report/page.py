@@ -124,7 +124,19 @@ def _records(d: Diagnosis) -> list[str]:
                 figure(scale * span), figure(before), figure(after), percent(d.where["records"].get(t.name)),
             )[:columns])
         )  # fmt: skip
-    return [html.table(header[:columns], rows, {1: "left"}), *(tag("p", f"Note: {line}.", "soft") for line in d.notes)]
+    notes = [tag("p", f"Note: {line}.", "soft") for line in d.notes]
+    return [html.table(header[:columns], rows, {1: "left"}), *_pieces(d), *notes]
+
+
+def _pieces(d: Diagnosis) -> list[str]:
+    """The stretches on which the search worked, where the set is long."""
+    if d.pieces is None:
+        return []
+    rows = [("", (p.record, f"{p.from_s:.6g}", f"{p.to_s:.6g}")) for p in d.pieces]
+    return [
+        tag("p", "The search worked on these pieces:", "soft"),
+        html.table(("recording", "from (s)", "to (s)"), rows, {}),
+    ]
 
 
 def _reading(d: Diagnosis) -> list[str]:

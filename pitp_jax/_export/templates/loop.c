@@ -14,11 +14,11 @@ int main(void)
     clock_gettime(CLOCK_MONOTONIC, &next);
     for (unsigned k = 0; k < 1.0 / (double)@UP@_DT; k++) {
         const double t = (k + @UP@_LOOK_AHEAD) * (double)@UP@_DT;
-        const @id@_real y = (@id@_real)(@rest_number@ + @stroke@ * 0.5 * (1.0 - cos(6.283185307179586 * t)));
+        const @id@_real y = (@id@_real)(@stroke@ * 0.5 * (1.0 - cos(6.283185307179586 * t)));
         uint32_t flags;
         const @id@_real u = @id@_inverse_target_step(&state, &y, &flags);
         if (k % 100 == 0) {
-            printf("t %.3f s   u %.1f V   flags %u\n", k * (double)@UP@_DT, (double)u, (unsigned)flags);
+            printf("t %.3f s   u %.4g @in@   flags %u\n", k * (double)@UP@_DT, (double)u, (unsigned)flags);
         }
         next.tv_nsec += (long)(1e9 * (double)@UP@_DT);
         next.tv_sec += next.tv_nsec / 1000000000L;

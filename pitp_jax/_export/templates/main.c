@@ -39,7 +39,7 @@ static double differentiated(void)
     const unsigned count = (unsigned)(15.0 / (w * dt)) + (2u * @UP@_LOOK_AHEAD);
     for (unsigned k = 0u; k < count; k++) {
         const double t = w * dt * (double)(k + @UP@_LOOK_AHEAD);
-        const real y = (real)(@rest_number@ + half * (1.0 - cos(t)));
+        const real y = (real)(half * (1.0 - cos(t)));
         const double now = w * (((double)k * dt) + (double)@UP@_AHEAD);
         real rows[@UP@_TOKENS];
         double size = -half;
@@ -49,7 +49,7 @@ static double differentiated(void)
             rows[i] = (real)(size * cos(now + (i * 1.5707963267948966)));
             size *= w;
         }
-        rows[0] = (real)(@rest_number@ + half * (1.0 - cos(now)));
+        rows[0] = (real)(half * (1.0 - cos(now)));
         const double got = (double)@id@_inverse_target_step(&samples, &y, &flags);
         const double right = (double)@id@_inverse_step(&derivatives, rows, &cut);
         if (k > (3u * @UP@_LOOK_AHEAD) && ((flags | cut) & (@UP@_VOLTAGE | @UP@_SLEW)) == 0u) {

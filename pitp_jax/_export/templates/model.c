@@ -20,8 +20,8 @@ typedef @id@_real real;
 #define BLOCKS @blocks@u
 #define BLOCK @block@u
 #define WINDOW (BLOCKS * BLOCK)
-#define POLARITY @polarity@
-#define REST @rest@
+#define SIGN @sign@   /* of the displacement that a force makes */
+#define SENSOR @sensor@ /* -1: the sensor reads less as the displacement grows */
 #define MOST_STEP (@UP@_MAX_SLEW * @UP@_DT)
 
 @helpers@
@@ -85,7 +85,7 @@ static bool waits(@id@_state *state, uint32_t *flags)
     return still;
 }
 
-/* The last voltage for WATCHDOG calls, then a ramp to 0 V. */
+/* The last voltage for WATCHDOG calls, then a ramp to 0 @in@. */
 static real silence(@id@_state *state, uint32_t *flags)
 {
     if (waits(state, flags)) {
@@ -180,15 +180,25 @@ static real windowed(const @id@_state *state, unsigned i)
     return sum;
 }
 
-void @id@_init(@id@_state *state, real y0, real u0)
+/* The displacement of a reading. */
+static real displaced(const @id@_state *state, real measured)
 {
+    return SENSOR * (measured - state->zero);
+}
+
+void @id@_init(@id@_state *state, real reading, real u0)
+{
+    const bool still = !((u0 < ZERO) || (u0 > ZERO));
+    const real zero = still ? reading : @UP@_REST;
+    const real y0 = still ? ZERO : (SENSOR * (reading - zero));
     const real held[2] = {y0, u0};
     (void)memset(state, 0, sizeof *state);
     predict_start(held, held, state->model, NULL);
     inverse_start(held, held, state->plan, NULL);
-    fill(state, y0 - REST);
+    fill(state, y0);
+    state->zero = zero;
     state->asked = y0;
-    state->reference[0] = y0 - REST;
+    state->reference[0] = y0;
     state->displacement = y0;
     state->voltage = u0;
     state->p = @UP@_P;
@@ -241,9 +251,9 @@ real @id@_inverse_target_step(@id@_state *state, const real *target, uint32_t *f
     *flags = 0u;
     if (came) {
         if (state->silent >= @UP@_WATCHDOG) {
-            fill(state, *target - REST);
+            fill(state, *target);
         }
-        push(state, *target - REST);
+        push(state, *target);
     } else {
         if (target != NULL) {
             *flags = @UP@_NOT_A_NUMBER;
@@ -256,11 +266,10 @@ real @id@_inverse_target_step(@id@_state *state, const real *target, uint32_t *f
     for (unsigned i = 0u; i < TOKENS; i++) {
         rows[i] = windowed(state, i);
     }
-    rows[0] += REST;
     return open_loop(state, rows, came, flags);
 }
 
-/* PI on the force: u = map^-1(F + P e + I (integral of e)), F that of the feedforward, e in the model's direction.
+/* PI on the force: u = map^-1(F + P e + I (integral of e)), F that of the feedforward, e = target - displacement.
  *
  * Back-calculation: what range and slew cut off the force leaves the integral with the closed loop's time constant.
  * Without a reading the correction stands for WATCHDOG calls, then fades; a reading that comes again, or a start, takes
@@ -270,7 +279,7 @@ static real trimmed(@id@_state *state, real feedforward, real error, bool seen, 
 {
     const real top = larger_of(feedforward, @UP@_MIN_VOLTAGE);
     const real base = force_of((top > @UP@_MAX_VOLTAGE) ? @UP@_MAX_VOLTAGE : top);
-    const real p = POLARITY * state->p * error;
+    const real p = SIGN * state->p * error;
     if (state->closed == 0u) {
         state->trim = seen ? (force_of(state->voltage) - base) : ZERO;
         state->closed = 1u;
@@ -281,7 +290,7 @@ static real trimmed(@id@_state *state, real feedforward, real error, bool seen, 
             state->integral = state->trim - p;
             state->blind = 0u;
         }
-        state->integral += POLARITY * state->i * error * @UP@_DT;
+        state->integral += SIGN * state->i * error * @UP@_DT;
         state->trim = p + state->integral;
     } else {
         *flags |= @UP@_NO_SENSOR;
@@ -331,7 +340,7 @@ real @id@_pi_step(@id@_state *state, const real target[@tokens@], real measured,
     if (!seen) {
         *flags |= @UP@_NOT_A_NUMBER;
     }
-    return trimmed(state, voltage, seen ? (wanted[0] - measured) : ZERO, seen, flags);
+    return trimmed(state, voltage, seen ? (wanted[0] - displaced(state, measured)) : ZERO, seen, flags);
 }
 
 real @id@_pi_target_step(@id@_state *state, const real *target, real measured, uint32_t *flags)
@@ -357,17 +366,16 @@ real @id@_pi_target_step(@id@_state *state, const real *target, real measured, u
     }
     if (state->closed == 0u) { /* a start: the reference begins where the actuator stands */
         (void)memset(state->reference, 0, sizeof state->reference);
-        state->reference[0] = (all_finite(&measured, 1u) ? measured : state->asked) - REST;
+        state->reference[0] = all_finite(&measured, 1u) ? displaced(state, measured) : state->asked;
     }
     (void)memcpy(from, state->reference, sizeof from);
-    from[0] = (state->asked - REST) - state->reference[0];
+    from[0] = state->asked - state->reference[0];
     for (unsigned i = 0u; i < TOKENS; i++) {
         for (unsigned k = 0u; k < TOKENS; k++) {
             state->reference[i] += onward[i][k] * from[k];
         }
         rows[i] = state->reference[i] * units[i];
     }
-    rows[0] += REST;
     const uint32_t before = state->silent;
     const real u = @id@_pi_step(state, rows, measured, flags);
     state->silent = before;

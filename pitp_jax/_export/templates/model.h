@@ -1,7 +1,8 @@
 /* @title@
  *
  * One actuator: its displacement for a voltage, and the voltage for a displacement, every @dt@ s.
- * Displacement in m as the sensor reads it, voltage in V, derivatives in m/s^i. See README.md.
+ * Voltages are in @in@. Targets and predictions are displacements in @out@: @meaning@.
+ * Derivatives are in @derivative_unit@. `measured` is the sensor's own reading, and init takes that reading at 0 @in@.
  */
 #ifndef @UP@_H
 #define @UP@_H
@@ -17,17 +18,18 @@ typedef @real@ @id@_real;
 #define @UP@_DT @dt_number@          /* s between two calls */
 #define @UP@_ORDER @order@u
 #define @UP@_TOKENS @tokens@u                /* y, y', ..., y^(@order@) */
-#define @UP@_MAX_VOLTAGE @high@    /* V */
+#define @UP@_MAX_VOLTAGE @high@    /* @in@ */
 #define @UP@_MIN_VOLTAGE @low@
-#define @UP@_MAX_SLEW @slew@       /* V/s */
-#define @UP@_MAX_DISPLACEMENT @top@ /* m, as the sensor reads it */
+#define @UP@_MAX_SLEW @slew@       /* @slew_unit@ */
+#define @UP@_MAX_DISPLACEMENT @top@ /* @out@ from 0 @in@ */
 #define @UP@_MIN_DISPLACEMENT @bottom@
-#define @UP@_WATCHDOG @watchdog@u           /* calls without a target before the voltage ramps to 0 V */
+#define @UP@_WATCHDOG @watchdog@u           /* calls without a target before the voltage ramps to 0 @in@ */
+#define @UP@_REST @rest@ /* @out@: the sensor's reading at 0 @in@ in the recordings */
 #define @UP@_LATE @late@u                  /* predict_step gives the displacement so many calls ago */
 #define @UP@_AHEAD @ahead@           /* s: the drive is so late; give inverse_step the target of then */
 #define @UP@_LOOK_AHEAD @look_ahead@u           /* calls: inverse_target_step takes the target of then */
-#define @UP@_P @p@             /* gains of the PI steps, on the force: @force_unit@/m, */
-#define @UP@_I @i@             /* @force_unit@/(m s) */
+#define @UP@_P @p@             /* gains of the PI steps, on the force: @gain_unit@, */
+#define @UP@_I @i@             /* @integral_unit@ */
 #define @UP@_TRACK @track@         /* 1/s: over the closed loop's time constant */
 
 /* What a call may report; more than one bit may be set. */
@@ -36,7 +38,7 @@ typedef @real@ @id@_real;
 #define @UP@_VOLTAGE 4u        /* cut by the range of the voltage */
 #define @UP@_SLEW 8u           /* cut by the slew */
 #define @UP@_DISPLACEMENT 16u  /* the target is beyond the range of the displacement: held at its end */
-#define @UP@_NO_TARGET 32u     /* no target came: it is carried on or the voltage kept, then the voltage ramps to 0 V */
+#define @UP@_NO_TARGET 32u     /* no target came: it is carried on or the voltage kept, then the voltage ramps to 0 @in@ */
 #define @UP@_NO_SENSOR 64u     /* no reading came: the correction is kept, then fades */
 
 typedef struct {
@@ -45,11 +47,12 @@ typedef struct {
     @id@_real window[@window@];
     @id@_real recent[@block@];
     @id@_real reference[@tokens@];
-    @id@_real asked;        /* m, the last target of pi_target_step */
-    @id@_real displacement; /* m, last predicted */
-    @id@_real voltage;      /* V, last given out */
-    @id@_real p;            /* @force_unit@/m, gains of the PI steps in the model's direction: set them after init */
-    @id@_real i;            /* @force_unit@/(m s) */
+    @id@_real zero;         /* @out@, the sensor's reading at 0 @in@ */
+    @id@_real asked;        /* @out@, the last target of pi_target_step */
+    @id@_real displacement; /* @out@, last predicted */
+    @id@_real voltage;      /* @in@, last given out */
+    @id@_real p;            /* @gain_unit@, gains of the PI steps: set them after init */
+    @id@_real i;            /* @integral_unit@ */
     @id@_real track;        /* 1/s, of the back-calculation; 0 turns it off */
     @id@_real integral;     /* @force_unit@ */
     @id@_real trim;         /* @force_unit@, P and I together */
@@ -59,8 +62,9 @@ typedef struct {
     uint32_t closed;        /* the last voltage came from a PI step */
 } @id@_state;
 
-/* Held at y0 under u0 for ever; at rest: y0 = @rest@, u0 = 0. */
-void @id@_init(@id@_state *state, @id@_real y0, @id@_real u0);
+/* An actuator that has stood under u0, where the sensor reads `reading`. With u0 = 0 that is the reading at 0 @in@, from
+ * which `measured` is counted afterwards; with another u0 it is counted from @UP@_REST, or set state->zero. */
+void @id@_init(@id@_state *state, @id@_real reading, @id@_real u0);
 
 /* Displacement at this sample for the voltage at this sample. */
 @id@_real @id@_predict_step(@id@_state *state, @id@_real u);
@@ -71,7 +75,7 @@ void @id@_init(@id@_state *state, @id@_real y0, @id@_real u0);
 /* Voltage now for a target sampled every DT, given LOOK_AHEAD samples early; NULL: none came. */
 @id@_real @id@_inverse_target_step(@id@_state *state, const @id@_real *target, uint32_t *flags);
 
-/* inverse_step and a PI on the force, u = map^-1(F + P e + I (integral of e)), e = y - measured; measured NAN: none came.
+/* inverse_step and a PI on the force, u = map^-1(F + P e + I (integral of e)), e = y - y(measured); measured NAN: none came.
  * It starts from the voltage that stands, and what range and slew cut does not wind it up. */
 @id@_real @id@_pi_step(@id@_state *state, const @id@_real target[@tokens@], @id@_real measured, uint32_t *flags);
 

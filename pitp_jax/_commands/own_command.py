@@ -1,0 +1,32 @@
+"""Turn the command that a refusal proposes into the one that was run.
+
+...; try: pitp check FILE --option VALUE        ->  try: pitp identify FILE --out M --option VALUE
+of two sets of files                            ->  put into FOLDER/pitp.toml: ["*"] option = "VALUE"
+"""
+
+import os
+import shlex
+from collections.abc import Sequence
+
+_MARK = "; try: pitp check "
+_LONGEST = 585  # of a refusal, before the program's name
+_OWN_RATE = ("invert", "plan")  # their --rate is not that of the files
+
+
+def own_command(text: str, argv: Sequence[str]) -> str:
+    """Rewrite the command at the end of a refusal; the text stays where the own command would be too long."""
+    head, mark, command = text.rpartition(_MARK)
+    if not mark or not argv or argv[0] == "check":
+        return text
+    words = shlex.split(command)
+    first = next((k for k, word in enumerate(words) if word.startswith("--")), len(words))
+    paths, options = words[:first], words[first:]
+    if not options or not paths or (argv[0] in _OWN_RATE and "--rate" in options):
+        return text
+    if argv[0] == "compare" or "--against" in argv:
+        folder = paths[0] if os.path.isdir(paths[0]) else os.path.dirname(paths[0])
+        keys = "; ".join(f'{o[2:]} = "{v}"' for o, v in zip(options[::2], options[1::2], strict=False))
+        whole = f'{head}; put into {os.path.join(folder, "pitp.toml")}: ["*"] and below it {keys}'
+    else:
+        whole = f"{head}; try: {shlex.join(['pitp', *argv, *options])}"
+    return whole if len(whole) <= _LONGEST else text

@@ -1,0 +1,79 @@
+"""Judge whether a linear model explains the output at all, and name the likely reason where it does not.
+
+feedback:  var(u_t | earlier u, earlier y) / var(u_t | earlier u)      least squares on the last samples of both
+folded:    1 - R^2 of |G u| and (G u)^2 beside y                       G: lags of order 1 and modes of a grid
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from .._record.initial_state import noise_std
+from .heldout import Candidate
+from .linear_ode import respond
+from .output_error import Problem
+
+NOTHING, LITTLE = 0.9, 0.5  # of the output's rms held out: left by a model that explains nothing, or little
+_OUT_OF_NOISE, _NOISE = 0.1, 0.5  # of the output's rms: left held out; and the noise above which it hardly moves
+_GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the modes behind a folded output
+
+
+def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
+    """Return whether anything is explained, and a sentence where it is little, or hardly more than noise."""
+    least = min(c.heldout.score for c in candidates)
+    left = f"{100 * chosen.heldout.score:.2g} % of the output's rms is left on held-out blocks"
+    if chosen.heldout.score > _OUT_OF_NOISE and _noise_part(problem) > _NOISE:
+        return least < NOTHING, (
+            f"{left}, and most of the output is its sensor's noise, as of a plant that a controller holds in place: "
+            "such records determine no model. Record with a larger excitation, a test signal in the reference"
+        )
+    if least >= NOTHING and _folded_left(problem) < NOTHING:
+        return True, (
+            f"{left}, but a folded reading (|y| or y^2) of the output is explained better: the sensor does not "
+            "show the direction. `pitp diagnose` names it"
+        )
+    if least >= NOTHING:
+        return False, (
+            f"The model explains nothing: {left}, and no order explains more. Check --input-column and "
+            "--output-column, whether another input moves the output, and whether the record was made in a closed loop"
+        )
+    if chosen.heldout.score >= LITTLE:
+        return True, (
+            f"{left}: the model explains only a part. Check whether another input moves the output, and whether the "
+            "columns are the right ones"
+        )
+    return True, None
+
+
+def _noise_part(problem: Problem) -> float:
+    """Return the sensors' noise over the rms of the outputs about their means, pooled over records."""
+    noise = moved = 0.0
+    for output, weight in zip(problem.output, problem.weight, strict=True):
+        y, count = np.where(weight > 0, output, np.nan), float(weight.sum())
+        noise, moved = noise + count * float(noise_std(y)) ** 2, moved + count * float(np.nanvar(y))
+    return float(np.sqrt(noise / max(moved, 1e-300)))
+
+
+def _folded_left(problem: Problem) -> float:
+    """Return what the best even reading of a linear motion leaves of the output, over its standard deviation."""
+    best = np.inf
+    for poles in _poles(problem):
+        missed = whole = 0.0
+        for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+            run = respond(poles, drive, step=problem.dt, square=problem.square, hold="foh")
+            use = weight > 0
+            y = output[use] - output[use].mean()
+            columns = np.column_stack([np.abs(run), run**2, np.ones(len(run))])[use]
+            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+            rest = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+            missed, whole = missed + float(rest @ rest), whole + float(y @ y)
+        best = min(best, np.sqrt(missed / max(whole, 1e-300)))
+    return float(best)
+
+
+def _poles(problem: Problem) -> Iterator[np.ndarray]:
+    """Yield logarithms of the coefficients of single lags and of modes, over the band of the records."""
+    for omega in np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID):
+        yield np.array([np.log(omega)])
+        for damping in _DAMPINGS:
+            yield np.array([np.log(2 * damping * omega), 2 * np.log(omega)])

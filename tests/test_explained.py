@@ -1,0 +1,56 @@
+"""A model that explains nothing, little or everything of the output, and a sensor that does not show the direction."""
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+import pitp_jax as pitp
+
+TIME = np.arange(1200) / 100
+
+
+def _levels(seed):
+    return np.repeat(np.random.default_rng(seed).uniform(-1, 1, 60), 20)
+
+
+def _moved(voltage):
+    return lsim(([1.0], [0.005, 0.05, 1.0]), voltage, TIME)[1]
+
+
+def _identified(output, voltage, order=1):
+    record = pitp.Record("log", TIME, voltage, output, displacement_unit="m")
+    return pitp.identify([record], input_map="linear", order=order, hold="zoh", leave_out=("delay",))
+
+
+def test_a_sound_record_has_no_warning():
+    found = _identified(_moved(_levels(0)), _levels(0), order=2)
+    assert found.explains and found.warning is None
+
+
+def test_an_output_of_another_input_is_not_explained():
+    found = _identified(_moved(_levels(0)), _levels(1))
+    assert not found.explains and "explains nothing" in str(found.warning)
+
+
+def test_an_output_of_two_inputs_is_explained_in_part():
+    found = _identified(_moved(_levels(0)) + 1.2 * _moved(_levels(1)), _levels(0), order=2)
+    assert found.explains and "explains only a part" in str(found.warning)
+
+
+def test_a_folded_output_is_not_taken_for_nothing():
+    found = _identified(np.abs(_moved(_levels(0))), _levels(0))
+    assert found.explains and "folded reading" in str(found.warning)
+
+
+def test_a_plant_at_rest_in_its_loop_determines_no_model():
+    """The controller reacts to the noise of the sensor, which is all that moves."""
+    noise = 1e-6 * np.random.default_rng(2).standard_normal(len(TIME) + 1)
+    found = _identified(noise[1:], 1e6 * np.diff(noise))
+    assert "determine no model" in str(found.warning)
+
+
+@pytest.mark.parametrize("other", [0.0, 6.0])
+def test_a_coefficient_below_its_error_is_not_identifiable(other):
+    fit = _identified(_moved(_levels(0)) + other * _moved(_levels(1)), _levels(0)).chosen
+    assert fit.poles_known
+    assert fit.identifiable == bool((fit.stderr < np.abs(fit.coefficients)).all()) == (other == 0)
