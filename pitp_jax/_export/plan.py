@@ -108,7 +108,7 @@ class Plan:
     @property
     def voltages(self) -> tuple[float, float, float]:
         """Lowest and highest input and its slew, of the records the model was trained on, in the units written."""
-        low, high = self.units.input.shown(self.model.domain.voltage_range)
+        low, high = map(self.units.input.shown, self.model.domain.voltage_range)
         if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
         slew = float(self.units.input.shown(self.model.domain.slew))
