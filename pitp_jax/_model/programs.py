@@ -21,8 +21,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def jit(function: Callable[P, T]) -> Callable[P, T]:
-    """Compile a function by `eqx.filter_jit`: constants of models are arguments, float32 products have full precision.
+def full_precision(function: Callable[P, T]) -> Callable[P, T]:
+    """Let a function multiply float32 matrices in full precision, whatever the user's default, also where it is traced.
 
     JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs: inverse voltages were wrong by 1e-3 of the largest.
     """
@@ -32,7 +32,12 @@ def jit(function: Callable[P, T]) -> Callable[P, T]:
         with jax.default_matmul_precision("highest"):
             return function(*args, **options)
 
-    compiled: Any = eqx.filter_jit(precise)
+    return precise
+
+
+def jit(function: Callable[P, T]) -> Callable[P, T]:
+    """Compile a function by `eqx.filter_jit`: constants of models are arguments, float32 products have full precision."""
+    compiled: Any = eqx.filter_jit(full_precision(function))
 
     @wraps(function)
     def call(*args: P.args, **options: P.kwargs) -> T:
