@@ -1,7 +1,7 @@
 """Numbers of a model that no training moves: scales, sampling interval, limits, the sensor's offset.
 
 They are Python's floats, so `eqx.is_inexact_array` passes over them: the inexact arrays of a model are its parameters.
-`jax.jit` traces them, `eqx.filter_jit` keeps them as constants, and the package's own programs take them as arguments
+`jax.jit` traces them, Equinox's jit keeps them as constants, and the package's own programs take them as arguments
 (`programs.jit`), so that models of any scale share one program.
 """
 

@@ -36,7 +36,7 @@ def full_precision(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def jit(function: Callable[P, T]) -> Callable[P, T]:
-    """Compile a function by `eqx.filter_jit`: constants of models are arguments, float32 products have full precision."""
+    """Compile by `eqx.filter_jit`: constants of a model are arguments, float32 products have full precision."""
     compiled: Any = eqx.filter_jit(full_precision(function))
 
     @wraps(function)
