@@ -79,7 +79,7 @@ def searched(*sets, own=0.0, refit=False):
     base = hypothesis((), 1.0)
     search.base = search.given = search.linear = base
     search.linears, search.refit, search.own = [base], refit, own
-    search.budget, search.progress = Budget(0.0), lambda line: None
+    search.budget = Budget(0.0)
     search.case, search.floors = (
         cast(Any, SimpleNamespace(blocks=1, recordings={"all": [*range(RECORDS)]})),
         np.full(RECORDS, 1e-9),

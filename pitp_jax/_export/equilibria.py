@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from .._model.model import Model
+from .._model.programs import full_precision
 from .._simulate import ports
 
 _LEVELS = (0.1, 0.25, 0.5, 0.75, 1.0)  # of the stroke that voltages hold
@@ -54,7 +55,12 @@ def equilibria(model: Model) -> list[Equilibrium]:
     Returns:
         Those that exist, at most five on each side of rest.
     """
-    held = jax.jit(jax.vmap(lambda x: jax.jvp(lambda y: holding_force(model, y), (x,), (jnp.ones_like(x),))))
+
+    @jax.jit
+    @full_precision
+    @jax.vmap
+    def held(x):
+        return jax.jvp(lambda y: holding_force(model, y), (x,), (jnp.ones_like(x),))
 
     def holding(x):
         # always the same number of displacements, so that one program is compiled
@@ -92,7 +98,7 @@ def _reached(holding, end: float, limit: float) -> float:
         if not len(beyond) or beyond[0] == 0:
             break
         low, high = x[beyond[0] - 1], x[beyond[0]]
-    return high if low == 0 else low
+    return float(high if low == 0 else low)
 
 
 def _voltages(model: Model) -> tuple[float, float]:
@@ -133,4 +139,4 @@ def _bracketed(model: Model, force: float, low: float, high: float) -> float | N
         return high
     if ends[0] * ends[1] > 0:
         return None
-    return float(brentq(missing, low, high, xtol=1e-12 * (high - low), rtol=1e-14))
+    return float(root_scalar(missing, bracket=(low, high), xtol=1e-12 * (high - low), rtol=1e-14).root)

@@ -18,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from .._model.programs import full_precision
+
 _PEAK = np.concatenate([-np.geomspace(0.2, 1e-3, 40), [0.0], np.geomspace(1e-3, 0.2, 40)])
 _COARSE, _RESONANCES = 500, 12  # frequencies over the whole band, resonances with frequencies of their own
 _ROUNDING = 1e-7  # of a pole's modulus: a state that is kept has a pole at 1
@@ -62,7 +64,7 @@ def linearised(
 
     states = jnp.stack([ravel_pytree(state)[0].astype(kind) for state, _, _ in points])
     values = jnp.asarray([value for _, value, _ in points], kind)
-    slopes = jax.jit(jax.vmap(jax.jacfwd(run, (0, 1))))(states, values)
+    slopes = jax.jit(full_precision(jax.vmap(jax.jacfwd(run, (0, 1)))))(states, values)
     plants = []
     for by_state, by_value, (_, _, gain) in zip(*map(np.asarray, slopes), points, strict=True):
         finite = np.isfinite(by_state).all() and np.isfinite(by_value).all()
@@ -120,8 +122,9 @@ def _is_stable(f: np.ndarray, unstable: int) -> bool:
 
 def _crossings(L: np.ndarray) -> np.ndarray:
     """Find where L crosses the negative real axis, by the line between two frequencies."""
-    above = np.sign(L.imag)
+    real, imaginary = np.real(L), np.imag(L)
+    above = np.sign(imaginary)
     at = np.flatnonzero((above[1:] * above[:-1] <= 0) & (above[1:] != above[:-1]))
-    part = L.imag[at] / (L.imag[at] - L.imag[at + 1])
-    crossing = L.real[at] + part * (L.real[at + 1] - L.real[at])
+    part = imaginary[at] / (imaginary[at] - imaginary[at + 1])
+    crossing = real[at] + part * (real[at + 1] - real[at])
     return crossing[crossing < 0]

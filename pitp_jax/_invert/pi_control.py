@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
 from .._errors import BadInput
@@ -101,7 +102,7 @@ def pi_trim(
         return (state, following, total, first), (x, first)
 
     u_next = jnp.append(voltage[1:], voltage[-1])
-    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((state, voltage, target, p, i))):
+    if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((state, voltage, target, p, i))):
         _refuse_unstable(step, state, voltage, u_next, dt, (float(p), float(i)), (h, limits, direction))
     zero = jnp.zeros((), voltage.dtype)
     return jax.lax.scan(advance, (state, zero, zero, voltage[0]), (voltage, u_next, target))[1]

@@ -25,6 +25,7 @@ from .._model.equation import equation_force
 from .._model.fitted import Fitted, model_of
 from .._model.memory import AbstractMemory, FadingMemory
 from .._model.model import Model
+from .._model.programs import full_precision
 from .._numerics.intersample import between
 from .._numerics.linear_recurrence import lag_after
 from .._simulate.decoder import film_voltage, rest_state, stage_fractions, step
@@ -233,5 +234,5 @@ def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
 
     carry = carry.astype(np.float32)
     shapes = jax.ShapeDtypeStruct(carry.shape, jnp.float32), jax.ShapeDtypeStruct((inputs,), jnp.float32)
-    exported = export.export(jax.jit(guarded))(*shapes)
+    exported = export.export(jax.jit(full_precision(guarded)))(*shapes)
     return CompiledStep(carry, inputs, _compile(exported), exported)

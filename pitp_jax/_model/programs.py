@@ -17,8 +17,8 @@ from jaxtyping import Array
 T = TypeVar("T")
 
 
-def jit(function):
-    """Compile a function with its float32 products in full precision, whatever the user's default.
+def full_precision(function):
+    """Let a function multiply float32 matrices in full precision, whatever the user's default, also where it is traced.
 
     JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs: inverse voltages were wrong by 1e-3 of the largest.
     """
@@ -28,7 +28,12 @@ def jit(function):
         with jax.default_matmul_precision("highest"):
             return function(*args, **options)
 
-    return eqx.filter_jit(precise)
+    return precise
+
+
+def jit(function):
+    """Compile a function with its float32 products in full precision (`full_precision`)."""
+    return eqx.filter_jit(full_precision(function))
 
 
 def on_device(values, dtype=None) -> Array:

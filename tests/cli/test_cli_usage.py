@@ -145,7 +145,8 @@ def test_a_proposed_command_is_of_the_command_that_was_run(call, tmp_path):
 
 def test_for_one_of_two_sets_a_pitp_toml_is_proposed(call, tmp_path):
     sim, robot = tmp_path / "sim", tmp_path / "robot"
-    sim.mkdir(), robot.mkdir()
+    sim.mkdir()
+    robot.mkdir()
     machine_log(sim / "log.csv", "time_s,left_rad,right_rad")
     machine_log(robot / "log.csv", "time_s,command_rad,angle_rad")
     line = refused(call("compare", sim, robot))
