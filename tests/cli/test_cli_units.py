@@ -14,6 +14,8 @@ from cli_cases import columns_of, refused, truth
 from exported import COMPILERS, Exported
 from scipy.signal import lsim
 
+from pitp_jax import Record
+from pitp_jax._against import parameters
 from pitp_jax._commands.amounts import amount, in_base
 from pitp_jax._diagnose.next_experiment import excitations
 from pitp_jax._diagnose.report.formatting import parameter
@@ -360,3 +362,8 @@ def test_a_limit_in_a_unit_of_several_parts_is_read(unit, shown):
 def test_a_term_has_the_symbol_of_its_input():
     motor, actuator = Units(Quantity("A"), Quantity("deg/s"), False), Units()
     assert equation(("c1", "c3"), [], motor).endswith(" u") and equation(("c3",), [], actuator).endswith(" V^2")
+
+
+def test_coefficients_of_a_simulator_of_speeds_have_a_unit_that_can_be_read():
+    record = Record("a", TIME, TIME, TIME, "A", "deg/s")
+    assert parameters.units(record, 2, None).of == ("A/(rad/s)", "A s/(rad/s)", "A s^2/(rad/s)")
