@@ -360,3 +360,9 @@ def test_an_export_proves_itself_at_a_high_rate(tmp_path, dt, precision):
     head, core = source.read_text().split("static void predict_core")
     source.write_text(head + "static void predict_core" + core.replace("0.5", "0.502", 1))
     assert subprocess.run(["make", "-B"], cwd=tmp_path / "c", capture_output=True).returncode != 0
+
+
+def test_dry_friction_does_not_enter_the_loop():
+    """A machine that is held still has no response; the gains are those of the sliding one."""
+    plain = actuator()
+    assert pitp.pi_gains(replace(plain, effects=(effect("coulomb_friction", level=0.01),))) == pitp.pi_gains(plain)

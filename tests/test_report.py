@@ -15,6 +15,7 @@ from pitp_jax._diagnose.pieces import Piece
 from pitp_jax._diagnose.report import figures, formatting
 from pitp_jax._diagnose.report.page import report
 from pitp_jax._diagnose.result import Added
+from pitp_jax._table.quantity import Units
 
 
 class Page(HTMLParser):
@@ -60,7 +61,7 @@ def test_the_first_screen_answers_which_where_and_how_far(explained):
     page, text = read(explained)
     screen = text[: text.index("The gap at a glance")]
     assert "explained by electrode_rc" in screen
-    assert formatting.plain_words("electrode_rc") in screen.lower()
+    assert formatting.plain_words("electrode_rc", Units()) in screen.lower()
     assert "tau = 12.3 ± 0.2 ms" in screen
     assert "8.0 % to 0.41 % of range" in screen
     assert "99.5 % of the closable gap is closed (95 % interval 98 % to 100 %)" in screen

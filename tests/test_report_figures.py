@@ -57,7 +57,7 @@ def test_an_electronic_output_is_told_in_volts(explained):
     electronic = replace(explained, model=replace(explained.model, origin=Origin(displacement_unit="mV")))
     assert gap_figure.gap(electronic)[0].get_ylabel() == "output (mV)"
     text = report(electronic)
-    assert "displacements of 1.1 to 1.2 mV" in text and "range (mV)" in text and "In mV, rms" in text
+    assert "outputs of 1.1 to 1.2 mV" in text and "range (mV)" in text and "In mV, rms" in text
 
 
 def test_many_long_names_are_cut_under_their_bars(explained):

@@ -25,6 +25,7 @@ from .._model.fitted import Fitted
 from .._model.model import Model
 from .._model.units import base_units, units_of
 from .._record.record import Record
+from .._table.quantity import grouped
 from .._table.units import base_unit
 
 
@@ -136,7 +137,7 @@ def units(record: Record, order: int, position_gain: float | None) -> Units:
         return Units((*known, *(per.format(p) for p in powers[3:])), force, position_gain, command, output, True)
     if position:
         return Units(tuple(f"Kp{p}" for p in powers), f"Kp {output}", 1.0, command, output, True)
-    return Units(tuple(f"{command}{p}/{output}" for p in powers), command, 1.0, command, output, False)
+    return Units(tuple(f"{command}{p}/{grouped(output)}" for p in powers), command, 1.0, command, output, False)
 
 
 def parameters(

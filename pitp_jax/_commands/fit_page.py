@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from .._model.fitted import Fitted
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
+from .._model.units import units_of
 from .._record.excitation_kind import kind, loudest
 from .._record.record import Record
 from .._report import html
@@ -201,7 +202,7 @@ def _tokens(model: Fitted) -> Figure:
     across = from_base(np.asarray(x, np.float64) * float(model.scales.state[0]), unit)
     for k, color in zip(range(model.order + 1), (PREDICTED, *CYCLE[1:]), strict=False):
         ax.plot(across, factors[:, k], color=color, lw=1.2, label=f"of a{k}")
-    finish(np.array([ax]), f"displacement ({shown_unit(unit)})", ["factor"], 4)
+    finish(np.array([ax]), f"{units_of(model).output_word} ({shown_unit(unit)})", ["factor"], 4)
     return ax.figure  # pyright: ignore[reportReturnType]
 
 

@@ -8,6 +8,8 @@ import os
 import shlex
 from collections.abc import Sequence
 
+from .._table.guard import cleaned
+
 _MARK = "; try: pitp check "
 _LONGEST = 585  # of a refusal, before the program's name
 _OWN_RATE = ("invert", "plan")  # their --rate is not that of the files
@@ -28,5 +30,6 @@ def own_command(text: str, argv: Sequence[str]) -> str:
         keys = "; ".join(f'{o[2:]} = "{v}"' for o, v in zip(options[::2], options[1::2], strict=False))
         whole = f'{head}; put into {os.path.join(folder, "pitp.toml")}: ["*"] and below it {keys}'
     else:
-        whole = f"{head}; try: {shlex.join(['pitp', *argv, *options])}"
+        # a name with control characters is not obeyed by the terminal: such a command has to be typed anew
+        whole = f"{head}; try: {shlex.join(map(cleaned, ['pitp', *argv, *options]))}"
     return whole if len(whole) <= _LONGEST else text

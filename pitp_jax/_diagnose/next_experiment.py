@@ -49,7 +49,7 @@ def excitations(low: float, top: float, slew: float, hz: float, dt: float, size:
         drives[f"sine of {m * hz:.3g} Hz"] = size * middle - swing * np.cos(2 * np.pi * m * hz * t)
         carrier = size * min(0.95 * top, -0.95 * low, slew / (2 * np.pi * m * hz))
         if carrier > 0:
-            drives[f"sine of {m * hz:.3g} Hz about zero volts"] = carrier * np.sin(2 * np.pi * m * hz * t)
+            drives[f"sine of {m * hz:.3g} Hz about zero"] = carrier * np.sin(2 * np.pi * m * hz * t)
     level = low + np.repeat([0.2, 0.9, 0.5, 1.0, 0.1, 0.7], -(-len(t) // 6))[: len(t)] * (top - low)
     rise = max(int(np.ceil((top - low) / slew / dt)), 1)
     # a mean over the time that the largest step takes at the largest slew

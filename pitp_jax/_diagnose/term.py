@@ -8,6 +8,8 @@ It is fitted on whole free runs and judged out of fold as an effect is; it acts 
 from dataclasses import dataclass
 
 from .._effects.found_term import PRODUCTS, TERM
+from .._model.units import units_of
+from .._table.quantity import Units
 from .result import Gap, in_units
 from .search import Hypothesis, Search
 
@@ -49,13 +51,14 @@ def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: d
         near = [row["value"] - 1.96 * row["stderr"], row["value"] + 1.96 * row["stderr"]] if row["stderr"] else None
         kept[name] = row | {"ci95": near}
     beside = [e for e, _ in made[1] if e is not effect]
-    line = equation(tuple(rows), beside, search.case.simulator.square)
+    line = equation(tuple(rows), beside, units_of(search.case.model))
     return Term(line, kept, gap.closed_fraction, gap.ci95, gap.after, effect)
 
 
-def equation(coefficients: tuple[str, ...], beside: list, square: bool) -> str:
-    """Write `missing force = c1 x x' + c3 x' V^2` of the coefficients that it has, with what stands beside it."""
+def equation(coefficients: tuple[str, ...], beside: list, units: Units) -> str:
+    """Write `missing force = c1 x x' + c3 x' V^2` (u where no voltage drives), with what stands beside it."""
+    drive = ("V" if units.input_word == "voltage" else "u") + ("^2" if units.squared else "")
     products = dict(zip((p.name for p in TERM.parameters), PRODUCTS, strict=True))
-    terms = " + ".join(f"{c} {products[c].replace('F', 'V^2' if square else 'V')}" for c in coefficients)
+    terms = " + ".join(f"{c} {products[c].replace('F', drive)}" for c in coefficients)
     others = f", beside {' and '.join(f'{f.name} ({f.form})' for f in beside)}" if beside else ""
     return f"missing force = {terms}{others}"

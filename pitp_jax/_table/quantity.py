@@ -95,6 +95,11 @@ class Units:
         return "displacement" if self.is_length else "output"
 
     @property
+    def velocity_word(self) -> str:
+        """The output's rate in words: `velocity` of a length, otherwise `rate of the output`."""
+        return "velocity" if self.is_length else "rate of the output"
+
+    @property
     def max_input(self) -> str:
         """The option that limits the input."""
         return "--max-voltage" if self.input_word == "voltage" else "--max-input"

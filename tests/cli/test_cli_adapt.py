@@ -49,13 +49,13 @@ def test_a_change_is_written_and_traced(days, call, tmp_path):
     told = json.loads((tmp_path / "d").read_text())
     assert code == 0 and told["kind"] == "models" and "a was made from m." in text
     assert "Only a saw stronger." in told["remarks"]
-    (stiffness,) = [r for r in told["rows"] if r["what"].startswith("stiffness")]
+    (stiffness,) = [r for r in told["rows"] if r["what"] == "stiffness (a0)"]
     assert stiffness["b"] / stiffness["a"] == pytest.approx(1 / 1.1, rel=0.01)
 
 
 def test_two_of_the_same_are_the_same(days, call):
     code, text, _ = call("compare", days / "m", days / "m")
-    assert code == 0 and "no difference" in text and "Both hold the same model." in text
+    assert code == 0 and "differ by no more" in text and "Both hold the same model." in text
 
 
 def test_bad_input_is_one_line_and_writes_nothing(days, call, tmp_path):

@@ -7,13 +7,22 @@ from dataclasses import replace
 from html import unescape
 from zipfile import ZipFile
 
+import diagnosis_cases
 import numpy as np
 import pytest
 from cli_cases import columns_of, refused, truth
 from exported import COMPILERS, Exported
 from scipy.signal import lsim
 
+from pitp_jax import Record
+from pitp_jax._against import parameters
 from pitp_jax._commands.amounts import amount, in_base
+from pitp_jax._diagnose.next_experiment import excitations
+from pitp_jax._diagnose.report.formatting import parameter
+from pitp_jax._diagnose.result import Added, Ranked
+from pitp_jax._diagnose.term import equation
+from pitp_jax._effects import CATALOGUE, effect
+from pitp_jax._effects.physical import physical
 from pitp_jax._errors import BadInput
 from pitp_jax._model import Fitted, Origin
 from pitp_jax._model.domain import Domain
@@ -21,6 +30,7 @@ from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.model import Output, linear_model
 from pitp_jax._model_file import model_file
 from pitp_jax._table.quantity import Quantity, Units, per_second
+from pitp_jax._train import training
 
 TIME = np.arange(1500) / 500.0
 DEGREE = np.pi / 180
@@ -271,3 +281,89 @@ def test_a_reading_at_zero_volts_is_the_zero_of_exported_code(call, bench, tmp_p
     np.testing.assert_allclose(anew, before, atol=1e-6)
     assert anew[-1] > anew[1] and made.command(2, rows, 30e-3 - 1.1e-3 * short / short, y0=30e-3)[0][-1] == 0
     assert "as the actuator extends" in (tmp_path / "rig" / "pitp_model.h").read_text()[:600]
+
+
+def spoken(text):
+    """The text without the names of effects, in which a word is no quantity."""
+    return re.sub(r"\bvoltage_(?:clip|offset)\b", "", text)
+
+
+def written(folder):
+    """What the pages and the first lines of the tables in a folder say."""
+    pages = [told(path.read_text()) for path in folder.rglob("*.html")]
+    return "\n".join([*pages, *(path.read_text().splitlines()[0] for path in folder.rglob("*.csv"))])
+
+
+def test_fit_names_units_of_the_machine_alone(call, motor, tmp_path, monkeypatch):
+    """Terminal, JSON and the page with its figures; the factors of the tokens stand over the trained output."""
+
+    def train(nominal, records, **_):
+        region = np.array([[-2.0, 2.0]] * 2)
+        made = replace(nominal, domain=replace(nominal.domain, region=region), effects=(effect("delay", time=0.004),))
+        return training.Training(made, (), False, {}, tuple(training.RecordError(r.name, 1.0, 0.5) for r in records))
+
+    monkeypatch.setattr("pitp_jax._commands.fit.train", train)
+    options = ("--nominal", motor / "model", "--report", tmp_path / "page", "--json", tmp_path / "j")
+    code, text, err = call("fit", motor / "records", "--out", tmp_path / "m", *options)
+    page = written(tmp_path)
+    assert code == 0, err
+    assert foreign(text + err + page + (tmp_path / "j").read_text()) == []
+    assert "output (deg/s)" in page and not re.search("volt|displacement", text + err + page)
+
+
+def test_adapt_names_units_of_the_machine_alone(call, motor, tmp_path):
+    options = ("--out", tmp_path / "m", "--json", tmp_path / "j")
+    code, text, err = call("adapt", motor / "model", motor / "records" / "sine.csv", *options)
+    said = text + err + (tmp_path / "j").read_text()
+    assert code == 0 and foreign(said) == [] and not re.search("volt|displacement", said)
+
+
+def candidates(model):
+    """Every form of the catalogue, all its numbers 0.5 in the model's scales."""
+    for spec in CATALOGUE:
+        numbers = {p.name: physical(model, p, 0.5) for p in spec.parameters}
+        yield Ranked(spec.name, "family", spec.form,
+                     {k: {"value": v, "unit": unit, "stderr": None} for k, (v, unit) in numbers.items()},
+                     1.0, 1.5, 0.5, (0.4, 0.6), 0.9)  # fmt: skip
+
+
+def test_diagnose_names_units_of_the_machine_alone(call, motor, tmp_path, monkeypatch):
+    """Every effect of the catalogue is named at once, with its numbers, an experiment and all figures."""
+    model = model_file.load(motor / "model")
+    ranking = tuple(candidates(model))
+    names = tuple(dict.fromkeys(r.effect for r in ranking))
+    known = diagnosis_cases.tied(diagnosis_cases.explained(model.model))
+    assert known.next_experiment is not None
+    played = excitations(-2.0, 2.0, 80.0, 4.0, 0.002, 1.0)
+    words = next(name for name in played if "about zero" in name)
+    found = replace(
+        known, model=model, effects=names, ranking=ranking, budget=diagnosis_cases.budget(*((n, 0.01) for n in names)),
+        added=tuple(Added(r.effect, r.form, r.parameters) for r in ranking),
+        next_experiment=replace(known.next_experiment, excitation=words),
+    )  # fmt: skip
+    monkeypatch.setattr("pitp_jax._commands.diagnose.run_diagnosis", lambda *_, **__: found)
+    options = ("--nominal", motor / "model", "--out", tmp_path / "d", "--json", tmp_path / "j")
+    code, text, err = call("diagnose", motor / "records", *options)
+    page = written(tmp_path)
+    assert code == 0 and foreign(text + err + page) == [] and "warning" not in err
+    assert {"output (deg/s)", "rate of the output (deg/s²)", "input (A)"} <= set(page.splitlines())
+    assert not re.search("volt|displacement|velocity", spoken(text + err + page))
+    used = {number["unit"] for r in ranking if r.effect != "second_mode" for number in r.parameters.values()}
+    assert foreign("\n".join(unit for unit in used if unit != "rad/s")) == []
+
+
+@pytest.mark.parametrize(("unit", "shown"), [("1/(deg/s)", "deg/s"), ("s/(deg/s)", "deg/s²"), ("s^2/A", "A/s²")])
+def test_a_limit_in_a_unit_of_several_parts_is_read(unit, shown):
+    name = "curvature" if unit.startswith("1") else "inverse"
+    number = {"value": 0.5, "unit": unit, "stderr": None}
+    assert parameter(name, number, "deg/s") == ("limit", f"2.00 {shown}")
+
+
+def test_a_term_has_the_symbol_of_its_input():
+    motor, actuator = Units(Quantity("A"), Quantity("deg/s"), False), Units()
+    assert equation(("c1", "c3"), [], motor).endswith(" u") and equation(("c3",), [], actuator).endswith(" V^2")
+
+
+def test_coefficients_of_a_simulator_of_speeds_have_a_unit_that_can_be_read():
+    record = Record("a", TIME, TIME, TIME, "A", "deg/s")
+    assert parameters.units(record, 2, None).of == ("A/(rad/s)", "A s/(rad/s)", "A s^2/(rad/s)")

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..._model.units import units_of
 from ..._report import html
 from ..._report.html import tag
 from ..._report.numbers import figure, interval, of_range, percent
@@ -33,7 +34,7 @@ def verdict_text(d: Diagnosis) -> str:
     if d.verdict == "no_gap":
         return f"On {_records_used(d)}, {_error_without(d)}. There is no effect to add."
     if d.effects:
-        what = "; ".join(plain_words(name) for name in d.effects)
+        what = "; ".join(plain_words(name, units_of(d.model)) for name in d.effects)
         more = (
             " A part of the error can be explained from the input, and no name is sure for it."
             if d.verdict == "partly"
@@ -119,10 +120,9 @@ def _where(d: Diagnosis) -> str:
     if d.verdict == "no_gap":
         return html.card("Where", "Nowhere", tag("p", "What the model leaves over is noise in every recording."))
     share = d.where["records"].get(worst(d).name, 0.0)
-    unit = d.model.origin.displacement_unit
     loud = max(d.where["frequency"], key=lambda row: row["share"])
     big = f"{figure(loud['band_hz'][0])} to {figure(loud['band_hz'][1])} Hz"
-    facts = gathers(d.where, time_spent(d), unit, d.model.origin.voltage_unit)[:2]
+    facts = gathers(d.where, time_spent(d), units_of(d.model))[:2]
     side = "held-out recording" if d.heldout else "recording"
     worst_line = f"Worst {side}: {worst(d).name}, {percent(share)} of the gap."
     return html.card("Where", big, tag("p", d.where["summary"]), html.bullets([*facts, worst_line]))

@@ -14,9 +14,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from ..._model.units import units_of
 from ..._report.lines import DRIVE, ERROR, MEASURED, PREDICTED, finish, line, own_axes, volts
 from ..._report.numbers import figure as digits
-from ..._report.numbers import percent
+from ..._report.numbers import percent, shown_unit
 from ..diagnosis import Diagnosis
 from .formatting import drive_unit
 from .gap_figure import gap, output_unit
@@ -29,9 +30,9 @@ _AXES = {
     "records": "record",
     "frequency": "frequency of the error (Hz)",
     "time": "part of a record (%)",
-    "displacement": "displacement ({unit})",
-    "velocity": "velocity ({unit}/s)",
-    "voltage": "{drive}",
+    "displacement": "{output} ({unit})",
+    "velocity": "{velocity} ({rate})",
+    "voltage": "{input} ({command})",
 }
 
 
@@ -140,8 +141,10 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         )
     axes = own_axes(axes, len(names), (5.0, 4.0))
     scale, unit = output_unit(diagnosis)
-    factor, command = drive_unit(diagnosis.model.origin.voltage_unit)
-    drive = f"voltage ({command})" if command == "V" else f"input ({command})"
+    units = units_of(diagnosis.model)
+    factor, command = drive_unit(units.input.unit)
+    words = {"output": units.output_word, "velocity": units.velocity_word, "input": units.input_word}
+    words |= {"unit": unit, "rate": shown_unit(units.output.rate), "command": command}
     held = set(diagnosis.heldout)
     for ax, name in zip(axes, names, strict=True):
         table = diagnosis.where[name]
@@ -153,7 +156,7 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
             values = [row["share"] for row in table]
             colors = DRIVE if name in ("displacement", "velocity", "voltage") else ERROR
         ax.bar(range(len(values)), [100 * v for v in values], color=colors, width=0.75)
-        finish(np.array([ax]), _AXES[name].format(unit=unit, drive=drive), ["share (%)"])
+        finish(np.array([ax]), _AXES[name].format(**words), ["share (%)"])
         crowded = sum(map(len, labels)) > 60
         tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
         alike = len(os.path.commonprefix(labels)) if len(labels) > 1 else 0  # a date before every name says nothing

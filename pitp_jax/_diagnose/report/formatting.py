@@ -3,6 +3,7 @@
 a limit             is fitted as its inverse, so that zero is no limit; people read the limit
 """
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from ..._effects import CATALOGUE
 from ..._effects.spec import EffectSpec
 from ..._report.numbers import figure, percent, shown_unit, with_error
+from ..._table.quantity import Units, per_second
 from ..._table.units import INPUT_UNITS, OUTPUT_UNITS, base_unit
 
 PLAIN = {"parameter_change": "the model's own numbers have moved"} | {
@@ -21,9 +23,13 @@ _FACTOR = " over given"  # of a number of the nominal that was fitted anew
 _GATHERED, _OVER = 0.6, 2.0  # a share that counts as gathered, and how far it must exceed the time spent there
 
 
-def plain_words(name: str) -> str:
+def plain_words(name: str, units: Units) -> str:
     """What an effect is, in a few plain words."""
-    return PLAIN.get(name) or next((equation(c) for c in CATALOGUE if c.name == name), "")
+    words = PLAIN.get(name) or next((equation(c) for c in CATALOGUE if c.name == name), "")
+    for word, own in (("voltage", units.input_word), ("displacement", units.output_word)):
+        if own != word:  # input and output take another article
+            words = re.sub(rf"\ba {word}", f"an {own}", words).replace(word, own)
+    return words
 
 
 def equation(form: EffectSpec) -> str:
@@ -52,8 +58,9 @@ def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
     if name == "omega":  # of a mode: an angle's unit has no part in it
         return "frequency", with_error(value / (2 * np.pi), error and error / (2 * np.pi), "Hz")
     if name in _LIMITS and value and "/" in unit:
-        top, bottom = unit.split("/")
-        unit = bottom if top == "1" else f"{bottom}/{top}"
+        top, _, bottom = unit.partition("/")
+        bottom = re.sub(r"^\((.*)\)$", r"\1", bottom)  # of a unit such as 1/(deg/s)
+        unit = per_second(bottom, {"1": 0, "s": 1, "s^2": 2}[top])
         name, error, value = _LIMITS[name], error and error / value**2, 1 / value
     factor, unit = _handy(value, unit, length_unit)
     error = None if error is None else error * factor
@@ -76,19 +83,19 @@ def coefficient_name(i: int, order: int) -> str:
     return f"a{i} ({_COEFFICIENTS[i]})" if order == 2 else f"a{i}"
 
 
-def gathers(where: dict, spent: dict[str, np.ndarray], unit: str, drive: str) -> list[str]:
+def gathers(where: dict, spent: dict[str, np.ndarray], units: Units) -> list[str]:
     """Where most of the gap lies within a part of an axis that the recordings visit little, the clearest first.
 
     Args:
         where: as `Diagnosis.where`.
         spent: share of time in every bin of an axis.
-        unit, drive: the displacement's and the drive's, of the user's files.
+        units: of the model.
     """
-    scale, shown = 1 / OUTPUT_UNITS[unit], shown_unit(unit)
-    per_input, input_shown = drive_unit(drive)
+    scale, shown = 1 / units.output.factor, shown_unit(units.output.unit)
+    per_input, input_shown = drive_unit(units.input.unit)
     facts = []
     for axis, text, factor, key in (
-        ("displacement", f"of the missing force acts at displacements of {{}} to {{}} {shown}", scale, "range"),
+        ("displacement", f"of the missing force acts at {units.output_word}s of {{}} to {{}} {shown}", scale, "range"),
         ("voltage", f"of the missing force acts at {{}} to {{}} {input_shown}", per_input, "range"),
         ("time", "of the error comes between {} and {} % of a recording's length", 100.0, "part"),
     ):

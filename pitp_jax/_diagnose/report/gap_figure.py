@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from ..._model.units import units_of
 from ..._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from ..._report.numbers import shown_unit
-from ..._table.units import OUTPUT_UNITS, base_unit
+from ..._table.units import OUTPUT_UNITS
 from ..diagnosis import Diagnosis
 from ..result import Trace
 from ..steady_tone import steady_tone
@@ -80,7 +81,7 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
     for k, (label, run, color) in enumerate(runs):
         line(axes[0], time, scale * run[part], color=color, lw=1.1, ls="-" if k else "--", label=label)
         line(axes[1], time, scale * run[part] - measured, color=color, lw=0.9)
-    kind = "displacement" if base_unit(diagnosis.model.origin.displacement_unit) == "m" else "output"
+    kind = units_of(diagnosis.model).output_word
     finish(axes, "time (s)", [f"{kind} ({unit})", f"error ({unit})"], legend_columns=len(runs) + 1)
     return axes
 

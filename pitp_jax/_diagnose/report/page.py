@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..._model.units import units_of
 from ..._report import html
 from ..._report.html import tag
 from ..._report.numbers import figure, interval, percent
@@ -53,15 +54,15 @@ def _pictures(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
 
 
 def _captions(d: Diagnosis) -> dict[str, str]:
-    name = worst(d).name
+    name, units = worst(d).name, units_of(d.model)
     side = "held out: no fit saw it" if d.heldout else "no recording was held out"
     return {
         "gap": f"{name} ({side}), the stretch where the model is furthest off; below, model less measurement.",
         "where": "Share of the missing force by drive frequency and amplitude; outlined where it stands out.",
         "shares": "Share of the model's error by recording (held-out ones darker), by the error's own frequency, and "
         "by part of a recording.",
-        "force": "Share of the missing force (what the equation lacks along the measured motion) by displacement, "
-        "velocity and input.",
+        "force": "Share of the missing force (what the equation lacks along the measured motion) by "
+        f"{units.output_word}, {units.velocity_word} and {units.input_word}.",
         "ranking": f"Share of the {'held-out ' if d.heldout else ''}gap each effect closes by itself, with its 95 % "
         "interval: 100 % leaves only the model's own error. Blue: named; orange: tied with it.",
     }
@@ -74,8 +75,9 @@ def _next(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
     a, b = e.separates
     seconds = figure(float(e.time[-1] - e.time[0]), 2)
     text = (
-        f"To tell {a} from {b}, play this: {e.excitation}, for {seconds} s, within the voltages and slews already "
-        f"played ({NEXT_CSV}). The two predict outputs that differ by {figure(e.difference, 2)} times the noise."
+        f"To tell {a} from {b}, play this: {e.excitation}, for {seconds} s, within the "
+        f"{units_of(d.model).input_word}s and slews already played ({NEXT_CSV}). The two predict outputs that differ "
+        f"by {figure(e.difference, 2)} times the noise."
     )
     shown = html.picture("next", drawn["next_experiment"], f"To play: {e.excitation}.")
     return [tag("h2", "The next experiment"), tag("p", text), f'<div class="figures">{shown}</div>']

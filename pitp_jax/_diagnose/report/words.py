@@ -1,5 +1,6 @@
 """A diagnosis in two to six lines: each effect in plain words with its numbers, what it closes, what is left."""
 
+from ..._model.units import units_of
 from .formatting import named, parameter, plain_words
 
 
@@ -19,7 +20,8 @@ def lines(d) -> list[str]:
         sure = f" (P {p:.2f})" if p is not None else ""
         tied = row.get("equivalent") or ()
         alike = f"; these records cannot tell it from {named(tied)}" if tied else ""
-        said.append(f"{name}: {plain_words(name)}{numbers}; explains {100 * share:.0f} % of the gap{sure}{alike}")
+        told = f"{plain_words(name, units_of(d.model))}{numbers}"
+        said.append(f"{name}: {told}; explains {100 * share:.0f} % of the gap{sure}{alike}")
     if d.term is not None:
         said.append(f"{d.term.equation}: closes {100 * (d.term.closed_fraction or 0):.0f} %, -> {d.term.after:.3g} %")
     back = (
