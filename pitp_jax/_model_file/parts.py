@@ -9,7 +9,7 @@ A part belongs to a file only by its line in one of five registries: input maps,
 import base64
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import jax
@@ -165,8 +165,8 @@ def _effect(effect) -> dict:
 
 
 def _numbers(part: Output | Scales | Domain) -> dict:
-    """Fields as plain numbers."""
-    return {name: np.asarray(value).tolist() for name, value in vars(part).items()}
+    """Return the fields as numbers, in the order of the class: a file that is read and written keeps its bytes."""
+    return {field.name: np.asarray(getattr(part, field.name)).tolist() for field in fields(part)}
 
 
 def _packed(long: LongRecord | None) -> dict | None:
