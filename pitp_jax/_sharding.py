@@ -8,6 +8,7 @@ mesh. See benchmarks/CLUSTER.md.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -79,7 +80,7 @@ def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
         return function(eqx.combine(arrays, static), *batch)
 
     mine, all_of_it = PartitionSpec(_AXIS), PartitionSpec()
-    run = jax.shard_map(local, mesh=mesh, in_specs=(all_of_it, mine), out_specs=mine, check_vma=False)
+    run: Any = jax.shard_map(local, mesh=mesh, in_specs=(all_of_it, mine), out_specs=mine, check_vma=False)
     return run(arrays, batch)
 
 

@@ -10,7 +10,7 @@ from .console import number, print_table
 
 def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> None:
     """Every training record under the nominal, the trained model and, where there is one, a model of the others."""
-    rows = [(e.name, number(e.nominal, 3), number(e.trained, 3)) for e in errors]
+    rows: list[tuple[str, ...]] = [(e.name, number(e.nominal, 3), number(e.trained, 3)) for e in errors]
     header = ("record, e_rms in % of range", "nominal", "trained")
     if held_out:
         header = (*header, "left out")

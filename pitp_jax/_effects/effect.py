@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float
 
+from .._numerics.where import where
 from .kernels import DELAY
 
 if TYPE_CHECKING:
@@ -255,6 +256,6 @@ def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: 
     for _ in range(steps):
         # one pass gives the value and its slope, exactly, for any law that JAX can trace
         value, rise = jax.jvp(function, (w,), (jnp.ones_like(w),))
-        tried = w + (wanted - value) / jnp.where(jnp.abs(rise) < _FLATTEST, _FLATTEST, rise)
-        w = jnp.where(jnp.abs(function(tried) - wanted) < jnp.abs(value - wanted), tried, w)
+        tried = w + (wanted - value) / where(jnp.abs(rise) < _FLATTEST, _FLATTEST, rise)
+        w = where(jnp.abs(function(tried) - wanted) < jnp.abs(value - wanted), tried, w)
     return w

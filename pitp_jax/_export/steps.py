@@ -27,6 +27,7 @@ from .._invert.realtime import film_after, film_held, memory_after
 from .._model.coordinate import from_model, to_model
 from .._model.model import Model
 from .._numerics.intersample import weights
+from .._numerics.where import where
 from .._simulate import ports
 from .._simulate.decoder import stage_fractions, step, still_state
 from .._simulate.prediction import at_rate
@@ -130,10 +131,10 @@ def inverse(model: Model, dt: float) -> Step:
         if senses:
             rows = jnp.concatenate([rows[1:], x[None]])
             x = behind_sensor(model, rows, dt)
-        memory = jnp.where(begun > 0, memory_after(model.memory, memory, before, x[0], dt), memory)
+        memory = where(begun > 0, memory_after(model.memory, memory, before, x[0], dt), memory)
         parts = ports.split(model, states)
         after = jnp.concatenate([states[:0], *ports.moved(model, parts, before, x[0], dt)])
-        states = jnp.where(begun > 0, after, states)
+        states = where(begun > 0, after, states)
         seen = jnp.concatenate([x[:-1], memory])
         force = ports.needed(model, ports.split(model, states), x, seen)
         force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end

@@ -17,6 +17,7 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
+from .._numerics.where import where
 from .frequency_response import FrequencyResponse
 from .linear_ode import logs_from_roots
 
@@ -132,9 +133,9 @@ def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
     """Weighted misfit, real and imaginary parts; what a lane's mask leaves out stays where it starts."""
     start, mask, omega, real, imag, weight, held = given
     s, value = 1j * omega, real + 1j * imag
-    p = jnp.where(mask > 0, p, start)
+    p = where(mask > 0, p, start)
     damping, size = (jnp.exp(p[k : 2 * _PAIRS : 2])[:, None] for k in (0, 1))
-    pairs = jnp.where(mask[: 2 * _PAIRS : 2, None] > 0, size / (s**2 + damping * s + size), 1.0)
+    pairs = where(mask[: 2 * _PAIRS : 2, None] > 0, size / (s**2 + damping * s + size), 1.0)
     corner = jnp.exp(p[2 * _PAIRS])
     single = jnp.where(mask[2 * _PAIRS] > 0, corner / (s + corner), 1.0)
     own = weight * held * jnp.exp(-s * jnp.exp(p[-1]) * mask[-1]) * jnp.prod(pairs, 0) * single

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._errors import BadInput
 from .._model.input_map import AbstractInputMap, LinearInput
+from .._numerics.where import where
 from .loop import linearised, margins
 
 KV_PER_MM = 1e6  # V/m
@@ -82,7 +83,7 @@ def pi_trim(
     def kept(wanted, feed, before):
         """Convert a force to a voltage within range and slew; exactly the feedforward where nothing is added."""
         # h^-1(h(u)) rounds: without this, gains of zero would not play the file as it stands
-        u = jnp.where(wanted == h.force(feed), feed, h.voltage(wanted))
+        u = where(wanted == h.force(feed), feed, h.voltage(wanted))
         return jnp.clip(jnp.clip(u, low, high), before - max_slew * dt, before + max_slew * dt)
 
     def advance(carry, now):
@@ -95,9 +96,7 @@ def pi_trim(
         first = kept(asked, u, before)
         last = kept(h.force(u_next) + correction, u_next, first)
         # what the limits cut is taken out of the integral, or it would wind up while they bite
-        total = (
-            total + jnp.where(integrates, (h.force(first) - asked) / jnp.where(integrates, i, 1.0), 0.0) * dt / within
-        )
+        total = total + where(integrates, (h.force(first) - asked) / jnp.where(integrates, i, 1.0), 0.0) * dt / within
         state, following = step(state, first, last)
         return (state, following, total, first), (x, first)
 

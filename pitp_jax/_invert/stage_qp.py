@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._model.programs import jit
+from .._numerics.where import where
 
 _ITERATIONS = 50
 _GAP = 1e-6  # of duality gap and residuals, where objective and bounds are of order one
@@ -141,7 +142,7 @@ def _longest(now: _Iterate, aim: _Iterate, part: float) -> Array:
     """Find the step, at most 1, that goes this part of the way to the first slack or multiplier of zero."""
 
     def to_zero(value, ahead):
-        return jnp.min(jnp.where(ahead < value, value / jnp.where(ahead < value, value - ahead, 1.0), jnp.inf))
+        return jnp.min(where(ahead < value, value / jnp.where(ahead < value, value - ahead, 1.0), jnp.inf))
 
     ways = jax.tree.map(to_zero, (now.slack, now.multiplier), (aim.slack, aim.multiplier))
     return jnp.minimum(1.0, part * jnp.stack(jax.tree.leaves(ways)).min())

@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Shaped
 
 from .._model.model import Model
+from .._numerics.where import where
 from .._simulate import ports
 from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
 
@@ -73,7 +74,7 @@ class Numbers:
         dtype = model.coefficients.dtype  # of no numbers at all JAX would make what is its default
         self.encoder, self.memory, self.drive, effects = (numbers.astype(dtype) for numbers in flat)
         logs = _logarithmic(model)
-        self.effects = jnp.where(logs, jnp.log(jnp.where(logs, effects, 1.0)), effects)
+        self.effects = where(logs, jnp.log(where(logs, effects, 1.0)), effects)
         self.count = self.encoder.size + self.memory.size + self.drive.size + self.effects.size
 
     def with_effects(self, model: Model, a) -> Model:

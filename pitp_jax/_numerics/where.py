@@ -1,0 +1,11 @@
+"""Choose between two arrays: `jnp.where` of three arguments, whose result JAX up to 0.9 annotates as array or tuple."""
+
+from typing import Any, cast
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+
+def where(condition: Any, x: Any, y: Any) -> Array:
+    """Return x where the condition holds, otherwise y, broadcast to one shape."""
+    return cast(Array, jnp.where(condition, x, y))
