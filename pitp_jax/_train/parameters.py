@@ -12,6 +12,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Shaped
 
+from .._model.constants import Constants
 from .._model.model import Model
 from .._numerics.where import where
 from .._simulate import ports
@@ -21,7 +22,16 @@ from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
 def trainable(model: Model):
     """Mark every number training may move: encoder weights, memory and drive time constants, effects' numbers."""
     spec = jax.tree.map(lambda _: False, model)  # coefficients stay: the encoder's factors move the tokens
-    return eqx.tree_at(_parts, spec, jax.tree.map(eqx.is_inexact_array, _parts(model)))
+    return eqx.tree_at(_parts, spec, jax.tree.map(_moves, _parts(model), is_leaf=_is_constant))
+
+
+def _is_constant(part) -> bool:
+    return isinstance(part, Constants)
+
+
+def _moves(part):
+    # inside a program the constants are arrays as well: they are told by their class
+    return jax.tree.map(lambda _: False, part) if _is_constant(part) else eqx.is_inexact_array(part)
 
 
 def _parts(model: Model) -> tuple:
