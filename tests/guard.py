@@ -63,7 +63,9 @@ def free_run(folder: Path, name: str) -> np.ndarray:
     """Displacement of a stored model from rest, 20 s into its session, in float64 as its file is."""
     time, voltage = drive(name)
     with jax.enable_x64(True):
-        return pitp.rollout(pitp.load(folder / f"{name}.pitp"), voltage, time[1], begins="rest", start_time=20.0)
+        return pitp.rollout(
+            pitp.load(folder / f"{name}.pitp"), voltage, time[1], begins="rest", zero="sensor", start_time=20.0
+        )
 
 
 def ensemble_band(folder: Path) -> np.ndarray:
@@ -101,7 +103,7 @@ def play(folder: Path, name: str, hum: float = 0.0) -> list[pitp.Record]:
         voltage = 600 + 350 * wave
         with jax.enable_x64(True):
             model = pitp.load(folder / f"{name}.pitp")
-            x = pitp.rollout(model, voltage, time[1], begins="rest", start_time=10.0 * k)
+            x = pitp.rollout(model, voltage, time[1], begins="rest", zero="sensor", start_time=10.0 * k)
         x = x + hum * np.sin(2 * np.pi * 17.3 * time + k) + 2e-6 * rng.standard_normal(len(time))
         records.append(pitp.Record(drive_name, time + 10.0 * k, voltage, x))
     return records

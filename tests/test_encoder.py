@@ -8,6 +8,7 @@ import pytest
 
 from pitp_jax._model import CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax._model.encoder import fast_memories
+from pitp_jax._model.programs import jit
 
 KEY = jax.random.key(5)
 ORDERS = (1, 2, 3)
@@ -71,7 +72,7 @@ def points(order, count=8, reach=1.0, seed=0):
 def test_a_fresh_encoder_is_exactly_the_nominal(make, linear, kind, order):
     fresh, pushed = make(kind, order)
     model = linear(order)
-    read = eqx.filter_jit(lambda m, f: jax.vmap(m.tokens)(f))
+    read = jit(lambda m, f: jax.vmap(m.tokens)(f))
     nominal, _ = read(model, points(order, 3, 3.0))
     for encoder in (fresh, pushed.scaled(0.0)):
         tokens, offset = read(eqx.tree_at(lambda m: m.encoder, model, encoder), points(order, 3, 3.0))
