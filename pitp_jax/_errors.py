@@ -1,4 +1,9 @@
-"""The two ways a user's request ends early; the command line turns them into exit codes 2 and 3."""
+"""The two ways a user's request ends early; the command line turns them into exit codes 2 and 3.
+
+A message may quote a name from outside: `cleaned` takes out of it what a terminal would obey.
+"""
+
+import unicodedata
 
 
 class BadInput(ValueError):
@@ -7,3 +12,8 @@ class BadInput(ValueError):
 
 class ComputationFailed(RuntimeError):
     """The computation itself failed (diverged, order not identifiable): one line with advice (exit code 3)."""
+
+
+def cleaned(text: object) -> str:
+    """A name from outside without what a terminal or a page would obey: control and format characters become `_`."""
+    return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))

@@ -8,7 +8,7 @@ import os
 import shlex
 from collections.abc import Sequence
 
-from .._table.guard import cleaned
+from .._errors import cleaned
 
 _MARK = "; try: pitp check "
 _LONGEST = 585  # of a refusal, before the program's name

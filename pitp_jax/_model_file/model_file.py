@@ -21,13 +21,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, cleaned
 from .._model.constants import ConstantArray, constant_array
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
-from .._table.guard import cleaned
 from .parts import build, decode, describe, encode, origin_of
 from .plausible import LARGEST_FILE, check_header, check_leaves, header_problems, leaf_problems
 from .version_1 import upgraded

@@ -19,7 +19,7 @@ import numpy as np
 from .._effects import CATALOGUE
 from .._effects.effect import Effect
 from .._effects.found_term import TERM
-from .._errors import BadInput
+from .._errors import BadInput, cleaned
 from .._model.domain import Domain
 from .._model.drive import DirectDrive, ElectrodeLag
 from .._model.encoder import AdaptedEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
@@ -29,7 +29,6 @@ from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Scales
 from .._model.origin import Origin, OutOfFold
 from .._record.long_record import LongRecord
-from .._table.guard import cleaned
 
 LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
 

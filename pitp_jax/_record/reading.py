@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, cleaned
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
-from .._table.guard import cleaned
 from .._table.options import FOLDER_FILE as FOLDER_FILE
 from .._table.options import OPTIONS
 from .._table.robot import is_bag

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, cleaned
 from .._shown import Shown
-from .._table.guard import cleaned
 from .._table.units import INPUT_UNITS, from_base
 from .checks import check_samples
 

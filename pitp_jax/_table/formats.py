@@ -21,8 +21,8 @@ import h5py
 import numpy as np
 import scipy
 
-from .._errors import BadInput
-from .guard import check_archive, check_columns, check_unfolded, cleaned, file_bytes, guarded
+from .._errors import BadInput, cleaned
+from .guard import check_archive, check_columns, check_unfolded, file_bytes, guarded
 from .header import Rows, is_number, layouts
 from .matlab import flat
 from .names import read_header

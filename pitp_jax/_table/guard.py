@@ -7,7 +7,6 @@ import gzip
 import io
 import os
 import stat
-import unicodedata
 import warnings
 import zipfile
 import zlib
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, cleaned
 
 MAX_COLUMNS = 4096
 MAX_SAMPLES = 10_000_000
@@ -25,11 +24,6 @@ MAX_BYTES = 1 << 30
 _UNFOLDED, _PLAIN = 200, 1 << 20  # times its size an archive may unfold to; below a mebibyte nobody is hurt
 _UNFOLDED_BYTES = 256 << 20
 _PIECE = 1 << 20
-
-
-def cleaned(text: object) -> str:
-    """A name from outside without what a terminal or a page would obey: control and format characters become `_`."""
-    return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))
 
 
 def check_columns(count: int, source: str) -> None:

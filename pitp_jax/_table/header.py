@@ -11,8 +11,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .._errors import BadInput
-from .guard import check_columns, cleaned
+from .._errors import BadInput, cleaned
+from .guard import check_columns
 from .stamps import is_stamp
 from .table import Column
 from .units import plain, spelt

@@ -14,8 +14,7 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
-from .._errors import BadInput
-from .guard import cleaned
+from .._errors import BadInput, cleaned
 from .units import spelt, units_of
 
 OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options

@@ -7,8 +7,7 @@ import os
 import shlex
 from collections.abc import Sequence
 
-from .._errors import BadInput
-from .guard import cleaned
+from .._errors import BadInput, cleaned
 
 _LONGEST, _PROGRAM = 600, len("pitp: error: ") + 2
 

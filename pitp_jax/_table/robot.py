@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._errors import BadInput
-from .guard import check_columns, check_count, check_unfolded, cleaned, file_bytes
+from .._errors import BadInput, cleaned
+from .guard import check_columns, check_count, check_unfolded, file_bytes
 from .options import ReadOptions
 from .table import Column, Table, array_table, sample
 

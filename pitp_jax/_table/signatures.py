@@ -7,8 +7,7 @@ TwinCAT Scope           keys in every second cell, a clock beside every channel
 import re
 from collections.abc import Callable, Sequence
 
-from .._errors import BadInput
-from .guard import cleaned
+from .._errors import BadInput, cleaned
 from .header import Layout, trimmed
 from .table import Column
 

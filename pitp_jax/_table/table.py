@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .guard import as_column, check_columns, cleaned, guarded
+from .._errors import cleaned
+from .guard import as_column, check_columns, guarded
 
 _WIDEST = 63  # lines of a matrix that may be columns; a record has more samples
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .._errors import BadInput
-from .guard import check_count, cleaned, file_bytes, gunzip
+from .._errors import BadInput, cleaned
+from .guard import check_count, file_bytes, gunzip
 from .header import MISSING, Layout, Rows, is_number, layouts, trimmed
 from .options import ReadOptions
 from .signatures import SIGNATURES
