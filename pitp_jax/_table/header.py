@@ -174,7 +174,8 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
         good = good[1:]
     # single numbers above a row of names are settings
     full = next((k for k in good if _count(rows.cells[k], decimal) > 1), 0)
-    if any(k < full and len(trimmed(rows.cells[k])) > 1 and not _numeric(rows.cells[k]) for k in body):
+    between = [rows.cells[k] for k in body if good[:1] < [k] < [full]]
+    if any(len(trimmed(row)) > 1 and not _numeric(row) for row in between):
         good = [k for k in good if k >= full]
     # two rows of numbers in a row begin the data
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
