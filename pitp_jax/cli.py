@@ -280,7 +280,10 @@ _SAID = (  # option, placeholder, type, help
     ("encoding", "NAME", str, "of text: utf-8, cp1252, cp932, gb18030, ..."),
     ("sheet", "NAME", str, "of a workbook"),
     ("split-by", "COLUMN|sheet|group", str, "several runs in one file, a record each"),
+    ("from", "S", _seconds, "only what is recorded from here on, in s after the first row of each recording"),
+    ("to", "S", _seconds, "only what is recorded up to here"),
 )
+_RANGE = {"from": "from_s", "to": "to_s"}  # options whose names in Python differ
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
@@ -290,9 +293,9 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bo
         stem = option.partition("-")[0]
         if (stem == "input" and target) or (stem == "output" and drive) or (stem == "rate" and (target or not rate)):
             continue
+        name = _RANGE.get(option, option.replace("-", "_"))
         group.add_argument(
-            f"--{option}", dest=f"{_READING}{option.replace('-', '_')}", metavar=placeholder,
-            type=kind, help=text,
+            f"--{option}", dest=f"{_READING}{name}", metavar=placeholder, type=kind, help=text,
         )  # fmt: skip
     if not target and not drive:
         group.add_argument(
