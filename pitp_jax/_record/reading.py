@@ -29,6 +29,7 @@ from .outliers import Masked, at_limit, mask_faults
 from .plausible import questions, refuse_implausible
 from .record import Record, Timed, range_in
 from .remarks import Remark
+from .selection import select_range
 from .sets import check_set
 from .stamps import usable_rows
 from .turns import unwrap
@@ -83,7 +84,7 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
             without time and for any clock, which it overrules. `header_line`: the line that names the columns, from 1.
             `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a
             workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `joint`: one of those that
-            `each` in `pitp.toml` names.
+            `each` in `pitp.toml` names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
 
     Returns:
         the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
@@ -239,7 +240,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     loaded = load_columns(path, options, ("time", "displacement"))
     if len(loaded) > 1:
         raise BadInput(f"{cleaned(path)}: {len(loaded)} parts; give one target file")
-    (one,) = loaded
+    one = select_range(loaded[0])
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
     _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
@@ -378,6 +379,7 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
 
 
 def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> list[Record]:
+    one = select_range(one)
     drive, unit = one.unit("voltage"), one.unit("displacement")
     masked, put = mended(one, rate)
     many = len(put.pieces) > 1

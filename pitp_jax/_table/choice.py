@@ -317,7 +317,9 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
     """The one column of a pool, with its unit."""
     stem, wanted = OPTIONS[quantity], options.column(quantity)
     if not pool and wanted is not None:
-        raise _Ask(f"column {wanted!r} is missing; give --{stem}-column one of those here")
+        several = {s.column.name for s in seen} >= {name.strip() for name in wanted.split(",")}
+        one = "a recording has one input and one output; " if several else ""
+        raise _Ask(f"column {wanted!r} is missing; {one}give --{stem}-column one of those here")
     if not pool and quantity == "time" and options.rate is not None:
         return Choice(None, "--rate", "s")
     if not pool:
@@ -396,7 +398,9 @@ def _own_clock(ports: Sequence[_Seen]) -> Choice:
 
 def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:
     """Options that would answer: what no file holds (a scale, a rate, a unit) in capitals."""
-    words = options.words()
+    absent = {f"--{OPTIONS[q]}-column" for q in problems if options.column(q) is not None and not pools[q]}
+    stated = options.words()
+    words = [w for pair in zip(stated[::2], stated[1::2], strict=True) if pair[0] not in absent for w in pair]
     taken = {choice.place for choice in chosen.values()}
     free = [s for s in seen if s.place not in taken and s.column.form == "number" and not s.counts_rows]
     if "time" in problems and not problems["time"].options:
