@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, by_option
 from .names import Header, read_header
 from .options import OPTIONS, ReadOptions
 from .refusal import Refused
@@ -400,7 +400,7 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     """Options that would answer: what no file holds (a scale, a rate, a unit) in capitals."""
     absent = {f"--{OPTIONS[q]}-column" for q in problems if options.column(q) is not None and not pools[q]}
     stated = options.words()
-    words = [w for pair in zip(stated[::2], stated[1::2], strict=True) if pair[0] not in absent for w in pair]
+    words = [word for group in by_option(stated) if group[0] not in absent for word in group]
     taken = {choice.place for choice in chosen.values()}
     free = [s for s in seen if s.place not in taken and s.column.form == "number" and not s.counts_rows]
     if "time" in problems and not problems["time"].options:
@@ -431,10 +431,8 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
 
 def _once(words: Sequence[str]) -> list[str]:
     """Options and values, each option once: the first stands."""
-    pairs: dict[str, str] = {}
-    for option, value in zip(words[::2], words[1::2], strict=True):
-        pairs.setdefault(option, value)
-    return [word for pair in pairs.items() for word in pair]
+    groups = by_option(words)
+    return [word for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for word in group]
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
