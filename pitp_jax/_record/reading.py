@@ -19,6 +19,7 @@ import numpy as np
 from .._errors import BadInput, cleaned
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
+from .._table.header import NoTable
 from .._table.join import proposed_join
 from .._table.options import FOLDER_FILE as FOLDER_FILE
 from .._table.options import OPTIONS, joined_in
@@ -163,7 +164,8 @@ def attempted(
             made += [piece for label, one in zip(labels, parts, strict=True) for piece in make(file, label, one)]
         except BadInput as error:
             refused[name] = error
-    join = proposed_join(files, options, quantities) if refused and not made else None
+    incomplete = refused and not made and all(isinstance(e, Refused | NoTable) for e in refused.values())
+    join = proposed_join(files, options, quantities) if incomplete else None
     if join is not None:
         return made, {join.source: join}, 1
     return made, refused, len(files)

@@ -16,6 +16,7 @@ import numpy as np
 from .._errors import BadInput, cleaned
 from .choice import choose_columns
 from .formats import Parts, open_parts, split_suffix
+from .header import NoTable
 from .options import ReadOptions
 from .refusal import Refused
 from .table import Column, Table, sample
@@ -42,7 +43,7 @@ def _opened(path: Path, options: ReadOptions) -> Parts:
     """Every part of a file, which may hold one column of numbers."""
     try:
         return open_parts(path, replace(options, sheet=None, split_by=None))
-    except BadInput:
+    except NoTable:
         column = single_column(path)
         if column is None:
             raise
@@ -180,18 +181,24 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
 
 def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
     """Return the options with which joined tables are a record; None where they are not, or one is without others."""
-    words = options.words()
-    try:
-        choose_columns(_joined(tables, options), options, quantities)
-        return words
-    except BadInput as error:
-        words = [*getattr(error, "options", ())]
-    for table in tables:
-        try:
-            choose_columns(table, options, quantities)
-        except BadInput as error:
-            alone = getattr(error, "options", ())
-            if not alone or "--rate" in alone:
-                continue
+    alone = [_missing(table, options, quantities) for table in tables]
+    if any(words is None for words in alone):
         return None
-    return words if words and "--rate" not in words else None
+    try:
+        words = _missing(_joined(tables, options), options, quantities)
+    except BadInput:
+        return None
+    if words is None:
+        return options.words()
+    # with a rate any two recordings without a clock could be joined
+    single = any(some and "--rate" not in some for some in alone)
+    return words if words and "--rate" not in words and not single else None
+
+
+def _missing(table: Table, options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
+    """Return the options that a table lacks, empty where none would do; None where it lacks nothing."""
+    try:
+        choose_columns(table, options, quantities)
+    except BadInput as error:
+        return [*getattr(error, "options", ())]
+    return None

@@ -19,7 +19,7 @@ import numpy as np
 
 from .._errors import BadInput, cleaned
 from .guard import check_count, file_bytes, gunzip
-from .header import MISSING, Layout, Rows, is_number, layouts, trimmed
+from .header import MISSING, Layout, NoTable, Rows, is_number, layouts, trimmed
 from .names import read_header
 from .options import ReadOptions
 from .refusal import Refused
@@ -320,10 +320,7 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
             if score > best + 1e-9:
                 best, dialect = score, (separator, decimal)
     if dialect is None:
-        raise BadInput(
-            f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV, or give "
-            "--separator and --header-line"
-        )
+        raise NoTable(source)
     return dialect
 
 
