@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from pitp_jax._diagnose.diagnosis import Diagnosis
+from pitp_jax._diagnose.gap import Gap
 from pitp_jax._diagnose.next_experiment import Experiment
-from pitp_jax._diagnose.result import Added, Gap, Ranked, Trace
+from pitp_jax._diagnose.result import Added, Ranked
+from pitp_jax._diagnose.traces import Trace
 from pitp_jax._effects import effect
 from pitp_jax._model import Fitted, Origin
 from pitp_jax._model.fitted import model_of

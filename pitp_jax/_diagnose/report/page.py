@@ -9,7 +9,8 @@ from ..._report.html import tag
 from ..._report.numbers import figure, interval, percent
 from .. import rules
 from ..diagnosis import Diagnosis
-from ..result import Gap, Ranked
+from ..gap import Gap
+from ..result import Ranked
 from .answers import NEXT_CSV, budget_bar, cards, headline, next_step, verdict_text
 from .figures import figures
 from .gap_figure import errors, output_unit, worst
