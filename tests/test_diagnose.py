@@ -133,11 +133,11 @@ def test_two_effects_are_both_named(nominal):
 
 @pytest.mark.slow
 def test_in_a_refit_the_nominal_is_found_beside_the_effect(nominal):
-    """A nominal that was bent by the clip in its own records comes back to the true one."""
+    """A nominal that was bent by the clip in its own records comes back to the true one, without being asked."""
     records = play(replace(nominal, effects=(effect("voltage_clip", "hard", 1 / 850.0),)))
     bent = pitp.identify(records, order=2).model
-    found = pitp.diagnose(bent, records, refit_nominal=True)
-    assert found.effects == ("voltage_clip",)
+    found = pitp.diagnose(bent, records)
+    assert found.effects == ("voltage_clip",) and found.refit == "automatic"
     np.testing.assert_allclose(found.model.physical_coefficients, nominal.physical_coefficients, rtol=0.02)
 
 
@@ -199,12 +199,12 @@ def test_a_name_whose_model_is_not_handed_back_is_not_said(nominal, monkeypatch)
         patch.setattr(diagnosis, "percent", lambda errors, ranges: 1.0)
         found = pitp.diagnose(nominal, play(planted), exclude=others)
         assert (found.verdict, found.effects) == ("unknown", ()) and "electrode_rc" in found.handed_back
-        assert any("some records" in note for note in found.notes)
+        assert "some recordings" in found.reason
     for place in (diagnosis, handing_back):
         monkeypatch.setattr(place, "package_error", lambda model, records: 1.0)
     found = pitp.diagnose(nominal, play(planted), exclude=others)
     assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
-    assert any("free runs" in note for note in found.notes)
+    assert "free runs" in found.reason
 
 
 @pytest.mark.slow
@@ -247,7 +247,7 @@ def test_of_two_machines_nothing_is_handed_back(nominal):
     played = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.4, 0.7))]
     found = pitp.diagnose(nominal, played, exclude=FEW)
     assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
-    assert any("parts of each" in note for note in found.notes)
+    assert "Separate linear models" in found.reason
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from jax.sharding import Mesh
 from .._errors import BadInput
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
+from .._model_file.lineage import was_made_from
 from .._record.record import Record
 from .._record.sets import clock_start
 from . import rules
@@ -34,6 +35,7 @@ from .gap import (
 from .handing_back import hand_back, package_error
 from .library import CHANGED, CORE, FREE, INDEX
 from .next_experiment import Experiment, separate
+from .parts import Parts, parts_of
 from .pieces import Piece, cut
 from .result import Added, Ranked, added_of, errors_of, factors_of, ranking_of
 from .search import Hypothesis, Search
@@ -47,9 +49,19 @@ from .where import locate, motions, nowhere
 T = TypeVar("T")
 
 _RUNS_AFTER = 6  # free runs of all recordings behind a search
-_NO_BETTER = "the set that pays does no better than the nominal in the package's own free runs, so no name is said"
+_NO_BETTER = (
+    "In the package's own free runs the best set of effects is no better than the nominal model, so none of its "
+    "effects is reported."
+)
+_DISAGREE = (
+    "The best set of effects lowers the error of some recordings and raises that of others as much, so none of its "
+    "effects is reported."
+)
+_REFITTED = (
+    "the nominal model was made from these recordings, so its coefficients were fitted along with every effect "
+    "(as by --refit-nominal)"
+)
 _IN_PARTS = "fewer than four records: parts of each were left out in turn, so other parts of every drive had been seen"
-_DISAGREE = "the set that pays lowers the error of some records and raises that of others as much, so no name is said"
 
 
 @dataclass(frozen=True)
@@ -71,6 +83,9 @@ class Diagnosis:
         notes: one line for whatever was left out, not tried or not said.
         model: the best model that beats the nominal out of fold, else the nominal.
         handed_back: its parts beyond the nominal.
+        parts: the same with numbers, intervals and certainty, under every verdict.
+        refit: "asked", "automatic" or "no": whether the nominal's coefficients were fitted along.
+        reason: why the verdict is "unknown", a sentence.
         term: a force without a name as an equation found in the data.
         lane_steps: the work of the search, samples x steps a sample x simulations.
         pieces: where the search worked on pieces of a long set; None: on all of it.
@@ -96,6 +111,9 @@ class Diagnosis:
     probability: dict = field(default_factory=dict)
     folds: tuple[tuple[str, ...], ...] = ()
     handed_back: tuple[str, ...] = ()
+    parts: Parts = Parts()
+    refit: str = "no"
+    reason: str = ""
     lane_steps: int = 0
     pieces: tuple[Piece, ...] | None = None
     interrupted: bool = False
@@ -123,27 +141,37 @@ class Diagnosis:
             "records": self.records,
             "pieces": None if self.pieces is None else [vars(p) for p in self.pieces],
             "handed_back": list(self.handed_back),
+            "parts": self.parts.as_json(),
+            "refit": self.refit,
             "coefficients_over_given": [float(v) for v in self.shift],
             "notes": list(self.notes),
             "term": self.term.as_json() if self.term else None,
         }
 
     def __repr__(self) -> str:
-        """Its first three lines."""
-        return "\n".join(["Diagnosis, " + str(self).splitlines()[0], *str(self).splitlines()[1:3]])
+        """Show its first lines, at most ten."""
+        lines = str(self).splitlines()
+        more = [f"and {len(lines) - 9} lines more (print it)"] if len(lines) > 10 else lines[9:10]
+        return "\n".join([f"Diagnosis: {lines[0]}", *lines[1:9], *more])
+
+    def _repr_html_(self) -> str:
+        """Show the first screen of its page."""
+        from .report.page import first_screen
+
+        return first_screen(self)
 
     def __str__(self) -> str:
         """A few lines for the terminal."""
         from .report.words import lines
 
-        return "\n".join([*lines(self), *(f"note: {line}" for line in self.notes)])
+        return "\n".join([*lines(self), *(f"note: {line}" for line in self.notes if line != self.reason)])
 
 
 def diagnose(
     model: Model | Fitted,
     records: Sequence[Record],
     *,
-    refit_nominal: bool = False,
+    refit_nominal: bool | None = None,
     exclude: Sequence[str] = (),
     seconds: float = np.inf,
     progress: Callable[[str], None] = lambda line: None,
@@ -155,6 +183,7 @@ def diagnose(
         model: an identified linear model or a trained one.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
+            None: where the nominal was made from the very recordings given (by their sums in its line of descent).
         exclude: names left out of the catalogue.
         seconds: of computing; then the best so far is told, and in `notes` what was not tried.
         progress: called with one line per step.
@@ -175,6 +204,9 @@ def diagnose(
     model = cast(Model, fitted_of(model))  # reads as one
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
+    automatic = refit_nominal is None and was_made_from(model, records)
+    refit = "automatic" if automatic else "asked" if refit_nominal else "no"
+    refit_nominal = refit != "no"
     records, notes = usable(records)
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
@@ -199,7 +231,7 @@ def diagnose(
     distinct = excitations(case)
     limit.begin("which of them is sure")
     decision = decide(search, own, noise, distinct)
-    handed, made, parts = hand_back(search, decision, model, records, before)
+    handed, made, names_back = hand_back(search, decision, model, records, before)
     why, ranges = "", spans(search)
     if not set(decision.said) <= set(handed.labels):
         why = _NO_BETTER
@@ -207,7 +239,7 @@ def diagnose(
         why = _DISAGREE
     if decision.said and why:
         decision = replace(decision, verdict="unknown", said=(), tied={}, reason=why)
-        handed, made, parts = hand_back(search, decision, model, records, before)
+        handed, made, names_back = hand_back(search, decision, model, records, before)
     failed: list[str] = []
 
     def told(what: str, make: Callable[[], T], otherwise: T) -> T:
@@ -232,12 +264,14 @@ def diagnose(
     if decision.verdict != "no_gap":
         experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
+    parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
     term = None
     if FREE in decision.chosen.names:
         term = told("the equation of the term", lambda: term_of(search, decision, handed, made, errors, gap), None)
     where = told("the place of the gap", lambda: locate(motions(case, search.scale), search.base.residuals), nowhere())
     notes = (
         *notes,
+        *([_REFITTED] if automatic else []),
         *([_IN_PARTS] if 1 < len(names) < FEWEST_FOLDS else []),
         *([] if pieces is None else [on_pieces(pieces, records, traces)]),
         *([decision.reason] if decision.verdict == "unknown" and decision.reason else []),
@@ -264,7 +298,10 @@ def diagnose(
         budget=budget_of(search, decision, raw),
         probability=decision.probabilities,
         folds=_folds(case) if len(names) > 1 else (),
-        handed_back=parts,
+        handed_back=names_back,
+        parts=parts,
+        refit=refit,
+        reason=decision.reason if decision.verdict == "unknown" else "",
         lane_steps=limit.lane_steps,
         pieces=pieces,
         interrupted=interrupted,

@@ -14,6 +14,8 @@ from .library import CHANGED, CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, effect
 from .search import Search
 
 _BLOCKS = 30
+_LEAST = 1e-10  # of the largest eigenvalue: below, slopes by differences hold no information
+_LOST = 0.01  # of a number, in directions without information: then it is not determined
 _PLAIN = {DELAY: "delay", LAG: "lag", FILTER: "filter"}  # as the page names them
 
 
@@ -53,7 +55,10 @@ class Added:
 
 
 def errors_of(search: Search, fit: Fit) -> dict[str, float]:
-    """Standard errors of the free numbers (of logarithms where positive): block sandwich, B / (B - p)."""
+    """Standard errors of the free numbers (of logarithms where positive): block sandwich, B / (B - p).
+
+    Infinite where the records hold no information about a number.
+    """
     if not fit.free:
         return {}
     if fit.jacobian is None:
@@ -71,11 +76,22 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
             score = weight * j.T @ e
             meat += np.outer(score, score)
             count += 1
-    inverse = np.linalg.pinv(h, rcond=1e-10)
+    inverse, known = _inverse(h)
     plain = np.diag(inverse)  # not below what independent residuals would give
     wide = count / max(count - len(fit.free), 1)
     variance = np.maximum(np.diag(inverse @ meat @ inverse) * wide, plain)
-    return dict(zip(fit.free, np.sqrt(np.maximum(variance, 0)).tolist(), strict=True))
+    errors = np.where(known, np.sqrt(np.maximum(variance, 0)), np.inf)
+    return dict(zip(fit.free, errors.tolist(), strict=True))
+
+
+def _inverse(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Invert a normal matrix where it has information, and tell which numbers that leaves determined."""
+    d = np.sqrt(np.maximum(np.diag(h), 0))
+    unit = np.where(d > 0, d, 1.0)
+    value, axes = np.linalg.eigh(h / np.outer(unit, unit))
+    good = value > _LEAST * max(value[-1], 1e-300)
+    inverse = (axes[:, good] / value[good]) @ axes[:, good].T / np.outer(unit, unit)
+    return inverse, (d > 0) & ((axes[:, ~good] ** 2).sum(1) < _LOST)
 
 
 def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
@@ -88,7 +104,7 @@ def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[
         error = None
         if slot in errors and np.isfinite(number):
             size = 1.0 if LOGARITHM[INDEX[slot]] else 1 / max(abs(fit.value(slot)), 1e-300)
-            error = abs(number) * size * errors[slot]
+            error = abs(number) * size * errors[slot] if np.isfinite(errors[slot]) else None
         rows[p.name] = {"value": float(number), "unit": unit, "stderr": error}
     return rows
 
@@ -103,10 +119,15 @@ def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
     nominal, rows = search.case.nominal, {}
     for k in search.movable:
         if k in fit.free:
-            value = fit.value(k) / nominal[INDEX[k]]
-            key = f"{k[0]}_{k[1]} over given" if k in CORE else f"{_PLAIN[k]} over given"
-            rows[key] = {"value": float(value), "unit": "1", "stderr": value * errors[k] if k in errors else None}
+            value, error = fit.value(k) / nominal[INDEX[k]], errors.get(k, np.inf)
+            stderr = value * error if np.isfinite(error) else None
+            rows[factor_name(k)] = {"value": float(value), "unit": "1", "stderr": stderr}
     return rows
+
+
+def factor_name(slot: str) -> str:
+    """Name a number of the linear model, over the one given."""
+    return f"{slot[0]}_{slot[1]} over given" if slot in CORE else f"{_PLAIN[slot]} over given"
 
 
 def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
