@@ -68,7 +68,7 @@ def _parts(a: list[dict], b: list[dict], told: set[str]) -> list[Difference]:
             x, y = (side.get(key, {}).get(name, {}) for side in sides)
             # a lower bound has no upper end
             ends = [e.get("ci95") or (None, None) for e in (x, y)]
-            errors = [None if None in e else (e[1] - e[0]) / 3.92 for e in ends]
+            errors = [None if low is None or high is None else (high - low) / 3.92 for low, high in ends]
             values = (_number(x.get("value")), _number(y.get("value")))
             unit = x.get("unit") or y.get("unit") or ""
             rows.append(measured(f"{key[0]} ({key[1]}): {name}", *values, unit, (errors[0], errors[1])))
