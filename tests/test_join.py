@@ -86,6 +86,10 @@ def test_recordings_of_one_length_are_not_joined(tmp_path):
     for name in ("a.csv", "b.csv"):
         save_csv(tmp_path / name, {"voltage_V": VOLTAGE, "displacement_mm": OUTPUT})
     assert "--join" not in refused(tmp_path) and "--rate" in refused(tmp_path)
+    # nor is a file joined to one that is complete, whatever else lies there
+    save_npz(tmp_path / "c.npz", {"note": np.array("x"), "time_s": TIME, "voltage_V": VOLTAGE})
+    save_csv(tmp_path / "d.csv", {"time_s": TIME, "voltage_V": VOLTAGE, "displacement_mm": OUTPUT})
+    assert "--join" not in refused(tmp_path / "c.npz")
 
 
 def test_a_target_of_two_files(tmp_path):

@@ -59,7 +59,7 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
     clocks = [_clock(table, options) for table in tables]
     first = next((clock for clock in clocks if clock is not None), None)
     same = [clock is None or first is None or _agree(clock[1], first[1]) for clock in clocks]
-    sizes = [len(table.load([0])[0]) for table in tables]
+    sizes = [_rows(table) for table in tables]
     if all(same) and len(set(sizes)) == 1:
         # one clock is enough
         dropped = {k: clock[0] for k, clock in enumerate(clocks) if clock is not None and clock is not first}
@@ -70,6 +70,14 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
             f"{tables[0].source}: cannot join {cleaned(rows)}: give files of one length, or each with its time"
         )
     return _in_turn(tables, [clock for clock in clocks if clock is not None])
+
+
+def _rows(table: Table) -> int:
+    """Count the rows of a table by its first column of numbers; 0 where it has none."""
+    for place in range(len(table.columns)):
+        with suppress(BadInput):
+            return len(table.load([place])[0])
+    return 0
 
 
 def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
@@ -162,11 +170,12 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
         return None
     if len(files) == 1:
         files = [*files, *(f for f in sorted(folder.iterdir()) if f.is_file() and f != files[0])]
-    tables: list[Table] = []
+    tables, sizes = [], []
     for file in files[:_MOST]:
-        with suppress(BadInput, IndexError):
-            tables.append(_opened(file, options)[0][0])
-    sizes = [len(table.load([0])[0]) for table in tables]
+        with suppress(BadInput):
+            table = _opened(file, options)[0][0]
+            sizes.append(_rows(table))
+            tables.append(table)
     groups = [[t for t, other in zip(tables, sizes, strict=True) if other == size] for size in dict.fromkeys(sizes)]
     # files of one length first, then files with clocks of their own
     for group in [*groups, tables]:
