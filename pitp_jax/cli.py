@@ -35,11 +35,33 @@ _READING = "reading:"  # before the names of what reading is told: invert has a 
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.
 _QUICK = ("predict", "invert", "check", "simulate", "adapt")
+# what to do instead of giving an option twice
+_SINGLE = {
+    f"{_READING}input_column": "a recording has one input; fit a model to each input, or a column computed from both",
+    f"{_READING}output_column": "a recording has one output; --each NAME=INPUT,OUTPUT runs the command once per output",
+}
 _PLANTS = ("cone100", "cone122", "cone150", "roll", "joint")
 
 
+class _Once(argparse.Action):
+    """Store the value of an option that has one value; a second one is a usage error."""
+
+    given = False
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if self.given and option_string is not None:
+            raise argparse.ArgumentError(self, f"is given twice; {_SINGLE.get(self.dest, 'give it once')}")
+        self.given = True
+        setattr(namespace, self.dest, values)
+
+
 class _Parser(argparse.ArgumentParser):
-    """Usage errors are bad input like any other: one line, exit code 2."""
+    """Usage errors are bad input like any other: one line, exit code 2. An option that is not a list is given once."""
+
+    def __init__(self, **named):
+        super().__init__(**named)
+        for action in (None, "store"):
+            self.register("action", action, _Once)
 
     def error(self, message):
         raise BadInput(f"{' '.join(message.split())}; see {self.prog} --help")
@@ -258,7 +280,10 @@ _SAID = (  # option, placeholder, type, help
     ("encoding", "NAME", str, "of text: utf-8, cp1252, cp932, gb18030, ..."),
     ("sheet", "NAME", str, "of a workbook"),
     ("split-by", "COLUMN|sheet|group", str, "several runs in one file, a record each"),
+    ("from", "S", _seconds, "only what is recorded from here on, in s after the first row of each recording"),
+    ("to", "S", _seconds, "only what is recorded up to here"),
 )
+_RANGE = {"from": "from_s", "to": "to_s"}  # options whose names in Python differ
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
@@ -268,9 +293,9 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bo
         stem = option.partition("-")[0]
         if (stem == "input" and target) or (stem == "output" and drive) or (stem == "rate" and (target or not rate)):
             continue
+        name = _RANGE.get(option, option.replace("-", "_"))
         group.add_argument(
-            f"--{option}", dest=f"{_READING}{option.replace('-', '_')}", metavar=placeholder,
-            type=kind, help=text,
+            f"--{option}", dest=f"{_READING}{name}", metavar=placeholder, type=kind, help=text,
         )  # fmt: skip
     if not target and not drive:
         group.add_argument(
@@ -357,7 +382,9 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-delay", action="store_const", const=("delay",), default=(), dest="leave_out",
         help="without one (default: where it pays on blocks left out)",
     )  # fmt: skip
-    parser.add_argument("--validate", nargs="+", default=[], metavar="RECORDS", help="only run the model on these")
+    parser.add_argument(
+        "--validate", nargs="+", action="extend", default=[], metavar="RECORDS", help="only run the model on these"
+    )
     parser.add_argument("--report", metavar="DIR", help="write the Bode page here")
     _columns(parser)
 
@@ -412,7 +439,11 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     beside = parser.add_mutually_exclusive_group(required=True)
     beside.add_argument("--nominal", metavar="MODEL", help="identified or trained model")
     beside.add_argument(
-        "--against", nargs="+", metavar="SIMULATED", help="recordings of a simulator instead of a model"
+        "--against",
+        nargs="+",
+        action="extend",
+        metavar="SIMULATED",
+        help="recordings of a simulator instead of a model",
     )
     parser.add_argument(
         "--position-gain",

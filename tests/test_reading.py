@@ -17,7 +17,7 @@ from record_files import (
     text,
 )
 
-from pitp_jax import BadInput, Record, read, read_target
+from pitp_jax import BadInput, Record, read, read_target, read_voltage
 from pitp_jax._record.sets import session_clock
 
 
@@ -130,3 +130,37 @@ def test_a_target_of_two_rows_is_read(tmp_path):
     save_csv(tmp_path / "a.csv", {"time_s": [0.0], "displacement_mm": [0.0]})
     with pytest.raises(BadInput, match="at least 2"):
         read_target(tmp_path / "a.csv")
+
+
+def rows_of(first, last, start=0.0, turn=None):
+    """The table with its rows from one time to another, on a clock that starts there or overflows, in ms."""
+    time = start + TIME
+    clock = 1e3 * (time if turn is None else time % turn)
+    kept = (TIME >= first - 1e-9) & (TIME <= last + 1e-9)
+    return {"t [ms]": clock[kept], "voltage_V": VOLTAGE[kept], "displacement_mm": OUTPUT[kept]}
+
+
+@pytest.mark.parametrize(("start", "turn"), [(0.0, None), (1.7e9, None), (65.4, 65.536)])
+def test_a_range_of_time_is_a_file_cut_by_hand(tmp_path, start, turn):
+    """Whatever the clock starts at: an own one, epoch seconds, a counter that overflows within the range."""
+    first, last = TIME[20], TIME[T - 10]
+    whole, cut = tmp_path / "a.csv", tmp_path / "b.csv"
+    save_csv(whole, rows_of(-1, 1e9, start, turn))
+    save_csv(cut, rows_of(first, last, start, turn))
+    (got,), (wanted,) = read(whole, from_s=first, to_s=last), read(cut)
+    for name in ("time", "voltage", "displacement"):
+        assert np.array_equal(getattr(got, name), getattr(wanted, name), equal_nan=True)
+    assert "after its first row" in got.recognised["time"]
+    (drive,), (cut_drive,) = read_voltage(whole, from_s=first, to_s=last), read_voltage(cut)
+    assert np.array_equal(drive.voltage, cut_drive.voltage)
+    (tmp_path / "pitp.toml").write_text(f'["a.csv"]\nfrom = {first}\nto = {last}\n')
+    assert np.array_equal(read(whole)[0].displacement, wanted.displacement, equal_nan=True)
+    # the caller wins
+    assert read(whole, from_s=0.0)[0].samples == T - 9
+
+
+def test_ranges_that_hold_nothing_are_refused(tmp_path):
+    save_csv(tmp_path / "a.csv", columns())
+    assert "--from and --to in seconds after its first row" in refused(tmp_path, from_s=1e6)
+    for said in ({"from_s": 2.0, "to_s": 1.0}, {"from_s": -1.0}, {"to_s": float("nan")}):
+        assert "is not a range of time" in refused(tmp_path, **said)

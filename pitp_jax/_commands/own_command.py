@@ -31,5 +31,18 @@ def own_command(text: str, argv: Sequence[str]) -> str:
         whole = f'{head}; put into {os.path.join(folder, "pitp.toml")}: ["*"] and below it {keys}'
     else:
         # a name with control characters is not obeyed by the terminal: such a command has to be typed anew
-        whole = f"{head}; try: {shlex.join(map(cleaned, ['pitp', *argv, *options]))}"
+        words = ["pitp", *_without(argv, options[::2]), *options]
+        whole = f"{head}; try: {shlex.join(map(cleaned, words))}"
     return whole if len(whole) <= _LONGEST else text
+
+
+def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return the arguments without these options and their values: an option given twice is refused."""
+    words, k = [], 0
+    while k < len(argv):
+        if argv[k] in names:
+            k += 2
+        else:
+            words += [] if argv[k].partition("=")[0] in names else [argv[k]]
+            k += 1
+    return words

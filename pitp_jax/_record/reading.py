@@ -23,12 +23,13 @@ from .._table.options import FOLDER_FILE as FOLDER_FILE
 from .._table.options import OPTIONS
 from .._table.robot import is_bag
 from .._table.units import base_unit, from_base
-from .checks import TIME_TOLERANCE, check_samples, check_wanted
+from .checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
 from .outliers import Masked, at_limit, mask_faults
 from .plausible import questions, refuse_implausible
 from .record import Record, Timed, range_in
 from .remarks import Remark
+from .selection import select_range
 from .sets import check_set
 from .stamps import usable_rows
 from .turns import unwrap
@@ -83,7 +84,7 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
             without time and for any clock, which it overrules. `header_line`: the line that names the columns, from 1.
             `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a
             workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `joint`: one of those that
-            `each` in `pitp.toml` names.
+            `each` in `pitp.toml` names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
 
     Returns:
         the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
@@ -239,7 +240,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     loaded = load_columns(path, options, ("time", "displacement"))
     if len(loaded) > 1:
         raise BadInput(f"{cleaned(path)}: {len(loaded)} parts; give one target file")
-    (one,) = loaded
+    one = select_range(loaded[0])
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
     _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
@@ -356,7 +357,8 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     displacement = np.zeros(len(time)) if output is None else output
     names = {q: choice.name for q, choice in one.chosen.items()}
     columns = names["time"], names["voltage"], names.get("displacement", "displacement")
-    check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
+    least = MIN_SAMPLES if output is not None else 2
+    check_samples(time, voltage, displacement, source, columns, one.place, uniform=False, least=least)
     units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
     refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
     turns = 0, 0
@@ -377,6 +379,7 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
 
 
 def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> list[Record]:
+    one = select_range(one)
     drive, unit = one.unit("voltage"), one.unit("displacement")
     masked, put = mended(one, rate)
     many = len(put.pieces) > 1

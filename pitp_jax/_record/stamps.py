@@ -70,7 +70,7 @@ def usable_rows(
     Raises:
         BadInput: time decreases by more than a few steps.
     """
-    time, turns = _continued(time)
+    time, turns = continued(time)
     rows = Rows(time, voltage, displacement, turns)
     steps = np.diff(time)
     if (steps < 0).any():
@@ -88,7 +88,7 @@ def usable_rows(
     return rows
 
 
-def _continued(time: np.ndarray) -> tuple[np.ndarray, int]:
+def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the time with the turns of its counter added, and how many there were."""
     steps = np.diff(time)
     back, ahead = steps < 0, steps[steps > 0]

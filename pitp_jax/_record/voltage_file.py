@@ -15,6 +15,7 @@ from .._table.options import OPTIONS
 from .._table.table import Table
 from .reading import attempted, clock_remarks, mended, options_of
 from .record import Timed, range_in
+from .selection import select_range
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,7 @@ def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
 
 def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
     """One drive, or several where gaps are too long to fill."""
+    one = select_range(one)
     _, put = mended(one)
     kinds = [f"{OPTIONS[q]} {one.words(q)}" for q in one.chosen]
     remarks = [f"{label}: {one.table.form}; {', '.join(kinds)}"]

@@ -19,6 +19,12 @@ from .units import spelt, units_of
 
 OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
 FOLDER_FILE = "pitp.toml"
+_RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a word of Python's
+
+
+def option_of(name: str) -> str:
+    """Return the long option of a name of `ReadOptions`, without its dashes."""
+    return _RANGE.get(name, name.replace("_", "-"))
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,7 @@ class ReadOptions:
         separator, decimal, encoding: of text.
         sheet: of a workbook.
         split_by: a column, "sheet" or "group": a record for each of its values.
+        from_s, to_s: the range of time of every recording, in s after its first row.
         joint: of the joints that `each` in `pitp.toml` names, the one to read.
 
     Raises:
@@ -58,6 +65,8 @@ class ReadOptions:
     encoding: str | None = None
     sheet: str | None = None
     split_by: str | None = None
+    from_s: float | None = None
+    to_s: float | None = None
     joint: str | None = None
 
     def __post_init__(self):
@@ -77,9 +86,16 @@ class ReadOptions:
             if not number or (name == "rate" and value is not None and value < 0):
                 kind = "positive number" if name == "rate" else "finite number other than 0"
                 problems.append(f"--{name.replace('_', '-')} {value!r} is not a {kind}")
-        problems += self._text_problems()
+        problems += self._range_problems() + self._text_problems()
         if problems:
             raise BadInput("; ".join(problems))
+
+    def _range_problems(self) -> list[str]:
+        first, last = self.from_s or 0.0, math.inf if self.to_s is None else self.to_s
+        numbers = all(isinstance(value, (int, float)) and not math.isnan(value) for value in (first, last))
+        if numbers and 0 <= first < last:
+            return []
+        return [f"--from {self.from_s!r} --to {self.to_s!r} is not a range of time: give seconds, 0 <= from < to"]
 
     def _text_problems(self) -> list[str]:
         problems = []
@@ -116,7 +132,7 @@ class ReadOptions:
 
     def said(self) -> dict[str, Any]:
         """Return what is not None, by the long names of options; a joint is its two columns."""
-        values = {f.name.replace("_", "-"): getattr(self, f.name) for f in fields(self) if f.name != "joint"}
+        values = {option_of(f.name): getattr(self, f.name) for f in fields(self) if f.name != "joint"}
         return {name: value for name, value in values.items() if value is not None}
 
     def words(self) -> list[str]:
@@ -206,18 +222,18 @@ def _of_file(path: Path) -> dict[str, Any]:
         tables = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise BadInput(f"{source}: not readable as TOML ({cleaned(error)[:100]}); correct it") from None
-    known, said = ({f.name for f in fields(ReadOptions)} | {"each"}) - {"joint"}, {}
+    known = {option_of(f.name): f.name for f in fields(ReadOptions) if f.name != "joint"} | {"each": "each"}
+    said = {}
     for glob, table in tables.items():
         if not isinstance(table, dict):
             raise BadInput(
                 f'{source}: {cleaned(glob)!r} stands outside a table; put it below ["GLOB"], such as ["*.csv"]'
             )
-        names = {key: key.replace("-", "_") for key in table}
-        strange = [cleaned(key) for key, name in names.items() if name not in known]
+        strange = [cleaned(key) for key in table if key.replace("_", "-") not in known]
         if strange:
-            keys = ", ".join(sorted(n.replace("_", "-") for n in known))
+            keys = ", ".join(sorted(known))
             raise BadInput(f"{source}: {', '.join(strange)}: no option of reading; the keys are {keys}")
         # later tables win, so that one file can differ from its kind
         if fnmatch(path.name, glob):
-            said |= {names[key]: value for key, value in table.items()}
+            said |= {known[key.replace("_", "-")]: value for key, value in table.items()}
     return said

@@ -10,6 +10,8 @@ import pytest
 from cli_cases import refused
 
 import pitp_jax
+from pitp_jax._errors import BadInput
+from pitp_jax.cli import _parser
 
 
 @pytest.mark.parametrize(
@@ -40,6 +42,38 @@ import pitp_jax
 )
 def test_usage_errors(call, argv):
     assert "--help" in refused(call(*argv))
+
+
+LISTS = {"--each", "--learn", "--validate", "--against"}
+
+
+def test_an_option_given_twice_is_refused_or_a_list():
+    """Of all options of all commands, whatever synonym is taken; a list grows."""
+    (commands,) = (a.choices for a in _parser()._actions if isinstance(a.choices, dict))
+    options = [
+        (parser, a) for parser in commands.values() for a in parser._actions if a.option_strings and a.nargs != 0
+    ]
+    assert len(options) > 150
+    for parser, action in options:
+        first, *_, last = [*action.option_strings] * 2
+        values = [str(next(iter(action.choices or "1")))] * (action.nargs if isinstance(action.nargs, int) else 1)
+        if first not in LISTS:
+            with pytest.raises(BadInput, match="given twice"):
+                parser.parse_args([first, *values, last, *values])
+    said = _parser().parse_args("identify a --out m --validate b --validate c d".split())
+    assert said.validate == ["b", "c", "d"]
+    said = _parser().parse_args("diagnose a --against b --against c".split())
+    assert said.against == ["b", "c"]
+
+
+def test_two_inputs_are_refused_with_a_command_that_names_one(call, tmp_path):
+    path = machine_log(tmp_path / "log.csv", "time_s,left_kV,angle_deg")
+    twice = ["--input-column", "left_kV", "--input-column", "angle_deg"]
+    assert "one input" in refused(call("identify", path, "--out", tmp_path / "m", *twice))
+    line = refused(call("identify", path, "--out", tmp_path / "m", "--input-column", "left_kV,angle_deg"))
+    assert "one input" in line
+    proposed = shlex.split(line.rpartition("; try: pitp ")[2])
+    assert proposed[proposed.index("--input-column") + 1 :] == ["left_kV"]
 
 
 @pytest.mark.parametrize("command", [[], ["plan"], ["identify"], ["fit"], ["predict"], ["invert"], ["info"], ["demo"]])
