@@ -15,7 +15,7 @@ import argparse
 import json
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -91,9 +91,9 @@ def drawn(seed: int, number: int) -> tuple[Arm, Arm, list[str]]:
     """The simulator's arm, the robot's, and what differs."""
     rng = np.random.default_rng([seed, number])
     servo = bool(number % 2 == 0)
-    common = {"servo": servo, "degrees": bool(rng.integers(2)), "nested": bool(rng.integers(2))}
+    ideal = Arm(servo, degrees=bool(rng.integers(2)), nested=bool(rng.integers(2)))
     if not servo:
-        common |= {"stiffness": float(rng.uniform(1.5, 3.0))}
+        ideal = replace(ideal, stiffness=float(rng.uniform(1.5, 3.0)))
     changes = {
         "friction": lambda: {"friction": float(rng.uniform(0.05, 0.15) * (4 if servo else 1))},
         "damping": lambda: {"damping": float(0.3 * rng.uniform(1.3, 2.0))},
@@ -108,7 +108,7 @@ def drawn(seed: int, number: int) -> tuple[Arm, Arm, list[str]]:
     robot = {}
     for name in names:
         robot |= changes[name]()
-    return Arm(**common), Arm(**common | robot), names
+    return ideal, replace(ideal, **robot), names
 
 
 def commands(servo: bool, seconds: float, seed: int, held_out: bool) -> dict[str, np.ndarray]:
@@ -164,7 +164,7 @@ def run(seed: int, number: int, seconds: float) -> dict:
         unseen = recorded(folder / "robot.xml", commands(sim.servo, seconds, seed + 100, True), unit, number + 100)
         checked = pitp.verify_mjcf(real, written.file, "elbow", before=folder / "arm.xml", held_out=unseen)
     noise = 100 * COUNT * np.sqrt(1 / 9 + 1 / 12) / np.sqrt(np.mean([np.ptp(r.displacement) ** 2 for r in unseen]))
-    before, after = (np.sqrt(max(checked.gap(True, after=a) ** 2 - noise**2, 0.0)) for a in (False, True))
+    before, after = (np.sqrt(max((checked.gap(True, after=a) or 0.0) ** 2 - noise**2, 0.0)) for a in (False, True))
     return {
         "robot": number, "servo": sim.servo, "differences": {n: _true(robot, n) for n in names},
         "verdict": found.verdict, "effects": list(found.effects), "typed": [c.text for c in written.changes if c.text],
@@ -179,7 +179,7 @@ def _true(arm: Arm, name: str) -> float:
 
 def main() -> None:
     """Print a row a robot, then how many fall by 90 %."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("numbers", nargs="*", type=int)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)

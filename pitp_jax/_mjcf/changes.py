@@ -17,7 +17,7 @@ from .._report.numbers import number
 from .document import Tag
 from .joint import Joint
 
-_ALIKE = 2.0  # standard errors within which two factors are one
+_ALIKE = 0.1  # of their logarithm, beside two standard errors: two factors that differ by less are one
 _TURN = 2 * math.pi  # rad; the far side of a stop that was found on one side alone
 
 
@@ -137,7 +137,7 @@ def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping
     if damping is not None and damping.simulator > 0:
         other = damping.robot / damping.simulator
         spread = math.hypot(error, 0.0 if damping.stderr is None else damping.stderr / damping.simulator)
-        alike = abs(ratio - other) <= max(_ALIKE * spread, 0.02 * abs(ratio - 1))
+        alike = other > 0 and abs(math.log(other / ratio)) <= 2 * spread + _ALIKE * abs(math.log(ratio))
     impossible = joint.armature + joint.torque_per_command * inertia.difference < 0
     if not alike and not impossible:
         return 1.0, ""

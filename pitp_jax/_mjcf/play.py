@@ -14,7 +14,7 @@ from .._record.record import Record
 from .document import read_document
 from .joint import joint_of, load_model, mujoco_package
 
-_FIRST = 8  # samples that tell where a recording begins and how fast
+_FIRST = 4  # samples that tell where a recording begins and how fast
 
 
 def play(mjcf: str | Path, joint: str, records: Sequence[Record], actuator: str | None = None) -> list[np.ndarray]:
@@ -67,18 +67,19 @@ def _played(mujoco: Any, model: Any, joint: int, actuator: int, record: Record) 
 
 
 def first_state(record: Record) -> tuple[float, float]:
-    """Position and speed at the first sample: a line through the first few; at rest where the slope is within noise."""
-    y = record.displacement[:_FIRST]
-    t = (record.time - record.time[0])[:_FIRST]
-    seen = np.isfinite(y)
-    if seen.sum() < 4:
-        return float(np.nanmedian(record.displacement[: 4 * _FIRST])), 0.0
-    slope, start = np.polyfit(t[seen], y[seen], 1)
-    left = y[seen] - (start + slope * t[seen])
-    error = math.sqrt(float(np.sum(left**2)) / (seen.sum() - 2) / float(np.sum((t[seen] - t[seen].mean()) ** 2)))
-    steps = np.unique(y[seen])
-    if abs(slope) <= 3 * error or len(steps) < 3:
-        return float(np.mean(y[seen])), 0.0
+    """Position and speed at the first sample: a line through the first four, at rest where its slope is noise.
+
+    The noise is that of third differences, s^2 = mean (d^3 y)^2 / 20, which no smooth motion has.
+    """
+    y = record.displacement[: 16 * _FIRST]
+    third = np.diff(y, 3)
+    noise = math.sqrt(float(np.nanmean(third**2)) / 20) if np.isfinite(third).any() else 0.0
+    t, y = (record.time - record.time[0])[:_FIRST], y[:_FIRST]
+    if not np.all(np.isfinite(y)):
+        return float(np.nanmedian(record.displacement[: 16 * _FIRST])), 0.0
+    slope, start = np.polyfit(t, y, 1)
+    if abs(slope) <= 3 * noise / math.sqrt(float(np.sum((t - t.mean()) ** 2))):
+        return float(np.mean(y)), 0.0
     return float(start), float(slope)
 
 

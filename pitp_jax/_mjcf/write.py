@@ -6,15 +6,19 @@ out/arm_identified.xml    and beside it what the model includes and loads, so th
 import hashlib
 import math
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from .._against import SimToReal
-from .._against.parameters import parameters
+from .._against.parameters import Parameter, parameters
 from .._errors import BadInput, cleaned
 from .._model_file.lineage import sums
+from .._record.record import Record
 from .._record.writing import write_bytes_atomic
 from .._report.numbers import number
 from .._table.units import base_unit
@@ -22,7 +26,7 @@ from .changes import Change, NotWritten, changes_of, tag_of
 from .document import Document, Edit, assets, edited, read_document
 from .joint import Joint, joint_of, load_model, mujoco_package
 
-SUFFIX = "_identified"
+_SUFFIX = "_identified"
 _APART = 0.1  # share by which the simulator's recordings and its file may differ in inertia before it is said
 
 
@@ -87,44 +91,58 @@ def write_mjcf(
         >>> found = pitp.diagnose(robot, against=simulated)  # doctest: +SKIP
         >>> pitp.write_mjcf(found, "arm.xml", "elbow", "gap").changes  # doctest: +SKIP
     """
+    told = parameters(found.nominal, found.robot, found.records, None)
+    return write_numbers(told, found.records, found.nominal.physical_coefficients, mjcf, joint, out, actuator)
+
+
+def write_numbers(
+    told: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
+    out: str | Path, actuator: str | None = None,
+) -> Written:  # fmt: skip
+    """Write a table of numbers into a copy of a file.
+
+    Args:
+        told: numbers of the simulator and the robot, in the command's unit.
+        records: of the robot.
+        simulator: its coefficients a_i, shape (order + 1,).
+        mjcf, joint, out, actuator: as for `write_mjcf`.
+    """
     document = read_document(mjcf)
     it = joint_of(document, joint, actuator)
-    told = parameters(found.nominal, found.robot, found.records, None)
     changes, left = changes_of(it, told)
     changes, unknown = _known_to_mujoco(it, changes)
-    remarks = _remarks(found, it)
+    remarks = _remarks(records, simulator, it)
     edits = [
         Edit(tag_of(it, group[0]), {c.attribute: c.new for c in group}, [c.text for c in group if c.text])
         for element in ("joint", "actuator") if (group := [c for c in changes if c.element == element])
     ]  # fmt: skip
-    texts = edited(document, edits, _heading(found, document))
+    texts = edited(document, edits, _heading(records, document))
     target = _write_all(document, texts, Path(out))
     return Written(target, joint, it.actuator, tuple(changes), (*left, *unknown), tuple(remarks))
 
 
-def _heading(found: SimToReal, document: Document) -> str:
+def _heading(records: Sequence[Record], document: Document) -> str:
     """The comment at the top: where the numbers come from."""
-    period = sorted({number(1e3 * r.dt) for r in found.records})
+    period = sorted({number(1e3 * r.dt) for r in records})
     original = hashlib.sha256(document.texts[document.main]).hexdigest()
     lines = [
         f"pitp: numbers identified on recordings; the original is {document.main.name}, SHA-256 {original}",
         f"the command is held for {' or '.join(period)} ms",
-        *(f"recording {one['name']} SHA-256 {one['sha256']}" for one in sums(found.records)),
+        *(f"recording {one['name']} SHA-256 {one['sha256']}" for one in sums(records)),
     ]
     return "\n     ".join(lines)
 
 
-def _remarks(found: SimToReal, it: Joint) -> list[str]:
+def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> list[str]:
     """Say where the file and the simulator's recordings disagree, and what the units leave open."""
     said = []
-    order = len(found.nominal.physical_coefficients) - 1
-    seen = it.torque_per_command * found.nominal.physical_coefficients[2] if order >= 2 else math.nan
+    seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
     if abs(seen - it.inertia) > _APART * it.inertia:
         said.append(
             f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}: "
             "were they made with this file and this joint?"
         )
-    unit = base_unit(found.records[0].displacement_unit)
+    unit = base_unit(records[0].displacement_unit)
     if unit != ("rad" if it.hinge else "m"):
         said.append(f"the recordings are in {unit}, MuJoCo counts in {'rad' if it.hinge else 'm'}: give --output-unit")
     return said
@@ -164,7 +182,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
         BadInput: MuJoCo refuses what would be written.
     """
     main = document.main
-    target = out if out.suffix == ".xml" else out / f"{main.stem}{SUFFIX}.xml"
+    target = out if out.suffix == ".xml" else out / identified_name(main)
     folder = main.parent
     with TemporaryDirectory() as kept:
         for place in assets(document):
@@ -182,6 +200,11 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
             place.parent.mkdir(parents=True, exist_ok=True)
             write_bytes_atomic(place, source.read_bytes())
     return target
+
+
+def identified_name(mjcf: str | Path) -> str:
+    """Name of the copy with the identified numbers: `arm.xml` and `arm_identified.xml` become `arm_identified.xml`."""
+    return f"{Path(mjcf).stem.removesuffix(_SUFFIX)}{_SUFFIX}.xml"
 
 
 def _within(file: Path, folder: Path) -> Path:
