@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import BadInput, cleaned
+from .._errors import BadInput, cleaned, refuse_traced
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
 from .._table.options import FOLDER_FILE as FOLDER_FILE
@@ -59,6 +59,7 @@ class Target(Timed):
 
     def __post_init__(self):
         """Refuse what cannot be inverted (`read_target` gives the column and the line as well)."""
+        refuse_traced("Target", "inverse with an array", self.time, self.displacement)
         for field in ("time", "displacement"):
             object.__setattr__(self, field, np.asarray(getattr(self, field), dtype=np.float64))
         check_wanted(self.time, self.displacement, self.source or "target")
