@@ -5,6 +5,7 @@ A message may quote a name from outside: `cleaned` takes out of it what a termin
 
 import sys
 import unicodedata
+from collections.abc import Sequence
 
 
 class BadInput(ValueError):
@@ -29,3 +30,13 @@ def refuse_traced(name: str, instead: str, *values: object) -> None:
 def cleaned(text: object) -> str:
     """A name from outside without what a terminal or a page would obey: control and format characters become `_`."""
     return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))
+
+
+def by_option(words: Sequence[str]) -> list[list[str]]:
+    """Words of a command line as options, each with its values."""
+    groups: list[list[str]] = []
+    for word in words:
+        if word.startswith("--") or not groups:
+            groups.append([])
+        groups[-1].append(word)
+    return groups
