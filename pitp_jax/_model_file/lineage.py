@@ -47,6 +47,12 @@ def sums(records: Sequence[Record]) -> list[dict]:
     return [_sum(r) for r in records]
 
 
+def was_made_from(model: Model | Fitted, records: Sequence[Record]) -> bool:
+    """Return whether all these recordings are among those that a step of the model's line of descent saw."""
+    seen = {r["sha256"] for entry in fitted_of(model).origin.lineage for r in entry.get("records", ())}
+    return bool(seen) and all(one["sha256"] in seen for one in sums(records))
+
+
 def _sum(record: Record) -> dict:
     checksum, of = hashlib.sha256(), "samples"
     if os.path.isfile(record.source):
