@@ -482,7 +482,12 @@ def _verify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--before", metavar="XML", help="the file as it was, to compare with")
     _joint_arguments(parser)
     parser.add_argument(
-        "--held-out", nargs="+", default=[], metavar="RECORDS", help="recordings that the diagnosis did not use"
+        "--held-out",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="RECORDS",
+        help="recordings that the diagnosis did not use",
     )
     parser.add_argument("--out", metavar="DIR", help="write one CSV per record and a page here")
     _columns(parser)

@@ -13,6 +13,7 @@ from pitp_jax._mjcf.document import Edit, assets, edited, read_document
 from pitp_jax._mjcf.joint import joint_of
 from pitp_jax._mjcf.play import first_state, play
 from pitp_jax._mjcf.write import write_numbers
+from pitp_jax.cli import main
 
 ARM = """<mujoco model='two "links"'>
   <!-- a comment with <joint name="elbow"/> in it -->
@@ -250,3 +251,29 @@ def test_a_written_file_lies_beside_what_it_includes_and_says_where_its_numbers_
     assert model.dof_frictionloss[1] == pytest.approx(0.1 + 20 * 0.035)
     assert model.dof_damping[1] == pytest.approx(0.3 + 20 * 0.01)
     assert "held for 5 ms" in written.file.read_text() and arm.read_bytes() == ARM.encode()
+
+
+def test_the_command_prints_the_gap_and_ends_with_3_where_it_does_not_shrink(tmp_path, monkeypatch, capsys):
+    """The robot's file as the new one, then as the old one; the page and a table for each recording lie beside."""
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    for name, kp in (("sim", 20), ("robot", 24)):
+        (tmp_path / f"{name}.xml").write_text(SERVO.format("").replace('kp="20"', f'kp="{kp}"'))
+    time = np.arange(400) * 0.005
+    drive = 0.4 * np.sin(2 * np.pi * 2 * time) * np.minimum(time, 1)
+    (angle,) = play("robot.xml", "q", [_record(drive, np.zeros(400))])
+    rows = np.column_stack([time, np.degrees(drive), np.degrees(angle)])
+    np.savetxt("log.csv", rows, delimiter=",", header="time_s,input_deg,output_deg", comments="")
+    of = ["verify", "log.csv", "--joint", "q", "--force"]
+    assert main([*of, "--mjcf", "robot.xml", "--before", "sim.xml", "--out", "check"]) == 0
+    assert "on recordings of the diagnosis" in capsys.readouterr().out
+    assert {p.name for p in (tmp_path / "check").iterdir()} >= {"log.csv", "report.html"}
+    assert main([*of, "--mjcf", "sim.xml", "--before", "robot.xml"]) == 3
+    assert "not better than robot.xml" in capsys.readouterr().err
+
+
+def test_an_actuators_lag_is_written_where_its_element_has_one(arm):
+    """`position` has `timeconst`; `general` has `dynprm` and a type; a motor has none."""
+    pytest.importorskip("mujoco")
+    _, _, after = _written(arm, [_row("sensor_lag tau", 0.0, 0.02, 1e-4)])
+    assert after.lag == pytest.approx(0.02)

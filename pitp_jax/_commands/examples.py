@@ -40,8 +40,8 @@ EXAMPLES = {
         "pitp diagnose demo/records --nominal demo/nominal.pitp --refit-nominal --out report",
     ),
     "verify": (
-        "pitp verify demo/robot --mjcf gap/joint_identified.xml --before demo/joint.xml --joint elbow",
-        "pitp verify demo/robot --mjcf demo/joint.xml --joint elbow --json gap.json",
+        "pitp verify demo/robot --mjcf demo/joint.xml --joint elbow --out check",
+        "pitp verify demo/robot/chirp.csv --mjcf demo/joint.xml --joint elbow --held-out demo/robot/steps.csv",
     ),
     "adapt": (
         "pitp adapt demo/model.pitp demo/held_out/complex.csv --out today.pitp",
