@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, refuse_traced
 from .._model.coordinate import Zero, to_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
@@ -102,6 +102,7 @@ def feedforward(
         >>> plan.self_check_e_rms_percent < 1
         True
     """
+    refuse_traced("feedforward", "inverse", model)
     model, units = model_of(model), units_of(model)
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
     model = at_rate(model, target.dt)
