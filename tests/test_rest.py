@@ -15,6 +15,7 @@ from pitp_jax._record.initial_state import (
     is_still,
     level_groups,
     noise_std,
+    rest_level,
     settled_samples,
     standing_drive,
     starts_at_rest,
@@ -44,6 +45,17 @@ HIGH = 1200 + 700 * np.cos(2 * np.pi * 4 * TIME)  # 1.9 kV at the first sample
 def test_noise_of_white_noise(sigma):
     noise = sigma * np.random.default_rng(1).standard_normal(20_000)
     assert noise_std(noise) == pytest.approx(sigma, rel=0.06)
+
+
+def test_a_zero_is_not_known_better_than_the_encoder_counts():
+    """Readings that stand still at one count lie anywhere within it: uniform, so 1 / sqrt(12) of a count."""
+    voltage, count = np.where(TIME < 1, 0.0, SINE), 1e-4
+    off = []
+    for zero in np.linspace(0.0, 1.0, 21) * count:
+        level, error = rest_level(Record("r", TIME, voltage, count * np.round((motion(voltage) + zero) / count)))
+        assert error == pytest.approx(count / np.sqrt(12))
+        off.append((level - zero) / error)
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.1)
 
 
 def test_noise_under_motion_and_gaps():
