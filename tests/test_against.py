@@ -86,8 +86,15 @@ def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_type_in(si
     robot: Any = _robot(simulator, [("delay", 0.02)], (1.0, 1.0, 1.0))
     pairs: Any = SimpleNamespace(remarks=lambda *names: [])
     told = parameters(simulator, robot, recordings(), 20.0)
-    found: Any = SimToReal(robot, None, robot, simulator, pairs, told, (0.0, 0.0, 0.0), tuple(recordings()), ())
-    (line,) = [line for line in found.lines() if "type in" in line]
+    found: Any = SimpleNamespace(
+        robot=robot,
+        nominal=simulator,
+        pairs=pairs,
+        parameters=told,
+        simulator_share=(0.0, 0.0, 0.0),
+        records=recordings(),
+    )
+    (line,) = [line for line in SimToReal.lines(found) if "type in" in line]
     assert "17.5 ms" in line and "2.5 ms more" in line
 
 

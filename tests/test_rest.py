@@ -276,8 +276,7 @@ def test_planted_beginnings_zeros_and_directions_come_back(one_zero):
 
 @pytest.mark.parametrize(("gap", "first"), [(0, 0), (4, 0), (40, 0), (48, 48), (200, 200)])
 def test_a_gap_at_the_start_leaves_it_unknown(gap, first):
-    r = record(SINE, motion(SINE))
-    r.displacement[:gap] = np.nan
+    r = record(SINE, np.where(np.arange(len(SINE)) < gap, np.nan, motion(SINE)))
     assert first_known(r) == first
     (found,), *_ = find_beginnings([r], "square")
     assert np.isfinite(found.zero)
@@ -287,6 +286,6 @@ def test_a_gap_at_the_start_leaves_it_unknown(gap, first):
 def test_missing_first_samples():
     zero = 1e-3
     for start, still in ((0, True), (830, False)):
-        r = record(SINE, motion(SINE) + zero, 7, start=start)
-        r.displacement[:4] = np.nan
+        lost = np.isin(np.arange(len(SINE)), start + np.arange(4))
+        r = record(SINE, np.where(lost, np.nan, motion(SINE) + zero), 7, start=start)
         assert starts_at_rest(r, zero, OMEGA) is still

@@ -40,6 +40,17 @@ def test_a_folder_of_records_is_not_overwritten(call, bench, tmp_path):
     assert tree(folder) == ["sine2.csv"]
 
 
+def test_json_of_others_is_not_replaced(call, bench, tmp_path):
+    """A result of pitp is replaced by the next one; settings of the user are not, unless --force is given."""
+    ours, other = tmp_path / "ours.json", tmp_path / "settings.json"
+    other.write_text('{\n  "my": "settings"\n}')
+    assert "was not written by pitp" in refused(call("info", bench / "nominal", "--json", other))
+    assert json.loads(other.read_text()) == {"my": "settings"}
+    for file, more in ((ours, ()), (ours, ()), (other, ("--force",))):
+        assert call("info", bench / "nominal", "--json", file, *more)[0] == 0
+        assert json.loads(file.read_text())["order"] == 2
+
+
 def test_unwritable_output(call, bench, tmp_path, monkeypatch):
     monkeypatch.setattr(outputs.os, "access", lambda *a: False)
     record = bench / "records" / "sine2.csv"
@@ -70,8 +81,8 @@ def test_predict_on_a_full_disk_leaves_nothing(call, bench, tmp_path, full_disk,
     out, file = tmp_path / "a" / "d", tmp_path / "j"
     if existing:
         out.mkdir(parents=True)
-        (out / "sine2.csv").write_text('{"old": 1}')
-        file.write_text('{"old": 1}')
+        for path in (out / "sine2.csv", file):
+            path.write_text('{\n  "written_by": "pitp_jax 0.1"\n}')
     before = tree(tmp_path)
     full_disk(files)
     argv = ["predict", bench / "nominal", bench / "records", "--out", out, "--json", file]
