@@ -137,3 +137,18 @@ def test_too_few_rows_without_those_that_stand_twice(tmp_path):
     twice = np.sort(np.append(np.arange(60), np.arange(10)))
     message = refused(write(tmp_path / "a\x1b[2Jb.npz", TIME[twice]))
     assert "60 in all" in message and message.isprintable()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+@pytest.mark.parametrize("every", [3, 4, 7])
+def test_rows_lost_in_turn_are_missing_rows(tmp_path, every, noise):
+    """Every third row lost looks like 667 Hz in whole ms: the signals tell which it is."""
+    kept = np.arange(COUNT) % every != every - 1
+    u, x = signals(TIME)
+    x = x + noise * 1e-3 * np.random.default_rng(every).standard_normal(COUNT)
+    steps = np.where(np.sin(2 * np.pi * TIME) > 0, 1000.0, 0.0)
+    for drive in (u, steps):
+        save_npz(tmp_path / "a.npz", {"time_s": TIME[kept], "voltage_V": drive[kept], "displacement_m": x[kept]})
+        (record,) = read(tmp_path / "a.npz")
+        assert record.dt == pytest.approx(1e-3) and record.recognised["lost"] == record.missing
+        assert record.missing == pytest.approx(COUNT / every, abs=1)

@@ -30,6 +30,7 @@ _CROWDED = 0.4  # of the steps: so many that are shorter than a third of the mea
 _SOME = 8  # packets, at least
 _STATED = 0.03  # relative difference of a stated rate and the mean rate of packets
 _CONTRADICTED = np.log(10)  # even rows predict the signals so much better than the stamps do: the stamps are wrong
+_DECIDED = 2.0  # times 1 / sqrt(rows): seven standard deviations of the evenness of noise
 _LATE = 0.01  # of the rows: stamps that are late by more do not determine the rate
 
 
@@ -100,7 +101,7 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
     Raises:
         BadInput: time repeats or contradicts the signals, or too few rows remain.
     """
-    found, packets = _grid(rows.time), False
+    found, packets = _grid(rows), False
     if found is None and (found := _packets(rows)) is not None:
         packets = True
         if rate is not None and abs(found.dt * rate - 1.0) <= _STATED:
@@ -133,7 +134,7 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
         BadInput: most stamps repeat, or the signals contradict them.
     """
     single = rows if (np.diff(rows.time) > 0).all() else average_stamps(rows)
-    if 2 * len(single.time) < len(rows.time) or len(single.time) < MIN_SAMPLES:
+    if 2 * len(single.time) < len(rows.time) or len(single.time) < min(MIN_SAMPLES, len(rows.time)):
         at = int(np.argmax(np.diff(rows.time) == 0)) + 1
         raise BadInput(
             f"{source}: column {column!r}, {place(at)}: time repeats, and so it does in most rows; give --rate HZ"
@@ -146,11 +147,12 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
     return single
 
 
-def _grid(time: np.ndarray) -> _Line | None:
+def _grid(rows: Rows) -> _Line | None:
     """Return the places on the grid of an even clock, or None.
 
     Lost samples must explain the times better than none lost do, or one time that is wrong would shift all after it.
     """
+    time = rows.time
     steps = np.diff(time)
     index = np.arange(len(time))
     # equal times have no step
@@ -165,9 +167,10 @@ def _grid(time: np.ndarray) -> _Line | None:
         return None
     # of two grids that fit, the one with the smaller rest
     best = min(fits, key=lambda line: float(np.mean(line.off**2)))
-    if best.index[-1] - index[-1] > _ROUNDED * len(time) and lines[0].off.max() * lines[0].dt <= (_HALF + 0.1) * usual:
-        best = lines[0]  # a clock in whole ms at 700 Hz: steps of 1 and 2, each within half a ms of a straight line
-    return best
+    many = best.index[-1] - index[-1] > _ROUNDED * len(time)
+    near = lines[0].off.max() * lines[0].dt <= (_HALF + 0.1) * usual
+    # a clock in whole ms at 700 Hz, or lost rows: the signals decide, which noise alone does not do by so much
+    return lines[0] if many and near and evenness(rows) > -_DECIDED / np.sqrt(len(time)) else best
 
 
 def _fitted(index: np.ndarray, time: np.ndarray) -> _Line:
@@ -226,8 +229,9 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
         BadInput: less than half of the rows are in one.
     """
     count, kept = len(rows.time), []
+    least = min(MIN_SAMPLES, count)  # a voltage to be played may have fewer rows
     for begin, end in zip((0, *cuts.tolist()), (*cuts.tolist(), count), strict=True):
-        long = end - begin >= MIN_SAMPLES and rows.time[end - 1] - rows.time[begin] >= MIN_SAMPLES * dt
+        long = end - begin >= least and rows.time[end - 1] - rows.time[begin] >= (least - 1) * dt
         if long and np.isfinite(rows.displacement[begin:end]).any():
             kept.append(slice(begin, end))
     dropped = count - sum(part.stop - part.start for part in kept)

@@ -23,7 +23,7 @@ from .._table.options import FOLDER_FILE as FOLDER_FILE
 from .._table.options import OPTIONS
 from .._table.robot import is_bag
 from .._table.units import base_unit, from_base
-from .checks import TIME_TOLERANCE, check_samples, check_wanted
+from .checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
 from .outliers import Masked, at_limit, mask_faults
 from .plausible import questions, refuse_implausible
@@ -357,7 +357,8 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     displacement = np.zeros(len(time)) if output is None else output
     names = {q: choice.name for q, choice in one.chosen.items()}
     columns = names["time"], names["voltage"], names.get("displacement", "displacement")
-    check_samples(time, voltage, displacement, source, columns, one.place, uniform=False)
+    least = MIN_SAMPLES if output is not None else 2
+    check_samples(time, voltage, displacement, source, columns, one.place, uniform=False, least=least)
     units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
     refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
     turns = 0, 0

@@ -177,9 +177,9 @@ def _stated_ports(options: ReadOptions) -> bool:
 
 def _seen(place: int, column: Column) -> _Seen:
     header = read_header(column.name)
-    beside = spelt(column.beside) if column.beside else None
-    # name and units row may both say it; twice the same is one statement
-    stated = tuple(dict.fromkeys(unit for unit in (header.unit, beside) if unit))
+    beside, spoken = (spelt(text) if text else None for text in (column.beside, column.spoken))
+    # name, units row and comment may say it; the same unit again is one statement
+    stated = tuple(dict.fromkeys(unit for unit in (header.unit, beside, spoken) if unit))
     # a unit row that we cannot read is stronger than brackets in the name
     unknown = column.beside if column.beside and not beside else header.unknown
     counted = header.unknown is not None and header.unknown[:1].isdigit()  # `(100us)` is no microsecond
@@ -187,7 +187,7 @@ def _seen(place: int, column: Column) -> _Seen:
         return _Seen(place, column, header, stated[0], stated if len(stated) > 1 else ())
     if unknown:
         return _Seen(place, column, header, None, (), unknown)
-    return _Seen(place, column, header, spelt(column.spoken) if column.spoken else None)
+    return _Seen(place, column, header, spoken)
 
 
 def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str]) -> dict[str, list[_Seen]]:
@@ -287,9 +287,14 @@ def _agree(first: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
-    """Columns of the usual unit; where none of them is named so, also those that are, without a unit."""
-    bare = [s for s in data if s.role == role and s.kind is None and s.unknown is None]
-    return [*united] if any(s.role == role for s in united) else [*united, *bare]
+    """Columns of the usual unit; where none of them is named so, also those that are, without a unit.
+
+    The channel of a DAQ may be a monitor of such a column, which comes first then.
+    """
+    bare = [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
+    if any(s.role == role and not s.header.words & _DAQ for s in united):
+        return [*united]
+    return sorted([*united, *bare], key=lambda s: bool(s.header.words & _DAQ))
 
 
 def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:

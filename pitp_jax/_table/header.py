@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 
 from .._errors import BadInput, cleaned
 from .guard import check_columns
+from .names import read_header
 from .stamps import is_stamp
 from .table import Column
-from .units import plain, spelt
+from .units import spelt
 
 _NUMBER = {
     ".": re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eEdD][+-]?\d++)?$"),
@@ -171,6 +172,11 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
     good = [k for k in body if holds(k)]
     if len(good) > 1 and _counts_samples(rows.cells[good[0]]) and all(rows.cells[k][0] for k in good[1:]):
         good = good[1:]
+    # single numbers above a row of names are settings
+    full = next((k for k in good if _count(rows.cells[k], decimal) > 1), 0)
+    between = [rows.cells[k] for k in body if good[:1] < [k] < [full]]
+    if any(len(trimmed(row)) > 1 and not _numeric(row) for row in between):
+        good = [k for k in good if k >= full]
     # two rows of numbers in a row begin the data
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
     return pairs[0] if pairs else good[0] if good else None
@@ -198,12 +204,13 @@ def _units_row(
         if not any(row[0] for row in rows.cells[first:] if row):  # no key of its own, no column below it
             rows.cells[named[-1]][0] = ""
         return ["", *rows.cells[united[-1]][1:]], named[-1:]
-    # the units stand directly above the numbers, or above one more row
-    for k in fits[::-1][:2]:
-        if _is_units(rows.cells[k][: widths[0]]) and not (rows.commented[k] and not fits.index(k)):
-            names = [m for m in fits if m < k]
-            return rows.cells[k], names[::-1][:1] or [k]
-    return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
+    united = [k for k in fits[::-1] if _is_units(rows.cells[k][: widths[0]])][:1]
+    names = [k for k in fits[::-1] if k not in united and not _numeric(rows.cells[k])]
+    if not united:
+        return [], names
+    # units stand below the names, or in a row above them
+    above = [k for k in names if k < united[0]][:1]
+    return rows.cells[united[0]], above or names or united
 
 
 def _fits(rows: Rows, k: int, widths: range) -> bool:
@@ -229,8 +236,10 @@ def _numeric(row: Sequence[str]) -> bool:
 
 
 def _is_units(row: Sequence[str]) -> bool:
-    """Whether a row is one of units: most cells are, the others short (`mA`, `-`)."""
-    cells = [_of_unit(cell) for cell in row if cell.strip("[]()- ") and not _numeric([cell])]
+    """Whether a row is one of units: most cells are, the others short (`mA`, `-`), none is a number but 1."""
+    if _numeric([cell for cell in row if cell != "1"]):
+        return False
+    cells = [_of_unit(cell) for cell in row if cell.strip("[]()- ") and cell != "1"]
     # a channel in dB or of no unit beside them is allowed
     known = sum(spelt(cell) is not None for cell in cells)
     return known > 0 and 2 * known >= len(cells) and all(len(cell) <= _LONGEST_UNIT for cell in cells)
@@ -290,10 +299,13 @@ def _with_names(bare: Layout, names: Sequence[str], units: Sequence[str], rows: 
     if len(trimmed(units)) == len(trimmed(names)) - 1 and names[0] == "row":
         beside = [None, *beside]
     columns = tuple(
-        Column(cleaned(name), beside[k], spoken.get(plain(name).lower()), bare.columns[k].form)
-        for k, name in enumerate(names)
+        Column(cleaned(name), beside[k], spoken.get(_stem(name)), bare.columns[k].form) for k, name in enumerate(names)
     )
     return replace(bare, columns=columns)
+
+
+def _stem(name: str) -> str:
+    return read_header(name).stem.lower()
 
 
 def trimmed(row: Sequence[str]) -> list[str]:
@@ -313,5 +325,5 @@ def _spoken(rows: Rows, first: int) -> dict[str, str]:
             # whole parts alone: a sentence with "min" in it says no unit
             pairs = [_PAIR.fullmatch(part) for part in parts]
             if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
-                said |= {pair[1].lower(): pair[2] for pair in pairs if pair}
+                said |= {_stem(pair[1]): pair[2] for pair in pairs if pair}
     return said

@@ -56,6 +56,11 @@ class Header:
     role: str | None
 
     @property
+    def roles(self) -> list[str]:
+        """The roles that any of its words gives."""
+        return [role for role, known in _WORDS.items() if self.words & known]
+
+    @property
     def clock_only(self) -> bool:
         """Whether it is the name of a clock and nothing else: `time`, no `cycle time` and no `latency`."""
         return bool(self.words) and self.words <= _WORDS["time"]

@@ -6,13 +6,15 @@ t = date + hour in s since 1970 where there is a date; else s since midnight, pl
 import re
 import warnings
 from collections.abc import Sequence
+from datetime import date
 
+import dateutil.parser
 import numpy as np
 
 _DAY = 86400.0
-_STAMP = re.compile(
-    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]+)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?([AP]M|Z|UTC|GMT|[+-]\d\d:?\d\d))?$"
-)
+_DATE = r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}|\d{1,2}[- ][A-Za-z]{3,9}[- ]\d{4}|[A-Za-z]{3,9} \d{1,2},? \d{4}"
+_ORDERS = ("dmy", "mdy", "ymd")
+_STAMP = re.compile(rf"(({_DATE})[T ]+)?\d{{1,2}}:\d{{2}}(:\d{{2}}([.,]\d+)?)?( ?([AP]M|Z|UTC|GMT|[+-]\d\d:?\d\d))?$")
 
 
 def is_stamp(cell: str) -> bool:
@@ -31,43 +33,55 @@ def seconds(stamps: Sequence[str]) -> np.ndarray:
     """
     import pandas as pd
 
-    series = pd.Series(stamps, dtype=str).str.strip().str.replace(",", ".", regex=False)
+    series = pd.Series(stamps, dtype=str).str.strip().str.replace(r"(?<=\d),(?=\d)", ".", regex=True)
     first = next((text for text in series if isinstance(text, str) and text), "")
-    dated = re.match(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", first)
+    dated = re.match(_DATE, first)
     if not dated:
         return _hours(series)
-    if re.match(r"\d{4}", first):
-        iso = _dates(series, False)
-        assert iso is not None  # no part of a date that begins with its year is taken for a month
-        return iso
-    # both readings, unless a number above 12 can only be a day
-    orders = [values for dayfirst in (True, False) if (values := _dates(series, dayfirst)) is not None]
-    if not orders:
+    # every order of day, month and year that the numbers allow
+    read = [values for order in _ORDERS if (values := _dates(series, order)) is not None]
+    if not read:
         raise ValueError("no dates and hours")
+    # at midnight a wrong order jumps by a month or a year
+    read = [values for values in read if np.nanmax(np.abs(np.diff(values)), initial=0.0) < _DAY] or read
     # points are written where the day comes first; within a day the order changes no step
-    if len(orders) == 1 or "." in dated[0] or np.array_equal(np.diff(orders[0]), np.diff(orders[1]), equal_nan=True):
-        return orders[0]
-    smooth = [values for values in orders if np.nanmax(np.abs(np.diff(values))) < _DAY]
-    if len(smooth) == 1:  # at midnight the other order jumps by a month
-        return smooth[0]
+    if "." in dated[0] or all(np.array_equal(np.diff(read[0]), np.diff(v), equal_nan=True) for v in read):
+        return read[0]
     raise ValueError("the day or the month may come first")
 
 
-def _dates(series, dayfirst: bool) -> np.ndarray | None:
-    """Dates in s; None where what would be the month is more than 12."""
+def _dates(series, order: str) -> np.ndarray | None:
+    """Return dates in s, or None where a date is not of this order."""
     import pandas as pd
 
-    parts = series.str.extract(r"^(\d{1,2})[-./](\d{1,2})[-./]").dropna().astype(int)
-    if (parts[1 if dayfirst else 0] > 12).any():
+    parts = series.str.extract(rf"^({_DATE})(.*)$")
+    days = {text: _iso(text, order) for text in parts[0].dropna().unique()}
+    if not all(days.values()):
         return None
+    whole = parts[0].map(days) + parts[1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            dates = pd.to_datetime(series, dayfirst=dayfirst)
-        except ValueError:  # whole seconds among fractions
-            dates = pd.to_datetime(series, format="mixed", dayfirst=dayfirst)
+            dates = pd.to_datetime(whole, format="ISO8601")
+        except ValueError:  # hours such as 10:00:00 PM
+            dates = pd.to_datetime(whole, format="mixed")
     dates = dates.dt.tz_localize(None) if dates.dt.tz is not None else dates
     return (dates - pd.Timestamp(0)).dt.total_seconds().to_numpy(np.float64)
+
+
+def _iso(text: str, order: str) -> str:
+    """Return a date as 2026-11-23; empty where it is not of this order."""
+    try:
+        if re.search("[A-Za-z]", text):  # 23-Nov-2026
+            return str(dateutil.parser.parse(text).date())
+        numbers = re.split("[-./]", text)
+        year = numbers[order.index("y")]
+        # a year has two digits or four; four stand nowhere else
+        if len(year) not in (2, 4) or max(map(len, numbers)) > len(year):
+            return ""
+        return str(date(int(year) + 2000 * (len(year) == 2), *(int(numbers[order.index(part)]) for part in "md")))
+    except ValueError:
+        return ""
 
 
 def _hours(series) -> np.ndarray:

@@ -20,7 +20,9 @@ import numpy as np
 from .._errors import BadInput, cleaned
 from .guard import check_count, file_bytes, gunzip
 from .header import MISSING, Layout, Rows, is_number, layouts, trimmed
+from .names import read_header
 from .options import ReadOptions
+from .refusal import Refused
 from .signatures import SIGNATURES
 from .stamps import is_stamp, seconds
 from .table import Table
@@ -35,6 +37,9 @@ _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
 _ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
 _BROKEN = 50  # lines looked through for names that are broken within their quotes
+_KEY = re.compile(r"(units?|columns?|names?|fields?|header)\s*[:=]\s*", re.IGNORECASE)
+_CUTS = tuple(map(re.compile, (r"\s{2,}|\t", r"[,;]", r"(?<=[\])}])\s+", r"\s+")))
+_DECIMAL = re.compile(rb"(?<!\d)0+,\d|\d,\d{1,2}(?!\d)|\d,\d{4}")  # no comma between thousands
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
@@ -52,7 +57,10 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
         lines = [data[a:b].decode(encoding) for a, b, _ in spans]
         try:
             for layout in _layouts(lines, [n for _, _, n in spans], options, source):
-                tables.append(_table(path, data, spans[layout.first][0], layout, encoding))
+                body = _rows_only(data[spans[layout.first][0] :], layout)
+                if options.decimal is None:
+                    layout = _with_decimal(body, layout, source)
+                tables.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
         except BadInput as error:
             refusals.append(error)
     if not tables:
@@ -60,9 +68,24 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
     return tables
 
 
-def _table(path: Path, data: bytes, start: int, layout: Layout, encoding: str) -> Table:
+def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
+    """Return the layout with a decimal comma where only rows below the head have one.
+
+    Raises:
+        Refused: every comma may stand between thousands.
+    """
+    if layout.separator == "," or b"," not in body:
+        return layout
+    if layout.decimal == ".":
+        comma = _DECIMAL.search(body) and not re.search(rb"\d\.\d", body)
+        return replace(layout, decimal=",") if comma else layout
+    if not _DECIMAL.search(body):
+        raise Refused(source, "every comma has three digits behind it: decimals or thousands?", ["--decimal", ","])
+    return layout
+
+
+def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, encoding: str) -> Table:
     source, above = cleaned(path), data[:start].count(b"\n")
-    body = _rows_only(data[start:], layout)
     check_count(body.count(b"\n"), source)
 
     def place(sample: int) -> str:
@@ -189,21 +212,37 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source:
     separator, decimal = _dialect(plain, options, source)
     bare = [_bare(line) if comment else line for line, comment in zip(lines, commented, strict=True)]
     cells = [cells_of(line, separator) for line in bare]
-    if separator == " ":
-        cells = _with_blanks(bare, cells, decimal)
+    cells = _recut(bare, cells, commented, separator, decimal)
     marked = _durations(cells, decimal)
     rows = Rows(cells, numbers, commented)
     made = layouts(rows, separator, decimal, source, options.header_line, options.units_line)
     return [_with_durations(layout, marked) for layout in made] if marked else made
 
 
-def _with_blanks(lines: Sequence[str], cells: list[list[str]], decimal: str) -> list[list[str]]:
-    """Rows of cells cut at single blanks; names that hold such blanks are cut at two and more where that fits."""
-    widths = Counter(len(row) for row in cells if len(row) > 1 and all(is_number(cell, decimal) for cell in row))
+def _recut(
+    lines: Sequence[str], cells: list[list[str]], commented: Sequence[bool], separator: str, decimal: str
+) -> list[list[str]]:
+    """Return the rows of cells; names of another number of cells are cut elsewhere where that gives as many as usual.
+
+    Names between blanks may hold single blanks. A comment may have separators of its own, or none behind brackets.
+    """
+    widths = Counter(
+        len(row) for row in cells if len(row) > 1 and all(is_number(c, decimal) or is_stamp(c) for c in row)
+    )
     # as many cells as most rows of numbers have
     usual = widths.most_common(1)[0][0] if widths else 0
-    wide = [re.split(r"\s{2,}|\t", line.strip()) for line in lines]
-    return [many if len(many) == usual != len(row) else row for row, many in zip(cells, wide, strict=True)]
+
+    def recut(line: str, row: list[str], comment: bool) -> list[str]:
+        if len(row) == usual or not (comment or separator == " "):
+            return row
+        for cut in _CUTS if comment else _CUTS[:1]:
+            parts = [part.strip() for part in cut.split(_KEY.sub("", line.strip()))]
+            named = sum(header.role is not None or header.unit is not None for header in map(read_header, parts))
+            if len(parts) == usual and (cut is _CUTS[0] or 2 * named > usual):
+                return parts
+        return row
+
+    return list(map(recut, lines, cells, commented))
 
 
 def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:

@@ -13,6 +13,8 @@ from scipy.signal import lfilter
 from pitp_jax._commands import outputs
 from pitp_jax._report import html
 
+OLD = '{\n  "written_by": "pitp_jax 0.1"\n}'
+
 
 def test_destinations_are_checked_before_the_work(call, bench, tmp_path, monkeypatch):
     monkeypatch.setattr("pitp_jax._commands.identify.read_records", lambda *a, **k: pytest.fail("read first"))
@@ -81,15 +83,15 @@ def test_predict_on_a_full_disk_leaves_nothing(call, bench, tmp_path, full_disk,
     out, file = tmp_path / "a" / "d", tmp_path / "j"
     if existing:
         out.mkdir(parents=True)
-        for path in (out / "sine2.csv", file):
-            path.write_text('{\n  "written_by": "pitp_jax 0.1"\n}')
+        (out / "sine2.csv").write_text(OLD)
+        file.write_text(OLD)
     before = tree(tmp_path)
     full_disk(files)
     argv = ["predict", bench / "nominal", bench / "records", "--out", out, "--json", file]
     assert "No space left" in refused(call(*argv))
     assert tree(tmp_path) == before
     if existing:
-        assert (out / "sine2.csv").read_text() == file.read_text() == '{"old": 1}'
+        assert (out / "sine2.csv").read_text() == file.read_text() == OLD
 
 
 @pytest.mark.slow
