@@ -98,6 +98,20 @@ def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_type_in(si
     assert "17.5 ms" in line and "2.5 ms more" in line
 
 
+def test_coefficients_scaled_alike_are_a_position_gain_or_its_twin(simulator):
+    """A controller of twice the gain: Kp q + D q' + J q'' = Kp c has D / Kp and J / Kp halved."""
+    robot: Any = _robot(simulator, [], (1.0, 0.5, 0.505))
+    rows = {p.name: p for p in parameters(simulator, robot, recordings(), 20.0)}
+    gain = rows["position gain"]
+    assert gain.simulator == 20.0 and gain.robot == pytest.approx(40.0, rel=0.01) and gain.mujoco == "actuator kp"
+    assert "if the position gain is the simulator's" in rows["inertia"].words
+    ratio = {p.name: p for p in parameters(simulator, robot, recordings(), None)}["position gain"]
+    assert ratio.unit == "Kp" and ratio.robot == pytest.approx(2.0, rel=0.01)
+    for shift in ((1.0, 1.0, 0.5), (0.5, 0.5, 0.5), (1.0, 1.01, 1.0)):
+        other: Any = _robot(simulator, [], shift)
+        assert "position gain" not in {p.name for p in parameters(simulator, other, recordings(), 20.0)}
+
+
 @pytest.fixture(scope="module")
 def turning(simulator):
     """The simulator of a joint whose commands and angles are radians."""

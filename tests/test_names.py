@@ -184,7 +184,7 @@ def test_a_name_does_not_stand_where_a_model_of_each_record_leaves_less(each, ve
     search.each_alone = lambda: hypothesis((), each).evidence
     said = decide(search, 0.0, 0.0, 6)
     assert said.verdict == verdict
-    assert ("from record to record" in said.reason) == (verdict == "unknown")
+    assert ("Separate linear models" in said.reason) == (verdict == "unknown")
 
 
 # forms that have no start of their own in the search, and who makes them

@@ -51,8 +51,12 @@ class Names:
     urdf: str = "-"
 
 
+_ALIKE = 0.05  # of a coefficient: changes that differ by less are one change of the position gain
+_SCALED_BY_GAIN = ("damping", "inertia")
+
 _NAMES = {
     "gain": Names("steady output per command"),
+    "position gain": Names("position gain of the controller", "actuator kp", "stiffness of the drive", "-"),
     "stiffness": Names("spring", "joint stiffness"),
     "damping": Names("viscous damping", "joint damping", "viscousFrictionCoefficient", "dynamics damping"),
     "inertia": Names("inertia", "joint armature", "armature"),
@@ -156,16 +160,41 @@ def parameters(
     fitted = {a.effect: a.parameters for a in robot.added}
     first, second = _side(nominal, of, held[0], {}), _side(robot.model, of, held[1], fitted)
     said, rows = {*robot.effects, *(e.name for e in nominal.effects)}, []
+    gain = position_gain_factor(nominal, robot.model, of)
+    if gain is not None:
+        value, names = of.factor, _NAMES["position gain"]
+        unit = f"{of.force}/{of.output}" if position_gain is not None else "Kp"
+        rows.append(Parameter(
+            "position gain", names.words, value, value * gain, value * (gain - 1), None, unit, names.mujoco,
+            names.physx, names.urdf, bool(said & {"parameter_change", "added_mass"}),
+        ))  # fmt: skip
     for key in dict.fromkeys([*first, *second]):
         it = second.get(key) or first[key]
         absent = np.inf if key.endswith("inverse") else 0.0  # a limit that is not there
         sim, real = (side[key].value if key in side else absent for side in (first, second))
         names = _NAMES.get(key) or Names(key.replace(" ", ": ", 1).replace("_", " "))
+        if gain is not None and key in _SCALED_BY_GAIN:
+            names = replace(names, words=f"{names.words}, if the position gain is the simulator's")
         rows.append(Parameter(
             key, names.words, float(sim), float(real), float(real - sim if np.isfinite(sim) else real), it.stderr,
             "" if it.unit == "1" else it.unit, names.mujoco, names.physx, names.urdf, bool(said & it.causes),
         ))  # fmt: skip
     return tuple(rows)
+
+
+def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Units) -> float | None:
+    """Return the robot's position gain over the simulator's where that alone explains all changed coefficients.
+
+    Kp q + D q' + J q'' = Kp c:  Kp times g leaves the steady output as it is and divides D / Kp and J / Kp by g. No
+    recording of commands and angles separates that from a damping and an inertia that are both smaller.
+    """
+    a, b = nominal.physical_coefficients, robot.physical_coefficients
+    if not of.position or len(a) != len(b) or min(*a, *b) <= 0:
+        return None
+    logs = np.log(b / a)
+    size = -float(np.mean(logs[1:]))
+    alike = np.abs(logs[0]) < _ALIKE and np.ptp(logs[1:]) < _ALIKE < abs(size)
+    return float(np.exp(size)) if alike else None
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,8 @@ def diagnose(
     Args:
         records: files and folders.
         nominal: model file, identified or trained; None with `against`.
-        refit_nominal: whether its coefficients are fitted along with every effect.
+        refit_nominal: whether its coefficients are fitted along with every effect; they are in any case where the
+            nominal was made from these recordings.
         seconds: of computing, or None.
         out: folder for the augmented model, the report, its figures and the next experiment, or None.
         json_file: where to write the finding for machines, or None.
@@ -66,7 +67,7 @@ def diagnose(
         model, read_in = open_both(nominal, records, reading)
         warn(read_in)
         say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
-        diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal, **options)
+        diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
         augmented = descended(diagnosis.model, "diagnose", read_in, model)
     else:
         read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))

@@ -42,6 +42,12 @@ def descended(
     return replace(fitted, origin=replace(fitted.origin, lineage=(*fitted.origin.lineage, entry)))
 
 
+def was_made_from(model: Model | Fitted, records: Sequence[Record]) -> bool:
+    """Return whether all these recordings are among those that a step of the model's line of descent saw."""
+    seen = {r["sha256"] for entry in fitted_of(model).origin.lineage for r in entry.get("records", ())}
+    return bool(seen) and all(_sum(r)["sha256"] in seen for r in records)
+
+
 def _sum(record: Record) -> dict:
     checksum, of = hashlib.sha256(), "samples"
     if os.path.isfile(record.source):
