@@ -297,6 +297,10 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bo
         group.add_argument(
             f"--{option}", dest=f"{_READING}{name}", metavar=placeholder, type=kind, help=text,
         )  # fmt: skip
+    group.add_argument(
+        "--join", dest=f"{_READING}join", metavar="FILE", nargs="+", action="extend",
+        help="files with the other columns of the same rows (time, input and output in separate files)",
+    )  # fmt: skip
     if not target and not drive:
         group.add_argument(
             "--each", action="append", metavar="NAME=INPUT,OUTPUT", help="a joint of a log, once per joint; repeatable"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, refuse_traced
 from .._model.coordinate import Zero, to_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
@@ -105,6 +105,7 @@ def feedforward(
     """
     if not isinstance(target, Target | Record):
         raise BadInput(f"a {type(target).__name__} is not a target: give pitp.Target(time, displacement)")
+    refuse_traced("feedforward", "inverse", model)
     model, units = model_of(model), units_of(model)
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
     model = at_rate(model, target.dt)

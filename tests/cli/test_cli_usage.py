@@ -44,7 +44,7 @@ def test_usage_errors(call, argv):
     assert "--help" in refused(call(*argv))
 
 
-LISTS = {"--each", "--learn", "--validate", "--against"}
+LISTS = {"--each", "--learn", "--validate", "--against", "--join"}
 
 
 def test_an_option_given_twice_is_refused_or_a_list():
