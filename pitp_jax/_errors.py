@@ -3,6 +3,7 @@
 A message may quote a name from outside: `cleaned` takes out of it what a terminal would obey.
 """
 
+import sys
 import unicodedata
 from collections.abc import Sequence
 
@@ -13,6 +14,17 @@ class BadInput(ValueError):
 
 class ComputationFailed(RuntimeError):
     """The computation itself failed (diverged, order not identifiable): one line with advice (exit code 3)."""
+
+
+def refuse_traced(name: str, instead: str, *values: object) -> None:
+    """Refuse values that JAX traces: `name` runs on the host.
+
+    Raises:
+        BadInput: with the function to use under jit, vmap and grad.
+    """
+    jax = sys.modules.get("jax")  # where nothing has loaded JAX, nothing is traced
+    if jax is not None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)):
+        raise BadInput(f"{name} cannot be traced (jit, vmap, grad): use {instead} there")
 
 
 def cleaned(text: object) -> str:

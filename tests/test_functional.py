@@ -6,6 +6,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 from jax.sharding import PartitionSpec
@@ -100,6 +101,44 @@ def test_a_reversed_sensor_changes_nothing_behind_a_square_and_the_sign_behind_a
     x = pitp.free_run(straight, volts())
     np.testing.assert_array_equal(pitp.free_run(turned, volts()), -x)
     np.testing.assert_allclose(pitp.inverse(turned, -x)[0], pitp.inverse(straight, x)[0])
+
+
+@pytest.mark.slow
+def test_readings_of_the_sensor_are_as_good_as_the_displacement(linear, double):
+    """zero="sensor" takes offset and direction out; a number is the reading at 0 V of a sensor with direction +1."""
+    with jax.enable_x64(True):
+        model = double(linear(2, HZ, dt=DT, offset=3e-4, polarity=-1.0))
+        x = 1e-4 * np.sin(np.pi * TIME) ** 4
+        truth = pitp.inverse(model, x)[0]
+        np.testing.assert_allclose(pitp.inverse(model, 3e-4 - x, zero="sensor")[0], truth, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(pitp.inverse(model, x + 3e-4, zero=3e-4)[0], truth, rtol=0, atol=1e-3)
+        found = pitp.residual(model, truth, 3e-4 - x, zero="sensor")
+        assert np.abs(found)[60:-60].max() < 1e-3
+
+
+REFUSED = {
+    "rollout": ("free_run", lambda m, u: pitp.rollout(m, u)),
+    "predict": ("free_run", lambda m, u: pitp.predict(m, [])),
+    "feedforward": ("inverse", lambda m, u: pitp.feedforward(m, pitp.Target(TIME, 0 * TIME)).voltage),
+    "Target": ("inverse", lambda m, u: pitp.Target(TIME, u).displacement),
+    "Record": ("free_run or residual", lambda m, u: pitp.Record("a", TIME, u, u).voltage),
+    "sharded_inverse": ("inverse", lambda m, u: pitp.sharded_inverse(m, u[None], DT, pitp.records_mesh())),
+    "sharded_rollout": ("rollout_scaled", lambda m, u: pitp.sharded_rollout(m, u[None], DT, u, pitp.records_mesh())),
+    "invert_stream": ("inverse", lambda m, u: list(pitp.invert_stream(m, [u], DT))[0].voltage),
+    "error": ("jax.numpy", lambda m, u: pitp.e_rms_percent(u, u)),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_runs_on_the_host_names_the_function_to_trace(plain, name):
+    instead, function = REFUSED[name]
+    arrays, static = eqx.partition(plain, eqx.is_inexact_array)
+    jaxtyping.config.update("jaxtyping_disable", True)  # the suite's own checks of types would refuse it first
+    try:
+        with pytest.raises(pitp.BadInput, match=f"{name}.*cannot be traced.*use .*{instead}"):
+            jax.make_jaxpr(lambda arrays, u: function(eqx.combine(arrays, static), u))(arrays, volts())
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def test_memories_are_lags_of_the_displacement(trained):
