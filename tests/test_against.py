@@ -115,6 +115,16 @@ def _rows(simulator, *effects):
     return {p.name: p for p in parameters(simulator, robot, records, 20.0)}
 
 
+def test_a_hanging_arm_and_a_limit_of_the_drive_are_torques(turning):
+    """m g l = 1.2 N m and a limit of 2 N m of a joint with a position gain of 20 N m/rad."""
+    rows = _rows(turning, ("softening", "weight on an arm", 0.06, 1.0), ("force_limit", "inside the loop", 20 / 2.0))
+    assert rows["softening weight"].robot == pytest.approx(1.2, rel=1e-3)
+    assert rows["softening weight"].unit == "N m/rad"
+    limit = rows["force_limit inverse"]
+    assert (limit.robot, limit.unit, limit.mujoco) == (pytest.approx(2.0, rel=1e-3), "N m", "actuator forcerange")
+    assert limit.simulator == np.inf
+
+
 def test_a_body_on_a_spring_is_told_as_inertia_spring_and_damper(turning):
     """kappa K = J2 omega^2 and 2 zeta omega J2 of a body of 0.004 kg m^2 at 4 Hz behind a joint of 20 N m/rad."""
     omega = 2 * np.pi * 4
