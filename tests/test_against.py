@@ -10,9 +10,11 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax._against import page
 from pitp_jax._against.correction import corrections
 from pitp_jax._against.entry import simplest_model
 from pitp_jax._against.parameters import parameters
+from pitp_jax._against.result import SimToReal
 from pitp_jax._demo import joint
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._effects.physical import physical, physical_factor
@@ -113,6 +115,15 @@ def _rows(simulator, *effects):
     robot: Any = SimpleNamespace(model=replace(simulator, effects=tuple(made)), added=[], effects=names)
     records = [replace(r, voltage_unit="rad", displacement_unit="rad") for r in recordings()]
     return {p.name: p for p in parameters(simulator, robot, records, 20.0)}
+
+
+def test_numbers_that_help_are_in_the_headline_though_no_cause_is_certain():
+    gap = SimpleNamespace(before=5.28, after=0.1)
+    for handed_back, expected in ((("drag",), "from 5.3 % to 0.10 % of range; no single cause"), ((), "no effect of")):
+        found = object.__new__(SimToReal)
+        robot = SimpleNamespace(verdict="unknown", effects=(), handed_back=handed_back, gap=gap)
+        object.__setattr__(found, "robot", robot)
+        assert expected in page._headline(found)
 
 
 def test_a_hanging_arm_and_a_limit_of_the_drive_are_torques(turning):

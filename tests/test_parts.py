@@ -10,7 +10,7 @@ from diagnosis_cases import part
 from played import nominal_of
 from test_names import hypothesis, searched
 
-from pitp_jax._diagnose import parts, verdict
+from pitp_jax._diagnose import parts, result, verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.gap import Gap, as_far_as_closed
 from pitp_jax._diagnose.library import INDEX, OFF, slots_of_row
@@ -123,6 +123,17 @@ def test_a_number_without_information_has_no_interval(judged):
     clip = fitted(("voltage_clip",), 0.3, {LIMIT: 1 / 850.0})
     (found,) = judged(searched(clip), clip, [CLIP], {LIMIT: np.inf})
     assert found.parameters["inverse"]["ci95"] is None
+
+
+def test_numbers_without_information_are_told_from_those_in_other_units():
+    """Two units far apart are inverted; a number that changes nothing, and two that act as one, are not determined."""
+    apart, known = result._inverse(np.diag([1e12, 1e-12]))
+    np.testing.assert_allclose(apart, np.diag([1e-12, 1e12]))
+    assert known.all()
+    inverse, known = result._inverse(np.diag([4.0, 0.0]))
+    assert inverse[0, 0] == pytest.approx(0.25) and list(known) == [True, False]
+    both = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    assert list(result._inverse(both)[1]) == [False, False, True]
 
 
 @pytest.fixture
