@@ -266,7 +266,15 @@ def diagnose(
     if decision.verdict != "no_gap":
         experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
-    parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+    limit.begin("how certain each part is")
+    try:
+        parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+    except KeyboardInterrupt:  # rivals that were not searched are left out; a second interrupt ends it
+        if interrupted:
+            raise
+        interrupted = True
+        limit.stop("rivals of some parts (interrupted)")
+        parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
     experiment = experiment or next((p.experiment for p in parts if p.experiment is not None), None)
     term = None
     if FREE in decision.chosen.names:
