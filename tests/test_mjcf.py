@@ -1,7 +1,10 @@
 """MuJoCo files: the text keeps every byte but the changed attributes, MuJoCo compiles what is meant, and plays it."""
 
+import ast
+import json
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -277,3 +280,19 @@ def test_an_actuators_lag_is_written_where_its_element_has_one(arm):
     pytest.importorskip("mujoco")
     _, _, after = _written(arm, [_row("sensor_lag tau", 0.0, 0.02, 1e-4)])
     assert after.lag == pytest.approx(0.02)
+
+
+def test_the_same_numbers_for_other_simulators(arm):
+    """Isaac Lab's call, read back as Python, and Newton's JSON hold what MuJoCo compiles."""
+    pytest.importorskip("mujoco")
+    rows = [_row("damping", 0.035, 0.045, 1e-4), _row("delay time", 0.0, 0.012)]
+    _, written, after = _written(arm, rows)
+    folder = written.file.parent
+    call: Any = ast.parse((folder / "isaac_actuator_cfg.py").read_text()).body[-1]
+    told = {k.arg: ast.literal_eval(k.value) for k in call.value.keywords}
+    assert told["joint_names_expr"] == ["elbow"] and told["stiffness"] == 20 and told["damping"] == 0.4
+    assert told["viscous_friction"] == pytest.approx(after.damping) and told["friction"] == after.frictionloss
+    assert told.get("max_delay", 0) == round(after.delay / 0.0005)
+    newton = json.loads((folder / "newton_actuator.json").read_text())
+    assert newton["damping"] == after.damping and newton["limit_upper"] == pytest.approx(np.pi / 2)
+    assert f'friction="{after.frictionloss:g}"' in (folder / "urdf_dynamics.xml").read_text()

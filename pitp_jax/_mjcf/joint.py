@@ -46,6 +46,7 @@ class Joint:
         inertia: about the joint at the model's reference pose, kg m^2 or kg.
         stiffness, damping, armature, frictionloss: of the joint, SI.
         limits: range, SI; None without.
+        effort: largest torque or force about the joint; None without a symmetric limit.
         delay, lag: of the actuator, s.
         timestep: of the simulation, s.
         degrees: whether the file gives angles in degrees.
@@ -68,6 +69,7 @@ class Joint:
     armature: float
     frictionloss: float
     limits: tuple[float, float] | None
+    effort: float | None
     delay: float
     lag: float
     timestep: float
@@ -131,11 +133,18 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
         stiffness=float(np.ravel(model.jnt_stiffness[number])[0]), damping=float(np.ravel(model.dof_damping[dof])[0]),
         armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
         limits=(float(model.jnt_range[number][0]), float(model.jnt_range[number][1])) if limited else None,
+        effort=_effort(model, a),
         delay=float(model.actuator_delay[a]) if hasattr(model, "actuator_delay") else 0.0,
         lag=float(model.actuator_dynprm[a][0]) if int(model.actuator_dyntype[a]) in _filters(mujoco) else 0.0,
         timestep=float(model.opt.timestep), degrees=_compiler(document, "angle", "degree") != "radian",
         autolimits=_compiler(document, "autolimits", "true") != "false",
     )  # fmt: skip
+
+
+def _effort(model: Any, a: int) -> float | None:
+    low, high = (float(end) for end in model.actuator_forcerange[a])
+    limited = bool(model.actuator_forcelimited[a]) and low == -high
+    return high * abs(float(model.actuator_gear[a][0])) if limited else None
 
 
 def _driving(mujoco: Any, model: Any, joint: int) -> list[int]:

@@ -19,9 +19,10 @@ from .._against.parameters import Parameter, parameters
 from .._errors import BadInput, cleaned
 from .._model_file.lineage import sums
 from .._record.record import Record
-from .._record.writing import write_bytes_atomic
+from .._record.writing import write_bytes_atomic, write_text_atomic
 from .._report.numbers import number
 from .._table.units import base_unit
+from . import elsewhere
 from .changes import Change, NotWritten, changes_of, tag_of
 from .document import Document, Edit, assets, edited, read_document
 from .joint import Joint, joint_of, load_model, mujoco_package
@@ -70,8 +71,8 @@ def write_mjcf(
 ) -> Written:
     """Write what the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
 
-    Joint `armature`, `damping`, `stiffness`, `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`,
-    `forcerange`, and `delay` with `nsample` and `timeconst` where the installed MuJoCo knows them. Each change has a
+    Beside it the same numbers for Isaac Lab, Newton and URDF. Changed are joint `armature`, `damping`, `stiffness`,
+    `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and `delay` with `nsample` and `timeconst` where the installed MuJoCo knows them. Each change has a
     comment with the old value, the new one and its 95 % interval.
 
     Args:
@@ -118,6 +119,9 @@ def write_numbers(
     ]  # fmt: skip
     texts = edited(document, edits, _heading(records, document))
     target = _write_all(document, texts, Path(out))
+    after = joint_of(read_document(target), joint, actuator)
+    for name, text in elsewhere.texts(after).items():
+        write_text_atomic(target.parent / name, text)
     return Written(target, joint, it.actuator, tuple(changes), (*left, *unknown), tuple(remarks))
 
 
