@@ -33,6 +33,10 @@ from ._metrics import e_rms_percent as e_rms_percent
 from ._metrics import nrmse_percent as nrmse_percent
 from ._metrics import rmhe_percent as rmhe_percent
 from ._metrics import rmse as rmse
+from ._mjcf import Verification as Verification
+from ._mjcf import Written as Written
+from ._mjcf import verify_mjcf as verify_mjcf
+from ._mjcf import write_mjcf as write_mjcf
 from ._model import CompactEncoder as CompactEncoder
 from ._model import ConstantEncoder as ConstantEncoder
 from ._model import DirectDrive as DirectDrive

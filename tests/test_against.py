@@ -13,6 +13,7 @@ import pitp_jax as pitp
 from pitp_jax._against.correction import corrections
 from pitp_jax._against.entry import simplest_model
 from pitp_jax._against.parameters import parameters
+from pitp_jax._against.result import SimToReal
 from pitp_jax._demo import joint
 from pitp_jax._effects import CATALOGUE
 from pitp_jax._effects.physical import physical, physical_factor
@@ -79,6 +80,22 @@ def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_with
     ratios = {p.name: p for p in parameters(simulator, robot, recordings(), None)}
     assert ratios["coulomb_friction level"].robot == pytest.approx(0.035, rel=1e-3)
     assert ratios["damping"].unit == "Kp s" and ratios["damping"].simulator == pytest.approx(0.045, rel=5e-3)
+
+
+def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_type_in(simulator):
+    robot: Any = _robot(simulator, [("delay", 0.02)], (1.0, 1.0, 1.0))
+    pairs: Any = SimpleNamespace(remarks=lambda *names: [])
+    told = parameters(simulator, robot, recordings(), 20.0)
+    found: Any = SimpleNamespace(
+        robot=robot,
+        nominal=simulator,
+        pairs=pairs,
+        parameters=told,
+        simulator_share=(0.0, 0.0, 0.0),
+        records=recordings(),
+    )
+    (line,) = [line for line in SimToReal.lines(found) if "type in" in line]
+    assert "17.5 ms" in line and "2.5 ms more" in line
 
 
 def test_coefficients_scaled_alike_are_a_position_gain_or_its_twin(simulator):

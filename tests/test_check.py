@@ -187,14 +187,14 @@ def test_quick_problems_need_no_fit(good):
 
 
 def test_zeros_are_compared_in_base_units(good):
-    """0.05 mm and 50 um are one zero; a record whose zero is another is told in the unit of the first."""
+    """0.05 mm and 50 um are one zero; the difference of another is reported in the unit of the first."""
     same = [moved(r, r.displacement + 5e-5) for r in good]
     mixed = [replace(r, displacement_unit="um") if r.name == "sine3" else r for r in same]
     assert not any("zero differs" in line for line in pitp.check(mixed).advice)
     mixed = [moved(r, r.displacement + 4e-4) if r.name == "sine3" else r for r in mixed]
     (line,) = [line for line in pitp.check(mixed).advice if "zero differs" in line]
-    low, high = map(float, re.findall(r"from (\S+) to (\S+) mm", line)[0])
-    assert low == pytest.approx(0.05, rel=0.02) and high == pytest.approx(0.45, rel=0.02)
+    apart, most = map(float, re.findall(r"by up to (\S+) mm .in most it is (\S+) mm", line)[0])
+    assert apart == pytest.approx(0.4, rel=0.02) and most == pytest.approx(0.05, abs=0.006)
 
 
 def test_one_line_for_every_kind_of_what_was_mended():

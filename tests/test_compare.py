@@ -51,9 +51,14 @@ def test_recordings_are_paired_by_their_drives_and_clocks_told_apart():
     assert min(p.correlation for p in found.pairs) > 0.999
     assert found.remarks("robot", "simulator") == [
         "Paired by their commands (robot with simulator): log_5p with chirp, log_4w with slow, log_4t with fast.",
-        "The clock of the robot is 3.7 s ahead of that of the simulator; this is no delay.",
+        "The clock of the robot is 3.7 s ahead of that of the simulator. This is not a delay.",
     ]
     assert np.nanmax(np.abs(found.pairs[0].output() - real[0].displacement)) < 1e-3
+
+
+def test_clocks_of_different_origins_are_reported_without_a_figure():
+    found = pair_records(machine(clock=1.796e9), machine()).remarks("robot", "sim")
+    assert found == ["The logs of robot and sim use different clocks, more than a day apart. Ignored."]
 
 
 def test_a_drive_of_another_size_or_shape_has_no_partner():
@@ -158,7 +163,7 @@ def test_two_sets_of_records_differ_by_size_and_lag_that_were_made():
         size, late = rows[f"{name}: size of the motion"], rows[f"{name}: time behind sim"]
         assert size.b / size.a == pytest.approx(0.9, abs=2e-3) and size.differs
         assert late.b == pytest.approx(20.0, abs=0.3) and late.differs
-    assert found.remarks == ("The clock of the sim is 5 s behind that of the robot; this is no delay.",)
+    assert found.remarks == ("The clock of the sim is 5 s behind that of the robot. This is not a delay.",)
     assert len(repr(found).splitlines()) <= 10
     assert found.frame().shape[0] == len(found.rows)
     json.dumps(found.as_json())

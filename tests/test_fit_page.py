@@ -40,8 +40,7 @@ def test_every_record_stands_there_the_worst_first(fitted):
     assert "3.00" in table and "0.500" in table and "diverged" in table and "<wild>" not in text
     assert text.count("<svg") == 5 and "<script" not in text and "http" not in text
     assert (
-        re.search("<li>0.0[0-9 ±.]+s(, not determined)?</li><li>0.[0-9 ±.]+s", text)
-        and "second mass at 9.55 Hz" in text
+        re.search("<li>0.0[0-9.]+ s(, not determined)?</li><li>0.[0-9.]+ s", text) and "second mass at 9.55 Hz" in text
     )
 
 
@@ -51,21 +50,16 @@ def test_an_identified_model_has_a_page_without_tokens(actuator):
     assert text.count("<svg") == 3 and "at most 1.0" in text
 
 
-def errors_of(lines):
-    return [float(re.findall(r"± ([\d.]+)", line)[0]) for line in lines]
-
-
 @pytest.mark.slow
-def test_memory_times_have_errors_that_grow_with_the_noise(fitted):
-    """J of the model's own runs: errors are proportional to white noise, and nothing is known without a drive."""
+def test_memory_times_that_the_records_do_not_determine_are_marked(fitted):
+    """A lag longer than the records, and every lag without a drive; no lag has an error, which the network hides."""
     t, rng = np.arange(3000) * 1e-3, np.random.default_rng(3)
-    model = replace(fitted, memory=replace(fitted.memory, log_tau=jnp.log(jnp.array([0.02, 0.3], jnp.float32))))
+    model = replace(fitted, memory=replace(fitted.memory, log_tau=jnp.log(jnp.array([0.02, 5.0], jnp.float32))))
     record = pitp.Record("r", t, 1500 * np.abs(np.sin(2 * np.pi * t)), np.sin(t), displacement_unit="mm")
     (run,) = pitp.predict(model, [record])
     noise = rng.standard_normal(len(t))
-    measured = [replace(record, displacement=run.displacement + s * noise) for s in (1e-7, 2e-7)]
-    one, two = (errors_of(memory_times(model, [m], [run])) for m in measured)
-    assert len(one) == 2 and np.allclose(two, np.multiply(2, one), rtol=0.1)
+    measured = replace(record, displacement=run.displacement + 1e-7 * noise)
+    assert memory_times(model, [measured], [run]) == ["0.020 s", "5.0 s, longer than the recordings"]
     calm = pitp.Record("c", t, 0 * t, 1e-7 * noise, displacement_unit="mm")
     lines = memory_times(model, [calm], pitp.predict(model, [calm]))
     assert all("not determined" in line for line in lines)

@@ -186,3 +186,13 @@ def test_a_sensor_that_freezes_for_long_or_to_the_end_is_reported(end):
         found = mask_faults(frozen, drive)
         assert whole.held == 0 and found.held >= 1000
         assert not np.isnan(found.displacement).any()
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_simulator_that_has_settled_before_the_next_step_is_not_stuck(noise):
+    """It is exact, and answers three samples late: at each step its last value stands while the input has moved."""
+    levels = np.repeat([0.5, 0.2, 0.9, 0.1, 0.6], 400)
+    settled = np.append(np.zeros(3), lfilter([0.1], [1, -0.9], levels)[:-3]).astype(np.float32).astype(float)
+    assert np.mean(np.diff(settled) == 0) > 0.3
+    found = mask_faults(settled, levels + noise * np.random.default_rng(0).standard_normal(len(levels)))
+    assert (found.outliers, found.clipped, found.held) == (0, 0, 0)

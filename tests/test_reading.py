@@ -17,7 +17,7 @@ from record_files import (
     text,
 )
 
-from pitp_jax import BadInput, Record, read, read_target, read_voltage
+from pitp_jax import BadInput, Record, Target, read, read_target, read_voltage
 from pitp_jax._record.sets import session_clock
 
 
@@ -86,6 +86,22 @@ def test_record_built_by_hand_is_checked():
         Record("x", TIME, VOLTAGE, np.where(TIME > 0.05, np.inf, 0.0))
     with pytest.raises(BadInput, match="shape"):
         Record("x", TIME[:, None], VOLTAGE, OUTPUT)
+
+
+def test_records_are_real_and_cannot_be_written_to():
+    given = VOLTAGE.copy()
+    record = Record("x", TIME, given, OUTPUT)
+    given[5] = 0.0
+    assert record.voltage[5] == VOLTAGE[5]
+    target = Target(TIME, OUTPUT)
+    for column in (record.time, record.voltage, record.displacement, target.displacement):
+        with pytest.raises(ValueError, match="read-only"):
+            column[5] = np.nan
+    for wrong, said in ((OUTPUT + 0j, "complex"), (np.array(["x"] * T), "does not hold numbers")):
+        with pytest.raises(BadInput, match=f"record .x.: displacement .*{said}|displacement {said}"):
+            Record("x", TIME, VOLTAGE, wrong)
+        with pytest.raises(BadInput, match=said):
+            Target(TIME, wrong)
 
 
 def test_session_clock():

@@ -45,7 +45,9 @@ def plant(linear):
         return Record(name, TIME, voltage, x + 1e-6 * np.random.default_rng(seed).standard_normal(SAMPLES))
 
     records = [record("up", 1800, 0.5, 8.0, 1), record("down", 1200, 7.0, 0.5, 2)]
-    records[0].displacement[400:440] = np.nan
+    lost = records[0].displacement.copy()
+    lost[400:440] = np.nan
+    records[0] = replace(records[0], displacement=lost)
     return nominal, records, [record("sine", 1500, 2.0, 2.0, 3)]
 
 

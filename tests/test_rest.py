@@ -15,6 +15,7 @@ from pitp_jax._record.initial_state import (
     is_still,
     level_groups,
     noise_std,
+    rest_level,
     settled_samples,
     standing_drive,
     starts_at_rest,
@@ -44,6 +45,17 @@ HIGH = 1200 + 700 * np.cos(2 * np.pi * 4 * TIME)  # 1.9 kV at the first sample
 def test_noise_of_white_noise(sigma):
     noise = sigma * np.random.default_rng(1).standard_normal(20_000)
     assert noise_std(noise) == pytest.approx(sigma, rel=0.06)
+
+
+def test_a_zero_is_not_known_better_than_the_encoder_counts():
+    """Readings that stand still at one count lie anywhere within it: uniform, so 1 / sqrt(12) of a count."""
+    voltage, count = np.where(TIME < 1, 0.0, SINE), 1e-4
+    off = []
+    for zero in np.linspace(0.0, 1.0, 21) * count:
+        level, error = rest_level(Record("r", TIME, voltage, count * np.round((motion(voltage) + zero) / count)))
+        assert error == pytest.approx(count / np.sqrt(12))
+        off.append((level - zero) / error)
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.1)
 
 
 def test_noise_under_motion_and_gaps():
@@ -264,8 +276,7 @@ def test_planted_beginnings_zeros_and_directions_come_back(one_zero):
 
 @pytest.mark.parametrize(("gap", "first"), [(0, 0), (4, 0), (40, 0), (48, 48), (200, 200)])
 def test_a_gap_at_the_start_leaves_it_unknown(gap, first):
-    r = record(SINE, motion(SINE))
-    r.displacement[:gap] = np.nan
+    r = record(SINE, np.where(np.arange(len(SINE)) < gap, np.nan, motion(SINE)))
     assert first_known(r) == first
     (found,), *_ = find_beginnings([r], "square")
     assert np.isfinite(found.zero)
@@ -275,6 +286,6 @@ def test_a_gap_at_the_start_leaves_it_unknown(gap, first):
 def test_missing_first_samples():
     zero = 1e-3
     for start, still in ((0, True), (830, False)):
-        r = record(SINE, motion(SINE) + zero, 7, start=start)
-        r.displacement[:4] = np.nan
+        lost = np.isin(np.arange(len(SINE)), start + np.arange(4))
+        r = record(SINE, np.where(lost, np.nan, motion(SINE) + zero), 7, start=start)
         assert starts_at_rest(r, zero, OMEGA) is still

@@ -49,6 +49,11 @@ class Changed:
     seconds: float | None = None
     seconds_ci95: tuple[float, float] | None = None
 
+    @property
+    def is_significant(self) -> bool:
+        """Return whether the interval of the factor excludes 1."""
+        return not self.ci95[0] <= 1.0 <= self.ci95[1]
+
 
 @dataclass(frozen=True, repr=False)
 class Adaptation(Shown):
@@ -74,7 +79,7 @@ class Adaptation(Shown):
     advice: str = ""
 
     def _rows(self) -> list[dict]:
-        return [{"name": name, **vars(c)} for name, c in self.changed.items()]
+        return [{"name": name, **vars(c), "significant": c.is_significant} for name, c in self.changed.items()]
 
     def as_json(self) -> dict:
         """Write it as `pitp adapt --json` has it."""

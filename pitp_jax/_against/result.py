@@ -85,6 +85,12 @@ class SimToReal:
                     f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
                     f"{f' ({names})' if names else ''}"
                 )
+        half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
+        if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
+            found.append(
+                f"The robot's delay to type in is {1e3 * late.robot:.3g} ms. The model's own delay is "
+                f"{number(half, 3)} ms more, half a sample of the log."
+            )
         if self.simulator_share[0] >= 0.05:
             found.append(
                 f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the model of the simulator itself."

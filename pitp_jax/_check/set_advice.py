@@ -92,11 +92,14 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
         )
         far = far or abs(zero - middle) > _STDERRS * error + _SMALL * np.ptp(y) + blur
     unit = known[0].displacement_unit
-    low, high, most = (from_base(float(v), unit) for v in (zeros.min(), zeros.max(), middle))
+    if not far:
+        return []
+    low, high, most = (float(from_base(float(v), unit)) for v in (zeros.min(), zeros.max(), middle))
+    places = max(1 - int(np.floor(np.log10(high - low))), 0)  # two digits of the difference
     return [
-        f"the sensor's zero differs between records, from {low:.3g} to {high:.3g} {unit} (most: {most:.3g}): each "
-        "record gets its own zero; no action needed"
-    ] if far else []  # fmt: skip
+        f"the sensor's zero differs between recordings by up to {high - low:.2g} {unit} (in most it is "
+        f"{most:.{places}f} {unit}): each recording gets its own zero; no action is needed"
+    ]
 
 
 def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:

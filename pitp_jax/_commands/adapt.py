@@ -40,11 +40,13 @@ def print_adaptation(day: Adaptation) -> None:
     print(f"{day.verdict}: {number(day.before, 3)} % of range before, {number(day.after, 3)} % after{where}")
     rows = []
     for name, c in day.changed.items():
-        now = ""
+        now = []
         if c.seconds is not None and c.seconds_ci95 is not None:
             low, high = (number(1e3 * end, 3) for end in c.seconds_ci95)
-            now = f"now {number(1e3 * c.seconds, 3)} ms ({low} to {high})"
-        rows.append((name, number(c.factor, 4), " to ".join(number(end, 4) for end in c.ci95), now))
+            now.append(f"now {number(1e3 * c.seconds, 3)} ms ({low} to {high})")
+        if not c.is_significant:
+            now.append("unchanged within its interval")
+        rows.append((name, number(c.factor, 4), " to ".join(number(end, 4) for end in c.ci95), ", ".join(now)))
     if rows:
         print_table(("number", "factor", "95 % interval", ""), rows)
     if day.advice:

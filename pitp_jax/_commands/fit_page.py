@@ -24,7 +24,7 @@ from .._report import html
 from .._report.description import fallback_line
 from .._report.html import tag
 from .._report.lines import CYCLE, ERROR, MEASURED, PREDICTED, finish, line, over, own_axes
-from .._report.numbers import figure, shown_unit, with_error
+from .._report.numbers import figure, shown_unit
 from .._simulate.prediction import Prediction, predict
 from .._table.units import from_base
 
@@ -100,7 +100,9 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
     hertz = float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
     mass = [f"and a second mass at {figure(hertz)} Hz"] if hertz else []
     what = (
-        [tag("p", "Times in which the past motion fades (creep of the film), with standard errors.")] if fading else []
+        [tag("p", "Times in which the past motion fades (creep of the film); the network can compensate for changes.")]
+        if fading
+        else []
     )
     return [
         html.card("Error", big, html.bullets([*lines, *([f"{lost} diverged."] if lost else [])])),
@@ -111,11 +113,12 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
 
 
 def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
-    """Every time constant with its standard error, as these records determine them when all else is held.
+    """List the time constants, and mark those that the records do not determine.
 
     J_k = dx / d ln tau_k,   covariance of ln tau = s^2 (J'J)^-1 (samples / independent ones)
 
-    The error is coloured: its lag-1 correlation r leaves (1 - r) / (1 + r) of the samples independent.
+    The error is coloured: its lag-1 correlation r leaves (1 - r) / (1 + r) of the samples independent. The network is
+    held, although it can compensate for a change of a time constant: such errors are too small to be shown.
     """
     memory, step = model.memory, 0.05
     if not isinstance(memory, FadingMemory | RingingMemory):
@@ -137,7 +140,11 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
     kept = max((1 - pairs / (error @ error)) / (1 + pairs / (error @ error)), 1 / len(error))
     scatter = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * np.mean(error**2) / kept
     times = sorted(zip(np.exp(np.asarray(memory.log_tau, float)), np.sqrt(np.diag(scatter)), strict=True))
-    return [with_error(t, t * e, "s") if e < _KNOWN else f"{figure(t, 2)} s, not determined" for t, e in times]
+    longest, lines = max(r.samples * r.dt for r in records), []
+    for tau, error in times:
+        note = ", not determined" if error >= _KNOWN else ", longer than the recordings" if tau > longest else ""
+        lines.append(f"{figure(tau, 2)} s{note}")
+    return lines
 
 
 def _run(record: Record, run: Prediction) -> Figure:

@@ -45,7 +45,9 @@ def print_lineage(summary: dict) -> None:
     """Every step with the sums of what it saw."""
     for entry in summary["adapted"]:
         for name, c in entry["changed"].items():
-            print(f"adapted: {name} times {number(c['factor'])} ({' to '.join(map(number, c['ci95']))})")
+            low, high = c["ci95"]
+            unchanged = ", unchanged within its interval" if low <= 1 <= high else ""
+            print(f"adapted: {name} times {number(c['factor'])} ({number(low)} to {number(high)}){unchanged}")
     print(f"this model: sha256 {summary['digest']}")
     for entry in summary["lineage"]:
         versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())

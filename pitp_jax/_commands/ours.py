@@ -12,7 +12,7 @@ from .._errors import BadInput
 
 _FORCED: ContextVar[bool] = ContextVar("forced", default=False)
 _HEAD = 4096  # bytes
-_BEGINS = (b"pitp_jax model ", b"{")
+_BEGINS = (b"pitp_jax model ", b'{\n  "written_by": "pitp_jax ')
 _RESULT = re.compile(rb"time_s,.*(predicted|target|infeasible|added_input)_?")
 
 

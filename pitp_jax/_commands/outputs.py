@@ -11,7 +11,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from html import unescape
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import __version__
 from .._errors import BadInput
 from .._record.writing import is_stream, write_text_atomic
 from .ours import check_folder_replaceable, check_replaceable, is_page
@@ -184,14 +185,17 @@ def _missing_parents(target: Path) -> list[Path]:
     return [path for path in (target, *target.parents) if not path.exists()]
 
 
-def write_json(path: str | os.PathLike | None, value: Any) -> None:
+def write_json(path: str | os.PathLike | None, value: Mapping[str, Any] | None) -> None:
     """Write a result for machines, whole or not at all, unless the path is None; what is not finite becomes null.
+
+    Its first key, `written_by`, tells it from files of others.
 
     Raises:
         BadInput: the file cannot be written.
     """
-    if path is not None:
-        write_text_atomic(path, json.dumps(without_nan(value), indent=2, allow_nan=False) + "\n")
+    if path is not None and value is not None:
+        marked = {"written_by": f"pitp_jax {__version__}", **value}
+        write_text_atomic(path, json.dumps(without_nan(marked), indent=2, allow_nan=False) + "\n")
 
 
 def without_nan(value: Any) -> Any:

@@ -19,6 +19,8 @@ def print_model(model: Fitted, summary: dict) -> None:
         print(summary["fallback"])
     for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
+    if summary["electrode_lag_s"]:
+        print(f"learned lag of the electrode: {number(1e3 * summary['electrode_lag_s'], 3)} ms")
     if summary["kind"] == "trained":
         print("coefficients and modes of the linear model from which training started:")
     rows = zip(summary["coefficients"], summary["coefficients_stderr"], summary["coefficients_unit"], strict=True)

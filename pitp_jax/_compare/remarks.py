@@ -10,6 +10,7 @@ from .._report.numbers import number
 if TYPE_CHECKING:
     from .pairing import Pairing
 
+_DAY = 86400.0  # s: clocks farther apart have different origins, such as epoch time and the start of a run
 _LISTED = 12  # names in one sentence; the JSON holds all
 
 
@@ -26,7 +27,10 @@ def remarks_on(pairing: "Pairing", first: str, second: str) -> list[str]:
         middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]
         by = number(round(middle, 3)) if apart < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
         word = "ahead of" if np.median(offsets) > 0 else "behind"
-        lines.append(f"The clock of the {first} is {by} s {word} that of the {second}; this is no delay.")
+        if middle > _DAY:
+            lines.append(f"The logs of {first} and {second} use different clocks, more than a day apart. Ignored.")
+        else:
+            lines.append(f"The clock of the {first} is {by} s {word} that of the {second}. This is not a delay.")
     for side, alone in ((first, pairing.first_alone), (second, pairing.second_alone)):
         lines += [f"Recording {name} of the {side} has no partner: {why}." for name, why in alone]
     return lines

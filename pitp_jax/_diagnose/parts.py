@@ -180,7 +180,7 @@ class _Numbers:
                     row = self._with_interval(rows[p.name], slot)
                     limit = self.session if effect.port == "T" else self.longest
                     if row["unit"] == "s" and row["value"] > limit:
-                        row["ci95"] = [min(limit, *(row["ci95"] or [])[:1]), None]
+                        row["ci95"] = [min([limit, *(row["ci95"] or [])[:1]]), None]
                     told[f"{p.name} 2" if p.name in told else p.name] = row
         return told
 

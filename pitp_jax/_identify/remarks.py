@@ -1,6 +1,6 @@
 """What an engineer has to know beside the numbers of an identification, a sentence each.
 
-    weakest direction:  d log a = v sqrt(l)             v, l: eigenvector of the largest eigenvalue of cov log a
+    least certain:      d log a = v sqrt(l)             v, l: eigenvector of the largest eigenvalue of cov log a
     creep:              e = b s + w,  tau s' = F - s    e: what the model leaves; BIC asks for b, w coloured
 
 Each line ends with what to record, or to ask, about it.
@@ -49,10 +49,11 @@ def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) 
         )
     elif slowest * problem.seconds < 1 and fit.order > 1:
         said.append(
-            f"a pole at {slowest / (2 * np.pi):.2g} Hz is slower than these records: {3 / slowest:.2g} s would show it"
+            f"A pole at {slowest / (2 * np.pi):.2g} Hz is slower than these recordings. Record for {3 / slowest:.2g} s "
+            "to measure it."
         )
     if not any(b.begins == "rest" or _near_zero(d) for b, d in zip(problem.beginnings, problem.drive, strict=True)):
-        said.append("no recording starts at zero input or near it: the output there cannot be known, 0 is a guess")
+        said.append("No recording starts near zero input, so the output there is not known: 0 is a guess.")
     if fit.delay > _BOUND * problem.seconds / 4:
         said.append(
             f"the delay stands at the longest that is sought, {problem.seconds / 4:.3g} s, a quarter of the longest "
@@ -91,7 +92,7 @@ def _weak(fit: OrderFit) -> list[str]:
     # one that is not known is hidden behind a sentence of its own
     without = [i for i, e in enumerate(relative) if e > 1 and i not in hidden]
     names = ", ".join(f"a{i}" for i in without)
-    said = [f"without influence on these records, and so not known: {names}"] if without else []
+    said = [f"Without influence on these recordings, and therefore not known: {names}."] if without else []
     rest = [i for i in range(fit.order + 1) if i not in (*without, *hidden)]
     spread = (fit.correlation * np.outer(relative, relative))[np.ix_(rest, rest)]
     values, vectors = np.linalg.eigh(spread)
@@ -99,16 +100,20 @@ def _weak(fit: OrderFit) -> list[str]:
         return said
     most = vectors[:, -1] * np.sqrt(values[-1])
     most = most * np.sign(most[np.argmax(np.abs(most))])
-    parts = [f"a{i} {100 * m:+.2g} %" for i, m in zip(rest, most, strict=True) if abs(m) > _PART * np.abs(most).max()]
-    together = " together" * (len(parts) > 1)
+    parts = [
+        f"a{i} {100 * abs(m):.2g} % {'larger' if m > 0 else 'smaller'}"
+        for i, m in zip(rest, most, strict=True)
+        if abs(m) > _PART * np.abs(most).max()
+    ]
+    what = "combination" if len(parts) > 1 else "coefficient"
     return [
         *said,
-        f"weakest direction: {' with '.join(parts)}{together} changes these records least (one standard error)",
+        f"Least certain {what}: {' with '.join(parts)} (one standard error) would not change the fit visibly.",
     ]
 
 
 def _creep(chosen: Candidate, problem: Problem) -> list[str]:
-    """Tell creep that the order has no pole for, and how long a constant drive would show it."""
+    """Report creep that the order has no pole for, and how long a constant input would show it."""
     taus = _LAGS * problem.seconds
     error, linear, lags, drift = _slow_parts(chosen, problem, taus)
     # by the spectrum of what the richest explanation leaves: creep itself would whiten itself away
@@ -126,15 +131,16 @@ def _creep(chosen: Candidate, problem: Problem) -> list[str]:
     spread = float(np.sqrt(np.mean([np.var(o[w > 0]) for o, w in zip(problem.output, problem.weight, strict=True)])))
     if min(scores[best], line) > plain - _SURE or moved < _SEEN * spread:
         return []
-    part, tau = f"{100 * moved / spread:.2g} % of these records' deviation", taus[best]
+    part, tau = f"{100 * moved / spread:.2g} % of the signal", taus[best]
     if scores[best] > line - _SURE:  # a line in time per record, which has nothing to do with the drive, does as well
         return [
-            f"a slow drift makes {part}: creep slower than they are, or the sensor's own; a constant drive for "
-            f"{3 * problem.seconds:.2g} s would show which"
+            f"A slow drift makes up {part}: creep slower than the recordings, or the sensor. Hold a constant input for "
+            f"{3 * problem.seconds:.2g} s to tell them apart."
         ]
+    slow, order = f"about {tau:.2g} s{' or more' * (best == len(taus) - 1)}", chosen.structure.order
     return [
-        f"creep: a lag of some {tau:.2g} s{' or more' * (best == len(taus) - 1)} makes {part}, and order "
-        f"{chosen.structure.order} has no pole for it; a constant drive for {3 * tau:.2g} s would show it"
+        f"Creep ({slow}) makes up {part}; a model of order {order} cannot describe it. Hold a constant input for "
+        f"{3 * tau:.2g} s to measure it."
     ]
 
 

@@ -18,6 +18,7 @@ from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.units import units_of
 from .._record.reading import Target
+from .._record.record import Record
 from .._shown import Shown
 from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import rest_state, still_state
@@ -102,6 +103,8 @@ def feedforward(
         >>> plan.self_check_e_rms_percent < 1
         True
     """
+    if not isinstance(target, Target | Record):
+        raise BadInput(f"a {type(target).__name__} is not a target: give pitp.Target(time, displacement)")
     refuse_traced("feedforward", "inverse", model)
     model, units = model_of(model), units_of(model)
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)

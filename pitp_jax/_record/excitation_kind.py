@@ -8,44 +8,95 @@ Ranks run through 0 ... 1; frac(0.618 j) never comes back to where it just was: 
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from .record import Record
 
 _PARTS = 1000  # of a record, over which a step stands still
-_SEGMENTS = 16  # of a record, in which a sweep's zero crossings are counted
+_STILL = 0.4  # of the time between two turning points: the drive steps
+_LEVEL = 0.07  # of a move: so near to its ends, where a sine spends a third of its time
+_TURN = 0.05  # of the drive's range, by which it turns back; noise does not
+_SEGMENTS = 16  # turning points at least of a sweep, and half of the stretches that are compared
+_SWEPT = 1.4  # times: an octave without its ends
+_DEVIATIONS = 3.7  # of the ratio of a random order, 2 +- 2 / sqrt(n): one in 10,000
 _GOLDEN = (5**0.5 - 1) / 2
 
 
 def is_sweep(record: Record) -> bool:
-    """True when the zero crossings of the drive, counted in 16 segments, rise or fall (rank correlation > 0.9).
+    """Return whether the time between turning points varies smoothly, by a factor of at least 1.4.
 
-    The drive is taken about its own mid-range; a record with fewer than 16 crossings in all is no sweep.
+    The ranks of these times are smooth, up, down or both ways: their mean squared successive difference lies 3.7
+    standard deviations below that of a random order. Rests before, after or between do not matter.
     """
-    # about mid-range, which a bias does not move
-    u = record.voltage - (record.voltage.max() + record.voltage.min()) / 2
-    crossings = np.flatnonzero(np.diff(np.signbit(u)))
-    if len(crossings) < _SEGMENTS:
+    return _is_swept(_turns(record.voltage))
+
+
+def _is_swept(turns: np.ndarray) -> bool:
+    if len(turns) <= _SEGMENTS:
         return False
-    # a sweep crosses ever more (or less) often
-    counts = np.bincount(np.minimum(crossings * _SEGMENTS // record.samples, _SEGMENTS - 1), minlength=_SEGMENTS)
-    if len(np.unique(counts)) < 4:
+    # ends of at most 32 stretches with equally many turning points each
+    ends = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), 2 * _SEGMENTS + 1)).astype(int))]
+    spans = np.log(np.diff(ends) / np.diff(np.searchsorted(turns, ends)))
+    low, high = np.quantile(spans, (0.05, 0.95))
+    if high - low < np.log(_SWEPT) or len(np.unique(np.round(spans, 1))) < 4:
         return False
-    trend = float(scipy.stats.spearmanr(np.arange(_SEGMENTS), counts)[0])  # pyright: ignore[reportArgumentType]
-    return abs(trend) > 0.9 and bool(counts.max() >= 3 * max(counts.min(), 1))
+    ranks = np.argsort(np.argsort(spans))
+    ratio = np.sum(np.diff(ranks) ** 2) / np.sum((ranks - ranks.mean()) ** 2)
+    return bool(ratio < 2 * (1 - _DEVIATIONS / np.sqrt(len(ranks))))
+
+
+def _turns(u: np.ndarray) -> np.ndarray:
+    """Return the samples at which a drive turns back by at least a twentieth of its range.
+
+    The smallest moves between neighbouring extremes are dropped, a pair of extremes at a time, until none is left.
+    """
+    moves = np.flatnonzero(np.diff(u))
+    turns = moves[np.flatnonzero(np.diff(np.sign(np.diff(u)[moves]))) + 1]
+    turns = np.concatenate([[0], turns, [len(u) - 1]])
+    least = _TURN * np.ptp(u)
+    while len(turns) > 2:
+        size = np.append(np.inf, np.append(np.abs(np.diff(u[turns])), np.inf))
+        inner = size[1:-1]
+        small = np.flatnonzero((inner < least) & (inner < size[:-2]) & (inner <= size[2:]))
+        if not len(small):
+            break
+        gone = np.concatenate([small, small + 1])
+        # the first and the last sample stay: the extreme beside them goes with them
+        turns = np.delete(turns, gone[(gone > 0) & (gone < len(turns) - 1)])
+    return turns[1:-1]
 
 
 def kind(record: Record) -> str:
-    """sweep, sine (one line holds the drive), steps (it stands still mostly), or broadband."""
-    if is_sweep(record):
+    """Return "sweep", "sine" (one line holds the drive), "steps" (it stands still between its moves) or "broadband".
+
+    Rests before, after and between are not counted.
+    """
+    u = record.voltage
+    turns = _turns(u)
+    if _is_swept(turns):
         return "sweep"
-    apart = max(record.samples // _PARTS, 1)  # by the sample a slow sine stands still too
-    still = np.abs(record.voltage[apart:] - record.voltage[:-apart]) < 1e-3 * np.ptp(record.voltage)
-    if still.mean() > 0.4:
+    if _stands_still(u, turns):
         return "steps"
-    power = spectrum(record) ** 2
+    if len(turns) > 2:
+        u = u[turns[0] : turns[-1] + 1]
+    power = _lines(u) ** 2
     peak = int(np.argmax(power[1:])) + 1
     return "sine" if power[max(peak - 3, 1) : peak + 4].sum() > 0.8 * power[1:].sum() else "broadband"
+
+
+def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
+    """Return whether a drive stands still, or at one of two levels, for most of the time between two turning points."""
+    apart = max(len(u) // _PARTS, 1)  # by the sample a slow sine stands still too
+    still = np.append(np.abs(u[apart:] - u[:-apart]) < 1e-3 * np.ptp(u), np.zeros(apart, bool))
+    ends = turns if len(turns) > 2 else np.array([0, *turns, len(u) - 1])
+    sizes = np.diff(ends)
+    first, second = (np.repeat(u[e], sizes) for e in (ends[:-1], ends[1:]))
+    inside = u[ends[0] : ends[-1]]
+    level = np.minimum(np.abs(inside - first), np.abs(inside - second)) < _LEVEL * np.abs(second - first)
+    # half of the stretches are away from any rest
+    held = [
+        np.median(np.add.reduceat(seen, ends[:-1] - ends[0]) / sizes) for seen in (still[ends[0] : ends[-1]], level)
+    ]
+    return bool(held[0] > _STILL or held[1] > 0.5)
 
 
 def loudest(record: Record) -> float:
@@ -55,8 +106,11 @@ def loudest(record: Record) -> float:
 
 def spectrum(record: Record) -> np.ndarray:
     """Size of the windowed drive's Fourier lines, without its mean, shape (samples // 2 + 1,)."""
-    u = record.voltage - record.voltage.mean()
-    return np.abs(np.fft.rfft(u * np.hanning(len(u))))
+    return _lines(record.voltage)
+
+
+def _lines(u: np.ndarray) -> np.ndarray:
+    return np.abs(np.fft.rfft((u - u.mean()) * np.hanning(len(u))))
 
 
 def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:

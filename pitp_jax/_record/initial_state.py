@@ -61,10 +61,14 @@ def noise_std(displacement: np.ndarray) -> float:
     if len(fifth) == 0:
         return 0.0
     noise = float(min(1.4826 * np.median(np.abs(fifth)), fifth.std()) / np.sqrt(252.0))
-    if noise == 0.0 and fifth.any():  # a sensor that mostly repeats its value: that of its steps
-        steps = np.abs(np.diff(displacement))
-        return float(np.min(steps[steps > 0])) / np.sqrt(12.0)
-    return noise
+    # a sensor that mostly repeats its value: that of its steps
+    return _rounding(displacement) if noise == 0.0 and fifth.any() else noise
+
+
+def _rounding(displacement: np.ndarray) -> float:
+    """Return the standard deviation of rounding to a sensor's smallest step, output unit; 0 where it never steps."""
+    steps = np.abs(np.diff(displacement))
+    return float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0) if (steps > 0).any() else 0.0
 
 
 def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]:
@@ -266,6 +270,7 @@ def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, f
             noise, which they do not show: the error is at least what the same window makes of `left`, rms over places.
     """
     noise, best = noise_std(record.displacement), (float(record.displacement[record.observed][0]), np.inf)
+    rounding = _rounding(record.displacement)
     window, weights = 12, np.ones(1)
     while window <= record.samples:
         t, y = np.arange(window) / window, record.displacement[:window]
@@ -279,6 +284,8 @@ def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, f
                 break
             inverse = np.linalg.inv(basis.T @ basis)
             error = max(misfit, noise) * np.sqrt(inverse[0, 0])
+            if misfit < rounding:  # the rounding of readings that stand still has no mean of 0
+                error = max(error, rounding)
             if error < best[1]:
                 best, weights = (float(fit[0]), float(error)), inverse[0] @ basis.T
         window *= 2

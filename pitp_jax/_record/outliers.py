@@ -185,7 +185,9 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
         dropouts, possible stiction: True at their samples, shape (T,).
     """
     bad, kept, swing = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool), np.ptp(drive)
-    runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if np.ptp(drive[b:e]) > 0]
+    # a jump of the input at the end of a run finds a machine that has settled, and answers late
+    noise = 6 * noise_std(drive)
+    runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
     inside = np.zeros(len(y) - 1, dtype=bool)
     for begin, end in runs:
         # steps within the runs say nothing of the sensor elsewhere

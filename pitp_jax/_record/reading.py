@@ -29,7 +29,7 @@ from .checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, check_wanted
 from .grid import Gridded, on_grid
 from .outliers import Masked, at_limit, mask_faults
 from .plausible import questions, refuse_implausible
-from .record import Record, Timed, range_in
+from .record import Record, Timed, own_column, range_in
 from .remarks import Remark
 from .selection import select_range
 from .sets import check_set
@@ -63,7 +63,7 @@ class Target(Timed):
         """Refuse what cannot be inverted (`read_target` gives the column and the line as well)."""
         refuse_traced("Target", "inverse with an array", self.time, self.displacement)
         for field in ("time", "displacement"):
-            object.__setattr__(self, field, np.asarray(getattr(self, field), dtype=np.float64))
+            object.__setattr__(self, field, own_column(getattr(self, field), f"{self.source or 'target'}: {field}"))
         check_wanted(self.time, self.displacement, self.source or "target")
 
     def __repr__(self) -> str:

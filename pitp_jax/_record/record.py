@@ -17,14 +17,25 @@ from .._table.units import INPUT_UNITS, from_base
 from .checks import check_samples
 
 
-def _column(values: Any) -> np.ndarray:
-    """Values as float64 of our own, not the caller's: spans of time in s, masked samples nan."""
+def own_column(values: Any, what: str) -> np.ndarray:
+    """Return values as float64 of our own that cannot be written to: spans of time in s, masked samples nan.
+
+    Raises:
+        BadInput: they are not real numbers; `what` names them in the message.
+    """
     if np.ma.isMaskedArray(values):
         values = np.ma.filled(values.astype(np.float64), np.nan)
     values = np.asarray(values)
     if values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
-    return np.array(values, dtype=np.float64)
+    if values.dtype.kind == "c":
+        raise BadInput(f"{what} holds complex numbers: give its real part")
+    try:
+        column = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BadInput(f"{what} does not hold numbers: give an array of them") from None
+    column.setflags(write=False)
+    return column
 
 
 class Timed(Shown):
@@ -76,7 +87,7 @@ class Record(Timed):
         """Refuse what no later step could use (the readers give the file, column and sample as well)."""
         refuse_traced("Record", "free_run or residual with arrays", self.time, self.voltage, self.displacement)
         for name in ("time", "voltage", "displacement"):
-            object.__setattr__(self, name, _column(getattr(self, name)))
+            object.__setattr__(self, name, own_column(getattr(self, name), f"record {self.name!r}: {name}"))
         for unit in (self.voltage_unit, self.displacement_unit):
             if unit not in INPUT_UNITS:
                 raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; one of {', '.join(INPUT_UNITS)}")

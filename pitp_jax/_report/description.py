@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._effects.physical import physical
+from .._model.drive import ElectrodeLag
 from .._model.encoder import ConstantEncoder, plain
 from .._model.fitted import Fitted
 from .._model.units import units_of
@@ -33,6 +34,7 @@ def describe(model: Fitted, units: Units | None = None) -> dict:
         "encoder": type(plain(model.encoder)).__name__.removesuffix("Encoder").lower(),
         "memory_states": model.memory.size,
         "effects": [_described(model, effect, units) for effect in model.effects],
+        "electrode_lag_s": math.exp(float(model.drive.log_tau)) if isinstance(model.drive, ElectrodeLag) else None,
         "hold": model.hold,
         "substeps": model.substeps,
         "coefficients": (model.physical_coefficients * factors).tolist(),

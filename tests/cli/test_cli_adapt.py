@@ -2,12 +2,17 @@
 
 import hashlib
 import json
+from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cli_cases import TIME, motion, write_record
 
-from pitp_jax import load
+from pitp_jax import load, save
+from pitp_jax._adapt.adaptation import Adaptation, Changed
+from pitp_jax._commands.adapt import print_adaptation
+from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model_file import digest
 
 
@@ -31,7 +36,7 @@ def test_unchanged_is_written_bit_for_bit(days, call, tmp_path):
     code, text, _ = call("adapt", days / "m", days / "same.csv", "--out", tmp_path / "a", "--json", tmp_path / "j")
     told = json.loads((tmp_path / "j").read_text())
     assert code == 0 and text.startswith("unchanged") and told["verdict"] == "unchanged" and told["changed"] == {}
-    assert set(told) == {"verdict", "changed", "before", "after", "heldout"}
+    assert set(told) == {"written_by", "verdict", "changed", "before", "after", "heldout"}
     assert (tmp_path / "a").read_bytes() == (days / "m").read_bytes()
 
 
@@ -51,6 +56,29 @@ def test_a_change_is_written_and_traced(days, call, tmp_path):
     assert "Only a saw stronger." in told["remarks"]
     (stiffness,) = [r for r in told["rows"] if r["what"] == "stiffness (a0)"]
     assert stiffness["b"] / stiffness["a"] == pytest.approx(1 / 1.1, rel=0.01)
+
+
+def test_factors_that_may_be_one_are_marked(days, capsys):
+    """An interval that holds 1 shows no change; that of a time says what it is now."""
+    changed = {
+        "stiffness": Changed(0.95, (0.94, 0.96)),
+        "damping": Changed(0.96, (0.75, 1.23)),
+        "electrode_tau": Changed(1.02, (0.9, 1.1), 4.4e-3, (4.2e-3, 4.6e-3)),
+    }
+    model = load(days / "m")
+    print_adaptation(Adaptation(model, "adapted", changed, 2.0, 0.2, True, 0.1))
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert "unchanged" not in lines["stiffness"] and "unchanged" in lines["damping"]
+    assert "now 4.4 ms (4.2 to 4.6), unchanged" in lines["electrode_tau"]
+
+
+def test_info_reports_the_learned_lag_of_the_electrode(days, call, tmp_path):
+    model = load(days / "m")
+    assert "lag of the electrode" not in call("info", days / "m")[1]
+    save(tmp_path / "m", replace(model, model=replace(model.model, drive=ElectrodeLag(jnp.log(jnp.asarray(4.38e-3))))))
+    code, text, _ = call("info", tmp_path / "m", "--json", tmp_path / "j")
+    assert code == 0 and "learned lag of the electrode: 4.38 ms" in text
+    assert abs(json.loads((tmp_path / "j").read_text())["electrode_lag_s"] - 4.38e-3) < 1e-8
 
 
 def test_two_of_the_same_are_the_same(days, call):

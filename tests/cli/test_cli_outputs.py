@@ -13,6 +13,8 @@ from scipy.signal import lfilter
 from pitp_jax._commands import outputs
 from pitp_jax._report import html
 
+OLD = '{\n  "written_by": "pitp_jax 0.1"\n}'
+
 
 def test_destinations_are_checked_before_the_work(call, bench, tmp_path, monkeypatch):
     monkeypatch.setattr("pitp_jax._commands.identify.read_records", lambda *a, **k: pytest.fail("read first"))
@@ -38,6 +40,17 @@ def test_a_folder_of_records_is_not_overwritten(call, bench, tmp_path):
     assert "not written by pitp" in refused(call("identify", bench / "records", "--out", record))
     assert record.read_bytes() == before
     assert tree(folder) == ["sine2.csv"]
+
+
+def test_json_of_others_is_not_replaced(call, bench, tmp_path):
+    """A result of pitp is replaced by the next one; settings of the user are not, unless --force is given."""
+    ours, other = tmp_path / "ours.json", tmp_path / "settings.json"
+    other.write_text('{\n  "my": "settings"\n}')
+    assert "was not written by pitp" in refused(call("info", bench / "nominal", "--json", other))
+    assert json.loads(other.read_text()) == {"my": "settings"}
+    for file, more in ((ours, ()), (ours, ()), (other, ("--force",))):
+        assert call("info", bench / "nominal", "--json", file, *more)[0] == 0
+        assert json.loads(file.read_text())["order"] == 2
 
 
 def test_unwritable_output(call, bench, tmp_path, monkeypatch):
@@ -70,15 +83,15 @@ def test_predict_on_a_full_disk_leaves_nothing(call, bench, tmp_path, full_disk,
     out, file = tmp_path / "a" / "d", tmp_path / "j"
     if existing:
         out.mkdir(parents=True)
-        (out / "sine2.csv").write_text('{"old": 1}')
-        file.write_text('{"old": 1}')
+        (out / "sine2.csv").write_text(OLD)
+        file.write_text(OLD)
     before = tree(tmp_path)
     full_disk(files)
     argv = ["predict", bench / "nominal", bench / "records", "--out", out, "--json", file]
     assert "No space left" in refused(call(*argv))
     assert tree(tmp_path) == before
     if existing:
-        assert (out / "sine2.csv").read_text() == file.read_text() == '{"old": 1}'
+        assert (out / "sine2.csv").read_text() == file.read_text() == OLD
 
 
 @pytest.mark.slow

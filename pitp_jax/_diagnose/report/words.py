@@ -33,7 +33,7 @@ def result_line(d) -> str:
         return f"The nominal model is handed back: its error, {of_range(g.before)} of range, is its own."
     where = "held-out recordings" if d.heldout else "parts of the recording that were left out"
     where = "all recordings" if d.pieces is not None else where
-    if not len(d.parts):
+    if not d.handed_back:
         return (
             f"The nominal model is handed back: no model reduces its error on {where} ({of_range(g.before)} of range)."
         )
