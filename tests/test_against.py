@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax._against import page
 from pitp_jax._against.correction import corrections
 from pitp_jax._against.entry import simplest_model
 from pitp_jax._against.parameters import parameters
@@ -130,6 +131,25 @@ def _rows(simulator, *effects):
     robot: Any = SimpleNamespace(model=replace(simulator, effects=tuple(made)), added=[], effects=names)
     records = [replace(r, voltage_unit="rad", displacement_unit="rad") for r in recordings()]
     return {p.name: p for p in parameters(simulator, robot, records, 20.0)}
+
+
+def test_numbers_that_help_are_in_the_headline_though_no_cause_is_certain():
+    gap = SimpleNamespace(before=5.28, after=0.1)
+    for handed_back, expected in ((("drag",), "from 5.3 % to 0.10 % of range; no single cause"), ((), "no effect of")):
+        found = object.__new__(SimToReal)
+        robot = SimpleNamespace(verdict="unknown", effects=(), handed_back=handed_back, gap=gap)
+        object.__setattr__(found, "robot", robot)
+        assert expected in page._headline(found)
+
+
+def test_a_hanging_arm_and_a_limit_of_the_drive_are_torques(turning):
+    """m g l = 1.2 N m and a limit of 2 N m of a joint with a position gain of 20 N m/rad."""
+    rows = _rows(turning, ("softening", "weight on an arm", 0.06, 1.0), ("force_limit", "inside the loop", 20 / 2.0))
+    assert rows["softening weight"].robot == pytest.approx(1.2, rel=1e-3)
+    assert rows["softening weight"].unit == "N m/rad"
+    limit = rows["force_limit inverse"]
+    assert (limit.robot, limit.unit, limit.mujoco) == (pytest.approx(2.0, rel=1e-3), "N m", "actuator forcerange")
+    assert limit.simulator == np.inf
 
 
 def test_a_body_on_a_spring_is_told_as_inertia_spring_and_damper(turning):

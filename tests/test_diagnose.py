@@ -173,11 +173,22 @@ def test_a_force_without_a_name_is_an_equation(nominal):
 
 
 @pytest.mark.slow
-def test_excluded_names_are_not_said(nominal, hardened):
+def test_excluded_names_are_not_said(nominal, hardened, monkeypatch):
+    """Nor is the result lost by an interrupt while the certainty of its parts is searched."""
+    list_parts, calls = diagnosis.parts_of, []
+
+    def interrupted(*args):
+        calls.append(args)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return list_parts(*args)
+
+    monkeypatch.setattr(diagnosis, "parts_of", interrupted)
     planted = replace(nominal, effects=(effect("stiffening", "limited chain", 0.25),))
     found = pitp.diagnose(nominal, play(planted), exclude=["stiffening"])
     assert "stiffening" not in (*found.effects, *found.equivalent, *(r.effect for r in found.ranking))
     assert found.gap.after > hardened.gap.after
+    assert found.interrupted and {p.effect for p in found.parts} >= {*found.handed_back} - {"parameters", "term"}
 
 
 @pytest.mark.slow

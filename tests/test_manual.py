@@ -22,7 +22,8 @@ from pitp_jax._effects import CATALOGUE
 from pitp_jax._model_file import model_file
 from pitp_jax.cli import _parser, main
 
-LONG = ("README.md", "docs/start.md", "docs/which_recordings.md", "docs/my_rig_disagrees.md", "docs/another_day.md")
+TUTORIALS = ("start", "which_recordings", "my_rig_disagrees", "another_day", "research")
+LONG = ("README.md", *(f"docs/{name}.md" for name in TUTORIALS))
 HEAVY = (
     "demo",
     "fit",

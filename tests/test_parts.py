@@ -10,8 +10,11 @@ from diagnosis_cases import part
 from played import nominal_of
 from test_names import hypothesis, searched
 
-from pitp_jax._diagnose import parts, verdict
+from pitp_jax._diagnose import parts, result, verdict
+from pitp_jax._diagnose.budget import Budget
+from pitp_jax._diagnose.gap import Gap, as_far_as_closed
 from pitp_jax._diagnose.library import INDEX, OFF, slots_of_row
+from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._diagnose.parts import Parts, parts_of
 from pitp_jax._diagnose.report.formatting import parameter_between
 from pitp_jax._diagnose.report.words import lines, part_lines
@@ -76,6 +79,20 @@ def test_numbers_are_reported_under_every_verdict(judged, monkeypatch, flexible,
     assert (found.recording is not None) == (certainty == "likely")
 
 
+def test_a_likely_part_comes_with_what_to_record(judged, monkeypatch):
+    """The excitation under which it differs most from the best hypothesis without it, where that exceeds the noise."""
+    monkeypatch.setattr(verdict, "reference", lambda case, h, floors: hypothesis((), 0.2).evidence)
+    clip = fitted(("voltage_clip",), 0.3, {LIMIT: 1 / 850.0})
+    for difference, expected in ((12.0, "sine of 3 Hz, 7 s (to tell it from drag)"), (0.5, "an excitation of another")):
+        sine = Experiment(("voltage_clip", "drag"), "sine of 3 Hz", np.arange(8.0), np.zeros(8), difference)
+        monkeypatch.setattr(parts, "separate", lambda case, scale, a, b, names, sine=sine: sine)
+        search = searched(clip, hypothesis(("drag",), 0.5))
+        search.best = lambda: clip
+        search.budget = Budget()
+        (found,) = judged(search, clip, [CLIP], {})
+        assert str(found.recording).startswith(expected) and (found.experiment is sine) == (difference > 1)
+
+
 @pytest.mark.usefixtures("no_flexible")
 def test_an_interval_holds_the_spread_of_refits_and_of_hypotheses_as_good(judged):
     """Jackknife over three folds of log 1 / 850: sqrt(2 / 3 sum d^2) = sqrt(4 / 3) 0.1; a set as good has 1 / 600."""
@@ -106,6 +123,17 @@ def test_a_number_without_information_has_no_interval(judged):
     clip = fitted(("voltage_clip",), 0.3, {LIMIT: 1 / 850.0})
     (found,) = judged(searched(clip), clip, [CLIP], {LIMIT: np.inf})
     assert found.parameters["inverse"]["ci95"] is None
+
+
+def test_numbers_without_information_are_told_from_those_in_other_units():
+    """Two units far apart are inverted; a number that changes nothing, and two that act as one, are not determined."""
+    apart, known = result._inverse(np.diag([1e12, 1e-12]))
+    np.testing.assert_allclose(apart, np.diag([1e-12, 1e12]))
+    assert known.all()
+    inverse, known = result._inverse(np.diag([4.0, 0.0]))
+    assert inverse[0, 0] == pytest.approx(0.25) and list(known) == [True, False]
+    both = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    assert list(result._inverse(both)[1]) == [False, False, True]
 
 
 @pytest.fixture
@@ -142,6 +170,13 @@ def test_the_result_comes_before_the_verdict_under_every_verdict(explained, unkn
         explained
     )
     assert len(repr(explained).splitlines()) <= 10 and "12.3 ms" in explained._repr_html_()
+
+
+def test_a_gap_that_may_not_be_closed_at_all_is_explained_in_part():
+    doubtful, certain = (Gap(8.0, 4.0, 8.0, 0.4, "", 0.5, (low, 0.9)) for low in (-0.003, 0.1))
+    assert as_far_as_closed("explained", doubtful) == "partly" == as_far_as_closed("partly", certain)
+    assert as_far_as_closed("explained", certain) == "explained"
+    assert as_far_as_closed("unknown", doubtful) == "unknown"
 
 
 def test_parts_are_a_table(explained):

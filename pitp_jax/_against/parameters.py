@@ -83,6 +83,7 @@ _NAMES = {
     # behind a linear joint the two lags are one: either may be typed in
     "sensor_lag tau": Names("lag of the sensor, or of the drive", 'actuator dyntype="filter" dynprm'),
     "slew_limit inverse": Names("largest rate of the command", "rate of ctrl", "velocity limit", "limit velocity"),
+    "force_limit inverse": Names("largest force of the drive", "actuator forcerange", "max effort", "limit effort"),
     "voltage_clip inverse": Names("largest command", "actuator ctrlrange", "clip of the target"),
     "dead_zone level": Names("dead zone of the command"),
 }
@@ -275,6 +276,8 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
         weight = a[0] * told["curvature"][0] ** 2
         yield "softening weight", share(weight, 0, "curvature", "curvature")
         yield "stiffness", share(-weight, 0, "curvature", "curvature")
+    elif (effect.name, effect.form) == ("softening", "weight on an arm"):
+        yield "softening weight", share(a[0] * told["kappa"][0] / told["curvature"][0], 0, "kappa")
     elif effect.name == "second_mode" and "kappa" in told and len(a) > 2:
         spring, omega, zeta = a[0] * told["kappa"][0], told["omega"][0], told["zeta"][0]
         yield "second_mode inertia", share(spring / omega**2, 2, "kappa", "omega", "omega")
@@ -287,6 +290,8 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
             if p.name == "inverse":  # stored so that 0 is "no limit"; told as the limit
                 error = None if error is None or not value else error / value**2
                 value, unit = 1 / value if value else np.inf, of.command + ("/s" if unit.startswith("s") else "")
+                if p.force:  # a limit of the drive's force
+                    value, unit, error = of.factor * value, of.force, error and of.factor * error
             elif p.force == 1:  # not by its unit: a backlash in rad is no command in rad
                 value, unit, error = of.factor * value, of.force, None if error is None else of.factor * error
             side = f", {effect.form}" if effect.form in ("above", "below") else ""

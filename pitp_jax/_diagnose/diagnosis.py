@@ -22,6 +22,7 @@ from .budget import Budget
 from .data import FEWEST_FOLDS, Case, build_case, excitations
 from .gap import (
     Gap,
+    as_far_as_closed,
     beside_noise,
     floor_percent,
     gap_of,
@@ -256,6 +257,7 @@ def diagnose(
     else:
         whole = beside_noise(case, misfit, 1) if not refit_nominal else 0.0
         gap = gap_of(search, decision, of_free_runs(search, model, records, traces), whole, source)
+    decision = replace(decision, verdict=as_far_as_closed(decision.verdict, gap))
     errors = errors_of(search, handed.fit)
     # names that a verdict says stand in the model with their numbers; else what was handed back is told as it is
     effects = decision.said
@@ -264,7 +266,16 @@ def diagnose(
     if decision.verdict != "no_gap":
         experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
-    parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+    limit.begin("how certain each part is")
+    try:
+        parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+    except KeyboardInterrupt:  # rivals that were not searched are left out; a second interrupt ends it
+        if interrupted:
+            raise
+        interrupted = True
+        limit.stop("rivals of some parts (interrupted)")
+        parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+    experiment = experiment or next((p.experiment for p in parts if p.experiment is not None), None)
     term = None
     if FREE in decision.chosen.names:
         term = told("the equation of the term", lambda: term_of(search, decision, handed, made, errors, gap), None)

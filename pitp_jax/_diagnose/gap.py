@@ -110,6 +110,11 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
     )
 
 
+def as_far_as_closed(verdict: str, gap: Gap) -> str:
+    """The verdict, but at best "partly" where the interval of the closed fraction reaches 0."""
+    return "partly" if verdict == "explained" and gap.ci95 is not None and gap.ci95[0] <= 0 else verdict
+
+
 def closed(before: float, after: float, low: float) -> float | None:
     """The closed fraction; None where there was nothing to close."""
     if before <= _GAP * low or before <= 0:

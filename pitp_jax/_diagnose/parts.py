@@ -48,6 +48,7 @@ class Part:
         certainty: "certain", "tied", "likely" or "none".
         tied: names that these recordings do not separate from it.
         recording: what to record to make a likely part certain, in words.
+        experiment: the same, to play; None where no excitation within what was played tells it from its best rival.
     """
 
     effect: str
@@ -58,6 +59,7 @@ class Part:
     certainty: str
     tied: tuple[str, ...] = ()
     recording: str | None = None
+    experiment: Experiment | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,7 +79,8 @@ class Parts(Shown):
 
     def as_json(self) -> list[dict]:
         """As docs/contract.md has it."""
-        return [vars(p) | {"tied": list(p.tied)} for p in self.parts]
+        told = [vars(p) | {"tied": list(p.tied)} for p in self.parts]
+        return [{k: v for k, v in one.items() if k != "experiment"} for one in told]
 
     def _rows(self) -> list[dict[str, Any]]:
         rows = []
@@ -147,18 +150,14 @@ def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, p
     part = replace(part, probability=needed(handed, rival))
     if (part.probability or 0.0) < rules.LIKELY:
         return part
-    return replace(part, certainty="likely", recording=_recording(search, handed, rival, part.effect))
-
-
-def _recording(search: Search, handed: Hypothesis, rival: Hypothesis, label: str) -> str:
-    """What to record to tell a part from the best hypothesis without it, in words."""
     other = " and ".join(rival.labels) or "the model without it"
     found: Experiment | None = None
-    if search.budget.allows(f"the recording that tells {label} from {other}"):
-        found = separate(search.case, search.scale, handed, rival, (label, other))
+    if search.budget.allows(f"the recording that tells {part.effect} from {other}"):
+        found = separate(search.case, search.scale, handed, rival, (part.effect, other))
     if found is None or found.difference < 1:
-        return f"{_ANOTHER} (to tell it from {other})"
-    return f"{found.excitation}, {found.time[-1] - found.time[0]:.2g} s (to tell it from {other})"
+        return replace(part, certainty="likely", recording=f"{_ANOTHER} (to tell it from {other})")
+    words = f"{found.excitation}, {found.time[-1] - found.time[0]:.2g} s (to tell it from {other})"
+    return replace(part, certainty="likely", recording=words, experiment=found)
 
 
 class _Numbers:
@@ -176,7 +175,7 @@ class _Numbers:
         for effect, slots in effects:
             rows = in_units(self.model, effect, slots, self.h.fit, {})
             for (p, _), slot in zip(effect.numbers(), slots, strict=True):
-                if p.name in rows:
+                if p.name in rows and not p.fixed:
                     row = self._with_interval(rows[p.name], slot)
                     limit = self.session if effect.port == "T" else self.longest
                     if row["unit"] == "s" and row["value"] > limit:

@@ -100,9 +100,9 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         )
     found += _of_actuator(joint, rows, f * k)
     found += _stops(joint, rows)
-    written = {"gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time", "electrode_rc tau",
-               "voltage_clip inverse", "force_limit inverse", "end_stop place", "end_stop place, above",
-               "end_stop place, below"}  # fmt: skip
+    written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time",
+               "electrode_rc tau", "voltage_clip inverse", "force_limit inverse", "end_stop place",
+               "end_stop place, above", "end_stop place, below"}  # fmt: skip
     if _lag_attribute(joint) is None:
         written.discard("electrode_rc tau")
     elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:

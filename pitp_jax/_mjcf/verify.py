@@ -144,6 +144,11 @@ def verify_mjcf(
     Raises:
         BadInput: MuJoCo is not installed or refuses a file; no such joint; a held-out recording that the diagnosis
             used.
+
+    Examples:
+        >>> found = pitp.verify_mjcf(robot, "gap/arm_identified.xml", "elbow", before="arm.xml")  # doctest: +SKIP
+        >>> found.gap(held_out=False), found.better  # doctest: +SKIP
+        (2.88, True)
     """
     check_records([*records, *held_out])
     text = Path(mjcf).read_text(encoding="utf-8", errors="replace") if Path(mjcf).is_file() else ""

@@ -72,8 +72,9 @@ def write_mjcf(
     """Write what the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
 
     Beside it the same numbers for Isaac Lab, Newton and URDF. Changed are joint `armature`, `damping`, `stiffness`,
-    `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and `delay` with `nsample` and `timeconst` where the installed MuJoCo knows them. Each change has a
-    comment with the old value, the new one and its 95 % interval.
+    `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and `delay` with `nsample` and
+    `timeconst` where the installed MuJoCo knows them. Each change has a comment with the old value, the new one and its
+    95 % interval.
 
     Args:
         found: `diagnose(robot, against=simulated)`, the simulated recordings made with this file.
