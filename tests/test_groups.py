@@ -1,10 +1,13 @@
 """Recordings of one simulator, or of several: a load or a gain per file is seen where a command is repeated."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax._commands import diagnose as command
 from pitp_jax._compare.groups import groups_of
 
 TIME = np.arange(800) / 200
@@ -55,3 +58,21 @@ def test_friction_that_linear_models_do_not_describe_makes_no_groups():
             y = size * r.displacement
             made.append(pitp.Record(f"{k}{r.name}", TIME, size * r.voltage, y - 0.2 * y**3, "rad", "rad"))
     assert groups_of(made) is None
+
+
+def test_each_group_is_diagnosed_beside_its_robots_recordings(tmp_path, monkeypatch, capsys):
+    for folder in ("sim", "robot"):
+        (tmp_path / folder).mkdir()
+        for r in [*recorded("a", 5.0), *recorded("b", 3.0)]:
+            table = np.column_stack([r.time, r.voltage, (1.0 if folder == "sim" else 1.02) * r.displacement])
+            np.savetxt(tmp_path / folder / f"{r.name}.csv", table, delimiter=",", header="time_s,input_rad,output_rad")
+    calls = []
+    monkeypatch.setattr(command, "diagnose", lambda records, nominal, **said: calls.append((records, said)))
+    command._by_group([str(tmp_path / "robot")], [str(tmp_path / "sim")], "gap", "d.json", {}, {"seconds": 5.0})
+    assert [[Path(f).stem for f in records] for records, _ in calls] == [
+        ["a_chirp", "a_steps"], ["b_chirp", "b_steps"],
+    ]  # fmt: skip
+    for k, (records, said) in enumerate(calls, 1):
+        assert [Path(f).name for f in said["against"]] == [Path(f).name for f in records]
+        assert (said["out"], said["json_file"], said["seconds"]) == (f"gap/group{k}", f"d.group{k}.json", 5.0)
+    assert "2 groups" in capsys.readouterr().out
