@@ -18,8 +18,8 @@ def keep_programs(shortest: float) -> None:
     """
     if "jax" in sys.modules:
         return
-    # JAX 0.9 prints some kilobytes for every kept program that it loads: the compiler's own preferences (+prefer-no-gather)
-    # are no features of the processor. What fails is raised as an error all the same.
+    # JAX 0.9 prints some kilobytes for every kept program that it loads: the compiler's own preferences
+    # (+prefer-no-gather) are no features of the processor. What fails is raised as an error all the same.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
