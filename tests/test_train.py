@@ -20,7 +20,7 @@ from pitp_jax._model.memory import ElapsedTime
 from pitp_jax._record.record import Record
 from pitp_jax._sharding import records_mesh
 from pitp_jax._simulate.prediction import at_rate, predict
-from pitp_jax._train import oversampling, training
+from pitp_jax._train import training
 from pitp_jax._train.cross_validation import cross_validate
 from pitp_jax._train.refine import refine
 from pitp_jax._train.settings import PRESETS, Settings, firmness_of
@@ -295,7 +295,7 @@ def test_a_start_that_diverges_costs_that_start_alone(plant, monkeypatch):
 def test_oversampled_records_train_on_block_means(plant, monkeypatch):
     """Beyond the budget: the model is as good, and is one for the records' own rate."""
     nominal, records, held_out = plant
-    monkeypatch.setattr(oversampling, "_PER_PERIOD", 30)
+    monkeypatch.setattr(training, "_PER_PERIOD", 30)
     monkeypatch.setattr(training, "BUDGET", 2 * SAMPLES)
     found = train(nominal, records, settings=replace(QUICK, refine_steps=15), key=KEY)
     assert found.notes["trained_at_hz"] == pytest.approx(1 / (2 * DT))

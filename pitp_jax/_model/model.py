@@ -27,6 +27,7 @@ from .memory import AbstractMemory, NoMemory
 from .positive import positive_factor
 from .rows import Rows
 from .sections import product, sections_of
+from .substeps import substeps
 
 Hold = Literal["foh", "zoh", "bandlimited"]
 
@@ -149,6 +150,11 @@ class Model(eqx.Module):
             # ratios to the nominal's own product: what rounding did to the sections cancels
             factor = [last * a * (1 / b) for a, b in zip(moved, product(nominal), strict=True)]
         return [self.coefficients[i] * f for i, f in enumerate(factor)], offset
+
+    def sampled(self, dt: float, hold: Hold) -> "Model":
+        """Convert the model to records of another sampling interval (s) and hold; its coefficients stay."""
+        domain = replace(self.domain, dt=dt)
+        return replace(self, substeps=substeps(self.physical_coefficients, dt), hold=hold, domain=domain)
 
     def changed(self, factors: np.ndarray) -> "Model":
         """Multiply the nominal coefficients by these factors, shape (n + 1,)."""
