@@ -3,7 +3,9 @@
 A message may quote a name from outside: `cleaned` takes out of it what a terminal would obey.
 """
 
+import sys
 import unicodedata
+from collections.abc import Sequence
 
 
 class BadInput(ValueError):
@@ -14,6 +16,27 @@ class ComputationFailed(RuntimeError):
     """The computation itself failed (diverged, order not identifiable): one line with advice (exit code 3)."""
 
 
+def refuse_traced(name: str, instead: str, *values: object) -> None:
+    """Refuse values that JAX traces: `name` runs on the host.
+
+    Raises:
+        BadInput: with the function to use under jit, vmap and grad.
+    """
+    jax = sys.modules.get("jax")  # where nothing has loaded JAX, nothing is traced
+    if jax is not None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)):
+        raise BadInput(f"{name} cannot be traced (jit, vmap, grad): use {instead} there")
+
+
 def cleaned(text: object) -> str:
     """A name from outside without what a terminal or a page would obey: control and format characters become `_`."""
     return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))
+
+
+def by_option(words: Sequence[str]) -> list[list[str]]:
+    """Words of a command line as options, each with its values."""
+    groups: list[list[str]] = []
+    for word in words:
+        if word.startswith("--") or not groups:
+            groups.append([])
+        groups[-1].append(word)
+    return groups

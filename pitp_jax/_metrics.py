@@ -11,8 +11,11 @@ counts has diverged: its error is infinite, not left out.
 
 import numpy as np
 
+from ._errors import refuse_traced
 
-def _counted(measured, mask) -> np.ndarray:
+
+def _counted(predicted, measured, mask) -> np.ndarray:
+    refuse_traced("an error of pitp", "its equation in jax.numpy", predicted, measured, mask)
     measured = np.asarray(measured, dtype=np.float64)
     counted = np.isfinite(measured)
     return counted if mask is None else counted & np.asarray(mask, dtype=bool)
@@ -36,7 +39,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
         >>> pitp.rmse(np.array([1.0, 2.0]), np.array([1.0, 4.0]))
         1.4142135623730951
     """
-    counted = _counted(measured, mask)
+    counted = _counted(predicted, measured, mask)
     error = np.asarray(predicted, dtype=np.float64)[counted]
     if error.size == 0:
         return float("nan")
@@ -65,7 +68,8 @@ def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
         >>> pitp.e_rms_percent(np.array([1.0, 2.0]), np.array([0.0, 2.0]))  # 100 sqrt(1/2) / 2
         35.35533905932738
     """
-    values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
+    counted = _counted(predicted, measured, mask)
+    values = np.asarray(measured, dtype=np.float64)[counted]
     return _percent(rmse(predicted, measured, mask), float(np.ptp(values)) if values.size else 0.0)
 
 
@@ -89,7 +93,8 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
         >>> pitp.nrmse_percent(np.zeros(4), np.array([1.0, -1.0, 1.0, -1.0]))
         100.0
     """
-    values = np.asarray(measured, dtype=np.float64)[_counted(measured, mask)]
+    counted = _counted(predicted, measured, mask)
+    values = np.asarray(measured, dtype=np.float64)[counted]
     # the deviation of equal numbers is not always 0 in floating point, and would divide by rounding
     return _percent(rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0)
 
@@ -127,7 +132,7 @@ def rmhe_percent(
         10.0
     """
     cycle = slice(None if samples_per_cycle is None else -int(samples_per_cycle), None)
-    counted = _counted(measured, mask)[cycle]
+    counted = _counted(reference, measured, mask)[cycle]
     across = np.asarray(measured, dtype=np.float64)[cycle][counted]
     up = np.asarray(reference, dtype=np.float64)[cycle][counted]
     if len(up) < 3 or np.ptp(up) == 0 or np.ptp(across) == 0:

@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from ._errors import BadInput
+from ._errors import BadInput, refuse_traced
 from ._invert.equation import invert_path
 from ._model.fitted import Fitted, model_of
 from ._model.model import Model
@@ -123,6 +123,7 @@ def sharded_rollout(
         >>> pitp.sharded_rollout(model, np.zeros((1, 64)), 1e-3, np.asarray(start), mesh).shape
         (1, 64, 2)
     """
+    refuse_traced("sharded_rollout", "rollout_scaled", model, voltage, start)
     model = model_of(model)
     dtype = model.coefficients.dtype
     batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
@@ -148,6 +149,7 @@ def sharded_inverse(
         >>> pitp.sharded_inverse(model, np.full((1, 64), 1e-3), 1e-3, mesh).shape
         (1, 64)
     """
+    refuse_traced("sharded_inverse", "inverse", model, displacement)
     model = model_of(model)
     # on the host, in float64: derivatives lose digits that float32 has not
     rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state

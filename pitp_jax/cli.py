@@ -252,6 +252,7 @@ def _parser() -> argparse.ArgumentParser:
     _simulate_arguments(command("simulate", "what a model does under voltages without a measurement"))
     _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
     _diagnose_arguments(command("diagnose", "where a model and records disagree, which missing effect causes it"))
+    _verify_arguments(command("verify", "the gap to a robot in MuJoCo, before and after its file was changed"))
     _adapt_arguments(command("adapt", "the same actuator on another day, from one short recording"))
     _export_arguments(command("export", "a model and its inverse as C, as an FMU or as MATLAB functions, for the rig"))
     info = command("info", "what a model file holds")
@@ -297,6 +298,10 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bo
         group.add_argument(
             f"--{option}", dest=f"{_READING}{name}", metavar=placeholder, type=kind, help=text,
         )  # fmt: skip
+    group.add_argument(
+        "--join", dest=f"{_READING}join", metavar="FILE", nargs="+", action="extend",
+        help="files with the other columns of the same rows (time, input and output in separate files)",
+    )  # fmt: skip
     if not target and not drive:
         group.add_argument(
             "--each", action="append", metavar="NAME=INPUT,OUTPUT", help="a joint of a log, once per joint; repeatable"
@@ -458,6 +463,33 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=_positive, metavar="S", help="limit of the run time; the best result so far is reported"
     )
     parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
+    group = parser.add_argument_group("MuJoCo file", "with --against, whose recordings were made with this file")
+    group.add_argument("--mjcf", metavar="XML", help="write a copy with the robot's numbers into the folder --out")
+    _joint_arguments(group)
+    _columns(parser)
+
+
+def _joint_arguments(parser) -> None:
+    parser.add_argument(
+        "--joint", action="append", metavar="NAME", help="whose motion was recorded; with --each once per joint"
+    )
+    parser.add_argument("--actuator", metavar="NAME", help="that was commanded, where several drive the joint")
+
+
+def _verify_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
+    parser.add_argument("--mjcf", required=True, metavar="XML", help="file with the robot's numbers")
+    parser.add_argument("--before", metavar="XML", help="the file as it was, to compare with")
+    _joint_arguments(parser)
+    parser.add_argument(
+        "--held-out",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="RECORDS",
+        help="recordings that the diagnosis did not use",
+    )
+    parser.add_argument("--out", metavar="DIR", help="write one CSV per record and a page here")
     _columns(parser)
 
 

@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from pitp_jax._diagnose.diagnosis import Diagnosis
+from pitp_jax._diagnose.gap import Gap
 from pitp_jax._diagnose.next_experiment import Experiment
-from pitp_jax._diagnose.result import Added, Gap, Ranked, Trace
+from pitp_jax._diagnose.parts import Part, Parts
+from pitp_jax._diagnose.result import Added, Ranked
+from pitp_jax._diagnose.traces import Trace
 from pitp_jax._effects import effect
 from pitp_jax._model import Fitted, Origin
 from pitp_jax._model.fitted import model_of
@@ -65,6 +68,12 @@ def budget(*named):
     return {k: {"share": v, "ci95": [v - 0.01, v + 0.01]} for k, v in parts.items()} | {"effects": effects}
 
 
+def part(effect, form, numbers, certainty="certain", **more):
+    """A part of the model that is handed back; `numbers`: value, unit and interval by name."""
+    told = {name: {"value": value, "unit": unit, "ci95": ci95} for name, (value, unit, ci95) in numbers.items()}
+    return Part(effect, form, told, 0.9, 0.97, certainty, **more)
+
+
 def explained(actuator):
     """An `explained` diagnosis by an electrode's lag, in mm."""
     model = replace(actuator, effects=(effect("electrode_rc", tau=0.012345),))
@@ -72,6 +81,7 @@ def explained(actuator):
         verdict="explained", effects=("electrode_rc",), equivalent=(), probability={"electrode_rc": 0.97},
         added=(Added("electrode_rc", "one lag", {"tau": {"value": 0.012345, "unit": "s", "stderr": 2.1e-4}}),),
         budget=budget(("electrode_rc", 0.9)), handed_back=("electrode_rc",),
+        parts=Parts((part("electrode_rc", "one lag", {"tau": (0.012345, "s", [0.01193, 0.01276])}),)),
         gap=Gap(8.0, 0.41, 8.0, 0.4, "a <band>", 0.995, (0.98, 1.0)),
         ranking=(
             candidate("electrode_rc", "one lag", {"tau": (0.012345, "s", 2.1e-4)}, 0.995),
@@ -104,6 +114,7 @@ def no_gap(found):
         model=model,
         added=(),
         handed_back=(),
+        parts=Parts(),
         budget=budget(),
     )
 
@@ -121,6 +132,7 @@ def unknown(found):
         model=model,
         added=(),
         handed_back=(),
+        parts=Parts(),
         budget=budget(),
-        notes=("no effect of the catalogue pays",),
+        reason="No effect in the catalogue improves the fit significantly.",
     )

@@ -73,6 +73,10 @@ def _under_load(x, last, s, p, a):
     return p.mu_avg * abs(g) * z + p.mu_dif * g * z**2
 
 
+def _beyond_limit(x, last, s, p, a):
+    return a[2] * last - np.clip(a[2] * last, -1 / p.inverse, 1 / p.inverse)
+
+
 def _quadratic(x, v, s, p, a, t):
     """Up to where the slope k (1 - 2 c x) is a tenth of k, and along that slope from there."""
     turn = 0.45 / p.c
@@ -202,6 +206,10 @@ EQUATIONS = {
     "softening: exponential": Equation(
         ((0.5,),), {2: 3e-4}, force=lambda x, v, s, p, a, t: a[0] * ((1 - np.exp(-p.b * x)) / p.b - x)
     ),
+    "softening: weight on an arm": Equation(
+        ((0.3, 0.8), (-0.3, 0.8)), {1: 1e-2, 2: 1e-3},
+        force=lambda x, v, s, p, a, t: a[0] * p.kappa * np.sin(p.curvature * x) / p.curvature,
+    ),
     "softening: gravity": Equation(
         ((0.8,),), {2: 4e-4}, force=lambda x, v, s, p, a, t: a[0] * (np.sin(p.curvature * x) / p.curvature - x)
     ),
@@ -271,6 +279,7 @@ EQUATIONS = {
     "coulomb_friction: bristles under load": Equation(
         ((0.2, 0.1, 0.05), (0.2, -0.1, 0.05)), {2: 4e-3}, **_STILL, rates=_dahl("give"), carried=_under_load
     ),
+    "force_limit: inside the loop": Equation(((3.0,),), {2: 2e-2}, carried=_beyond_limit),
     "slack: free fall": Equation(((1.5,),), {2: 2e-2}, limit=lambda acc, p: max(acc, -1 / p.inverse)),
     "electrode_rc: one lag": Equation(((0.02,),), {2: 1e-6}, **_lags((1.0,), "u")),
     "slew_limit: rate limit": Equation(((1e-4,),), {2: 5e-5}, **_slew(tau=False)),

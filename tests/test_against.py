@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax._against import page
 from pitp_jax._against.correction import corrections
 from pitp_jax._against.entry import simplest_model
 from pitp_jax._against.parameters import parameters
@@ -98,6 +99,20 @@ def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_type_in(si
     assert "17.5 ms" in line and "2.5 ms more" in line
 
 
+def test_coefficients_scaled_alike_are_a_position_gain_or_its_twin(simulator):
+    """A controller of twice the gain: Kp q + D q' + J q'' = Kp c has D / Kp and J / Kp halved."""
+    robot: Any = _robot(simulator, [], (1.0, 0.5, 0.505))
+    rows = {p.name: p for p in parameters(simulator, robot, recordings(), 20.0)}
+    gain = rows["position gain"]
+    assert gain.simulator == 20.0 and gain.robot == pytest.approx(40.0, rel=0.01) and gain.mujoco == "actuator kp"
+    assert "if the position gain is the simulator's" in rows["inertia"].words
+    ratio = {p.name: p for p in parameters(simulator, robot, recordings(), None)}["position gain"]
+    assert ratio.unit == "Kp" and ratio.robot == pytest.approx(2.0, rel=0.01)
+    for shift in ((1.0, 1.0, 0.5), (0.5, 0.5, 0.5), (1.0, 1.01, 1.0)):
+        other: Any = _robot(simulator, [], shift)
+        assert "position gain" not in {p.name for p in parameters(simulator, other, recordings(), 20.0)}
+
+
 @pytest.fixture(scope="module")
 def turning(simulator):
     """The simulator of a joint whose commands and angles are radians."""
@@ -116,6 +131,25 @@ def _rows(simulator, *effects):
     robot: Any = SimpleNamespace(model=replace(simulator, effects=tuple(made)), added=[], effects=names)
     records = [replace(r, voltage_unit="rad", displacement_unit="rad") for r in recordings()]
     return {p.name: p for p in parameters(simulator, robot, records, 20.0)}
+
+
+def test_numbers_that_help_are_in_the_headline_though_no_cause_is_certain():
+    gap = SimpleNamespace(before=5.28, after=0.1)
+    for handed_back, expected in ((("drag",), "from 5.3 % to 0.10 % of range; no single cause"), ((), "no effect of")):
+        found = object.__new__(SimToReal)
+        robot = SimpleNamespace(verdict="unknown", effects=(), handed_back=handed_back, gap=gap)
+        object.__setattr__(found, "robot", robot)
+        assert expected in page._headline(found)
+
+
+def test_a_hanging_arm_and_a_limit_of_the_drive_are_torques(turning):
+    """m g l = 1.2 N m and a limit of 2 N m of a joint with a position gain of 20 N m/rad."""
+    rows = _rows(turning, ("softening", "weight on an arm", 0.06, 1.0), ("force_limit", "inside the loop", 20 / 2.0))
+    assert rows["softening weight"].robot == pytest.approx(1.2, rel=1e-3)
+    assert rows["softening weight"].unit == "N m/rad"
+    limit = rows["force_limit inverse"]
+    assert (limit.robot, limit.unit, limit.mujoco) == (pytest.approx(2.0, rel=1e-3), "N m", "actuator forcerange")
+    assert limit.simulator == np.inf
 
 
 def test_a_body_on_a_spring_is_told_as_inertia_spring_and_damper(turning):

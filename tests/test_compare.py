@@ -252,6 +252,10 @@ def test_factors_of_adapt_and_parts_of_diagnoses_are_compared(linear, bounded):
     ]
     found = pitp.compare(*(_diagnosis(15.0, 0.2) | {"parts": p, "handed_back": ["delay"]} for p in parts))
     assert [r.what for r in found.different] == ["delay (pure): time"]
+    for part in parts:  # of two lower bounds no difference is known
+        part[0]["parameters"]["time"]["ci95"][1] = None
+    found = pitp.compare(*(_diagnosis(15.0, 0.2) | {"parts": p, "handed_back": ["delay"]} for p in parts))
+    assert not found.different
 
 
 def _diagnosis(value, stderr, verdict="explained"):

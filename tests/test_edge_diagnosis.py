@@ -118,9 +118,6 @@ def test_the_next_experiment_goes_no_farther_and_no_faster_than_what_was_played(
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="the gap of a long record is that of the pieces that were searched, not of the whole", strict=True
-)
 def test_a_long_record_is_diagnosed_to_its_end():
     """300,000 samples, a resonance that the sweep reaches in the last sixth: the gap is that of the whole record."""
     rate, hz = 10_000.0, 50.0

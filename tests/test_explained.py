@@ -46,7 +46,13 @@ def test_a_plant_at_rest_in_its_loop_determines_no_model():
     """The controller reacts to the noise of the sensor, which is all that moves."""
     noise = 1e-6 * np.random.default_rng(2).standard_normal(len(TIME) + 1)
     found = _identified(noise[1:], 1e6 * np.diff(noise))
-    assert "determine no model" in str(found.warning)
+    assert not found.explains and "controller holds the plant in place" in str(found.warning)
+
+
+def test_noise_that_the_input_does_not_follow_is_a_warning():
+    noise = 0.5 * np.random.default_rng(2).standard_normal(len(TIME))
+    found = _identified(0.3 * _moved(_levels(0)) + noise, _levels(0))
+    assert "larger excitation" in str(found.warning) and "controller" not in str(found.warning)
 
 
 @pytest.mark.parametrize("other", [0.0, 6.0])

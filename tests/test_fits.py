@@ -53,7 +53,7 @@ def test_out_of_fold_no_record_is_seen_by_its_own_fit(stiff):
     slots[INDEX[GENT]] = 0.3
     start = Fit(("spring",), (GENT, "a0"), slots, stiff.starts.copy())
     (whole,) = fitter.fit([start.again()], 15)
-    (rows,) = fitter.refitted_without([whole], 6)
+    (rows,), _ = fitter.refitted_without([whole], 6)
     (alone,) = fitter.fit([start.again(fold=0)], 15)
     ((_, residuals, _),) = fitter.evaluate([alone], [alone.slots], everything=True)
     for k in stiff.folds[0]:
@@ -97,10 +97,10 @@ def test_a_refused_step_does_not_leave_a_fold_where_it_has_seen_what_it_is_judge
     """The first moves of every fold are thrown far off: what it ends at is its own optimum all the same."""
     fitter, slots = Fitter(stiff), stiff.nominal.copy()
     (whole,) = fitter.fit([Fit((), ("a0",), slots, stiff.starts.copy())], 6)
-    (wanted,) = fitter.refitted_without([whole], 3)
+    (wanted,), _ = fitter.refitted_without([whole], 3)
     move = Fitter._move
     monkeypatch.setattr(Fitter, "_move", lambda self, fit: move(self, fit) + (3.0 if fit.damping < 0.05 else 0.0))
-    (found,) = fitter.refitted_without([whole], 3)
+    (found,), _ = fitter.refitted_without([whole], 3)
     for rows, other, seen in zip(found, wanted, whole.residuals, strict=True):
         apart = np.nanmax(np.abs(rows - other))
         assert apart < 0.2 * np.nanmax(np.abs(other - seen))
@@ -203,7 +203,7 @@ def test_the_start_of_a_single_record_is_no_part_of_what_its_first_block_is_judg
     assert case.blocks and case.series[0].begins == "moving"
     fitter = Fitter(case)
     (plain,) = fitter.fit([Fit((), (), case.nominal.copy(), case.starts.copy())], 0)
-    ((rows,),) = fitter.refitted_without([plain], 0)
+    ((rows,),), _ = fitter.refitted_without([plain], 0)
     np.testing.assert_allclose(rows, plain.residuals[0], atol=1e-9)
 
 

@@ -6,12 +6,15 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
+import optax
 import pytest
 from jax.sharding import PartitionSpec
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax import excitation
 from pitp_jax._effects import effect
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.encoder import AdaptedEncoder, PaperEncoder
@@ -61,6 +64,48 @@ def test_parameters_are_the_inexact_leaves(trained):
     assert names(eqx.filter(elapsed.memory, eqx.is_inexact_array)) == []
 
 
+@pytest.mark.slow
+def test_a_plain_optax_loop_is_as_good_as_one_with_parts_picked_by_hand():
+    """A virtual cone, whose creep and electrode the linear model lacks; 20 steps of Adam on all inexact leaves."""
+    cone, rate = pitp.plant("cone100"), 250.0
+    sines = [excitation.sine(hz, 3.0, rate, 1500.0, 1500.0) for hz in (1.0, 3.0)]
+    sweep = pitp.record(cone, "sweep", *excitation.sweep(0.5, 12.0, 8.0, rate, 1500.0, 1500.0), seed=0)
+    nominal = pitp.identify([sweep], order=2, hold="foh").model.model
+    records = [pitp.record(cone, str(k), *wave, seed=0) for k, wave in enumerate(sines)]
+    u = jnp.stack([jnp.asarray(r.voltage, jnp.float32) for r in records])
+    x = jnp.stack([jnp.asarray(nominal.output.to_model(r.displacement), jnp.float32) for r in records])
+    model = replace(
+        nominal,
+        drive=ElectrodeLag(jnp.asarray(np.log(2e-3), jnp.float32)),
+        effects=(effect("creep", kappa=0.02, tau=0.5),),
+    )
+    spec = jax.tree.map(lambda _: False, model)
+    by_hand = eqx.tree_at(
+        lambda m: (m.coefficients, m.drive.log_tau, m.effects[0].kappa, m.effects[0].tau), spec, (True,) * 4
+    )
+
+    @eqx.filter_jit
+    @eqx.filter_value_and_grad
+    def error(params, static):
+        runs = jax.vmap(lambda v: pitp.free_run(eqx.combine(params, static), v))(u)
+        return 100 * jnp.sqrt(jnp.mean((runs - x) ** 2 / jnp.ptp(x, axis=1, keepdims=True) ** 2))
+
+    def loop(chosen):
+        params, static = eqx.partition(model, chosen)
+        optimiser, values = optax.adam(1e-2), []
+        state = optimiser.init(params)
+        for _ in range(20):
+            value, grads = error(params, static)
+            updates, state = optimiser.update(grads, state)
+            params = eqx.apply_updates(params, updates)
+            values.append(float(value))
+        return values
+
+    plainly, picked = loop(eqx.is_inexact_array), loop(by_hand)
+    np.testing.assert_allclose(plainly, picked, rtol=1e-4)
+    assert plainly[-1] < 0.85 * plainly[0]
+
+
 def test_free_run_is_the_equations_solution(plain):
     u = volts()
     truth = lsim(([1.0], plain.physical_coefficients[::-1]), u**2, TIME)[1]
@@ -100,6 +145,44 @@ def test_a_reversed_sensor_changes_nothing_behind_a_square_and_the_sign_behind_a
     x = pitp.free_run(straight, volts())
     np.testing.assert_array_equal(pitp.free_run(turned, volts()), -x)
     np.testing.assert_allclose(pitp.inverse(turned, -x)[0], pitp.inverse(straight, x)[0])
+
+
+@pytest.mark.slow
+def test_readings_of_the_sensor_are_as_good_as_the_displacement(linear, double):
+    """zero="sensor" takes offset and direction out; a number is the reading at 0 V of a sensor with direction +1."""
+    with jax.enable_x64(True):
+        model = double(linear(2, HZ, dt=DT, offset=3e-4, polarity=-1.0))
+        x = 1e-4 * np.sin(np.pi * TIME) ** 4
+        truth = pitp.inverse(model, x)[0]
+        np.testing.assert_allclose(pitp.inverse(model, 3e-4 - x, zero="sensor")[0], truth, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(pitp.inverse(model, x + 3e-4, zero=3e-4)[0], truth, rtol=0, atol=1e-3)
+        found = pitp.residual(model, truth, 3e-4 - x, zero="sensor")
+        assert np.abs(found)[60:-60].max() < 1e-3
+
+
+REFUSED = {
+    "rollout": ("free_run", lambda m, u: pitp.rollout(m, u)),
+    "predict": ("free_run", lambda m, u: pitp.predict(m, [])),
+    "feedforward": ("inverse", lambda m, u: pitp.feedforward(m, pitp.Target(TIME, 0 * TIME)).voltage),
+    "Target": ("inverse", lambda m, u: pitp.Target(TIME, u).displacement),
+    "Record": ("free_run or residual", lambda m, u: pitp.Record("a", TIME, u, u).voltage),
+    "sharded_inverse": ("inverse", lambda m, u: pitp.sharded_inverse(m, u[None], DT, pitp.records_mesh())),
+    "sharded_rollout": ("rollout_scaled", lambda m, u: pitp.sharded_rollout(m, u[None], DT, u, pitp.records_mesh())),
+    "invert_stream": ("inverse", lambda m, u: list(pitp.invert_stream(m, [u], DT))[0].voltage),
+    "error": ("jax.numpy", lambda m, u: pitp.e_rms_percent(u, u)),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_runs_on_the_host_names_the_function_to_trace(plain, name):
+    instead, function = REFUSED[name]
+    arrays, static = eqx.partition(plain, eqx.is_inexact_array)
+    jaxtyping.config.update("jaxtyping_disable", True)  # the suite's own checks of types would refuse it first
+    try:
+        with pytest.raises(pitp.BadInput, match=f"{name}.*cannot be traced.*use .*{instead}"):
+            jax.make_jaxpr(lambda arrays, u: function(eqx.combine(arrays, static), u))(arrays, volts())
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def test_memories_are_lags_of_the_displacement(trained):

@@ -106,3 +106,16 @@ def test_a_voltage_needs_two_rows(tmp_path):
     (tmp_path / "a.csv").write_text("time_s,voltage_V\n0,0\n")
     with pytest.raises(BadInput, match="at least 2"):
         read_voltage(tmp_path / "a.csv")
+
+
+def test_seconds_since_1970_need_no_unit(tmp_path):
+    """Steps of 0.2 may be ms; a second clock that agrees and counts from 1970 shows that they are seconds."""
+    steps = 0.2 * np.arange(len(TIME))
+    rows = [f"{1.6e9 + t:.3f},{t:.1f},{row.split(',', 1)[1]}" for t, row in zip(steps, ROWS, strict=True)]
+    names = "abstime,reltime,voltage_V,displacement_mm\n"
+    (tmp_path / "a.csv").write_text(names + "\n".join(rows))
+    (record,) = read(tmp_path / "a.csv")
+    assert record.dt == pytest.approx(0.2, rel=1e-5)
+    (tmp_path / "a.csv").write_text(names[8:] + "\n".join(row.split(",", 1)[1] for row in rows))
+    with pytest.raises(BadInput, match="--time-unit"):
+        read(tmp_path / "a.csv")

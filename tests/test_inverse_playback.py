@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from pitp_jax import BadInput, Feedforward, Target
-from pitp_jax._invert.playback import at_faster_rate, at_rate_of_model, at_slower_rate
+from pitp_jax import BadInput, Feedforward, Target, feedforward
+from pitp_jax._invert.limits import Limits
+from pitp_jax._invert.playback import at_faster_rate, at_slower_rate
+from pitp_jax._invert.target_path import at_rate_of_model, extend
 
 TIME = -0.3 + 1e-3 * np.arange(1301)
 
@@ -53,3 +55,28 @@ def test_way_points_are_met_and_joined_smoothly_on_the_clock_of_the_model(count,
     assert made.dt <= 0.0049 * 1.01 and made.time[-1] == time[-1]
     np.testing.assert_allclose(made.displacement, made.time**power - made.time, atol=1e-12)
     assert at_rate_of_model(made, 0.0049) is made and at_rate_of_model(made, 0.1) is made
+
+
+def test_the_plan_of_way_points_is_that_of_their_spline(linear):
+    model, time = linear(2), 0.1 * np.arange(8)
+    target = Target(time, 1e-3 * np.sin(4 * time) ** 2)
+    found = feedforward(model, target, shots=0, max_voltage=5000, max_slew=1e7)
+    fine = feedforward(model, at_rate_of_model(target, 1e-3), shots=0, max_voltage=5000, max_slew=1e7)
+    np.testing.assert_array_equal(found.voltage, fine.voltage)
+    (told,) = set(found.warnings) - set(fine.warnings)
+    assert "every 0.1 s, coarser than the model's 0.001 s: joined by a cubic spline" in told
+
+
+@pytest.mark.parametrize(("order", "damping"), [(2, 0.05), (2, 0.3), (2, 1.2), (3, 0.3), (3, 1.2)])
+def test_the_way_to_a_held_displacement_asks_no_more_than_that_does(linear, order, damping):
+    """The force of the ODE on the way in, by difference quotients, lies between 0 and the force at its end."""
+    model, dt = linear(order, damping=damping), 1e-3
+    path = extend(np.full(800, 1e-3), dt, model, Limits(0.0, 1e4, 1e9))
+    lead = path.displacement[: path.target.start + 20]
+    force, state = np.zeros_like(lead), lead
+    for a in np.asarray(model.physical_coefficients):
+        force, state = force + a * state, np.gradient(state, dt)
+    force = force[order:-order] / (float(model.physical_coefficients[0]) * 1e-3)
+    assert path.reached and path.slew_kept
+    assert force[-1] == pytest.approx(1, abs=1e-6)
+    assert -0.02 < force.min() and force.max() < 1.04

@@ -22,8 +22,18 @@ from pitp_jax._effects import CATALOGUE
 from pitp_jax._model_file import model_file
 from pitp_jax.cli import _parser, main
 
-LONG = ("README.md", "docs/start.md", "docs/which_recordings.md", "docs/my_rig_disagrees.md", "docs/another_day.md")
-HEAVY = ("demo", "fit", "diagnose", "plan", "check", "adapt", "export")  # their examples run with the tutorials
+TUTORIALS = ("start", "which_recordings", "my_rig_disagrees", "another_day", "research")
+LONG = ("README.md", *(f"docs/{name}.md" for name in TUTORIALS))
+HEAVY = (
+    "demo",
+    "fit",
+    "diagnose",
+    "plan",
+    "check",
+    "adapt",
+    "export",
+    "verify",
+)  # their examples run with the tutorials
 
 
 def named(page: Path) -> str:
@@ -60,7 +70,8 @@ def demo(tmp_path_factory):
     shutil.copytree(root / "demo" / "held_out", root / "monday")
     for name in ("records/sweep.csv", "target.csv", "model.pitp"):
         shutil.copy(root / "demo" / name, root / Path(name).name)
-    joint.write(root, quick=True)
+    for folder in (root, root / "demo"):
+        joint.write(folder, quick=True)
     return root
 
 
@@ -140,6 +151,8 @@ def test_examples_run(command, small, tmp_path, monkeypatch):
 def test_long_examples_run(command, demo, tmp_path, monkeypatch):
     if command == EXAMPLES["demo"][0]:
         pytest.skip("run by the fixture")
+    if command in EXAMPLES["verify"]:
+        pytest.importorskip("mujoco")
     example(command, demo, tmp_path, monkeypatch)
 
 

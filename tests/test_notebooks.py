@@ -20,5 +20,5 @@ def test_a_notebook_runs_and_was_stored_with_its_results(path):
     client.NotebookClient(book, timeout=300, kernel_name="python3").execute()
 
 
-def test_there_is_one_for_a_laboratory_and_one_for_a_robot():
-    assert [path.stem for path in NOTEBOOKS] == ["laboratory", "robot"]
+def test_there_is_one_for_a_laboratory_one_for_research_and_one_for_a_robot():
+    assert [path.stem for path in NOTEBOOKS] == ["laboratory", "research", "robot"]

@@ -7,14 +7,14 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from diagnosis_cases import budget, candidate, no_gap, tied
+from diagnosis_cases import budget, candidate, no_gap, part, tied
 from matplotlib import rcParams
 
 from pitp_jax._diagnose import rules
+from pitp_jax._diagnose.parts import Parts
 from pitp_jax._diagnose.pieces import Piece
 from pitp_jax._diagnose.report import figures, formatting
 from pitp_jax._diagnose.report.page import report
-from pitp_jax._diagnose.result import Added
 from pitp_jax._table.quantity import Units
 
 
@@ -62,7 +62,8 @@ def test_the_first_screen_answers_which_where_and_how_far(explained):
     screen = text[: text.index("The gap at a glance")]
     assert "explained by electrode_rc" in screen
     assert formatting.plain_words("electrode_rc", Units()) in screen.lower()
-    assert "tau = 12.3 ± 0.2 ms" in screen
+    assert "reduces the error on held-out recordings from 8.0 % to 0.41 % of range" in screen
+    assert "tau = 12.3 ms (11.9 to 12.8)" in screen and "certain" in screen
     assert "8.0 % to 0.41 % of range" in screen
     assert "99.5 % of the closable gap is closed (95 % interval 98 % to 100 %)" in screen
     assert "The model's own error: 0.40 % of range (a <band>)" in screen
@@ -84,13 +85,13 @@ def test_tables_hold_every_candidate_and_every_recording(tied):
     assert "4.20·10⁷ V² s²/m²" in text
     for trace in tied.traces:
         assert f"{trace.name}{'held out' if trace.heldout else 'fitted'}2000" in text
-    assert page.tags.count("table") == 2
+    assert page.tags.count("table") == 3
 
 
 def test_pieces_of_a_long_set_are_listed(tied):
     cut = (Piece("sine2", 12.5, 40.0), Piece("sine&4", 0.0, 27.5))
     page, text = read(replace(tied, pieces=cut))
-    assert page.tags.count("table") == 3
+    assert page.tags.count("table") == 4
     assert "sine212.540" in text
     assert tied.as_json()["pieces"] is None
     told = replace(tied, pieces=cut).as_json()["pieces"]
@@ -107,15 +108,15 @@ def test_ties_are_said_first_and_come_with_an_experiment(tied):
 
 
 def test_two_effects_are_both_told_with_their_own_numbers(explained):
-    limit = Added("stiffening", "limited chain", {"curvature": {"value": 250.0, "unit": "1/m", "stderr": 1.0}})
+    limit = part("stiffening", "limited chain", {"curvature": (250.0, "1/m", [248.0, 252.0])})
     both = replace(
-        explained, effects=("electrode_rc", "stiffening"), added=(*explained.added, limit),
+        explained, effects=("electrode_rc", "stiffening"), parts=Parts((*explained.parts, limit)),
         budget=budget(("electrode_rc", 0.5), ("stiffening", 0.4)), verdict="partly",
     )  # fmt: skip
     _, text = read(both)
     assert "The gap is partly explained by electrode_rc and stiffening" in text
     assert "Adding them takes" in text and "no name is sure for it" in text
-    assert "limit = 4.000 ± 0.016 mm" in text
+    assert "limit = 4.000 mm (3.968 to 4.032)" in text
     assert "electrode_rc + stiffening" in text and "stiffening: 40 %" in text
 
 
@@ -129,19 +130,21 @@ def test_no_gap_reads_as_good_news(no_gap):
 def test_a_changed_coefficient_is_an_explanation_of_its_own(explained):
     row = candidate("parameter_change", "refitted coefficients", {"a_1 over given": (1.28, "1", 0.004)}, 0.99)
     model = replace(explained.model, effects=())
+    moved = part("parameter_change", "refitted coefficients", {"a_1 over given": (1.28, "1", [1.272, 1.288])})
     change = replace(
-        explained, effects=("parameter_change",), ranking=(row,), shift=np.array([1.0, 1.28, 1.0]), model=model
-    )
+        explained, effects=("parameter_change",), ranking=(row,), shift=np.array([1.0, 1.28, 1.0]), model=model,
+        parts=Parts((moved,)),
+    )  # fmt: skip
     _, text = read(change)
     assert "own coefficients have changed" in text
-    assert "a1 (damping): × 1.280 ± 0.004" in text
+    assert "damping (a1) = × 1.280 (1.272 to 1.288)" in text
 
 
 def test_unknown_names_nothing_but_says_what_was_near_and_why(unknown):
     _, text = read(unknown)
-    assert "Unknown: there is a gap, and no name in the catalogue is sure" in text
+    assert "Unknown: there is a gap, and no single cause is certain" in text
     assert "No name is sure" in text and "electrode_rc: closes 1 %" in text
-    assert "No effect of the catalogue pays" in text and "explained by" not in text
+    assert "No effect in the catalogue improves the fit significantly" in text and "explained by" not in text
 
 
 @pytest.mark.slow

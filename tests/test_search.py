@@ -22,7 +22,7 @@ def bare_search() -> Any:
     """A search without a case, in which a residual's size is its error."""
     search: Any = object.__new__(Search)
     search.every, search.waiting, search._climbed, search.exclude = {}, {}, set(), set()
-    search.samples, search.budget = SAMPLES, Budget()
+    search.samples, search.budget, search.refit = SAMPLES, Budget(), False
     search.weigh = lambda rows: evidence(rows, np.zeros(1))
     search.labels = lambda fit: fit.names
     return search

@@ -83,7 +83,8 @@ def test_a_step_response_does_not_damp():
 NUMBERS = {
     "stiffening: cubic": (0.3,), "stiffening: limited chain": (0.4,), "stiffening: polynomial": (0.1, 0.1, 0.02),
     "softening: quadratic": (0.1,), "softening: saturating": (0.6,), "softening: exponential": (0.4,),
-    "softening: gravity": (0.9,), "softening: root": (0.4,), "mullins: exponential": (0.2, 0.4),
+    "softening: gravity": (0.9,), "softening: root": (0.4,),
+    "softening: weight on an arm": (0.3, 0.9), "mullins: exponential": (0.2, 0.4),
     "end_stop: above": (4.0, 0.5), "end_stop: below": (4.0, 0.05), "end_stop: each side": (4.0, 0.5, 0.1),
     "creep: one branch": (0.3, 0.5), "relaxation: one branch": (0.3, 0.05), "hysteresis: plays": (0.5, 0.1),
     "hysteresis: Dahl": (0.4, 0.2), "hysteresis: Bouc-Wen, either sign": (0.4, 0.2, -0.5),
@@ -92,6 +93,7 @@ NUMBERS = {
     "coulomb_friction: loaded by spring and mass": (0.05, 0.1),
     "coulomb_friction: smooth": (0.05, 0.016), "coulomb_friction: Stribeck": (0.05, 0.5, 0.16),
     "coulomb_friction: bristles under load": (0.2, 0.1, 0.05),
+    "force_limit: inside the loop": (3.0,),
     "slack: free fall": (1.1,), "electrode_rc: one lag": (0.02,), "slew_limit: rate limit": (5e-5,),
     "voltage_clip: hard": (1 / 900,), "dead_zone: symmetric": (80.0,), "voltage_offset: constant": (60.0,),
     "delay: pure": (0.0073,), "charge_leak: one trap": (0.2, 0.5), "charge_retention: one store": (0.2, 0.5),

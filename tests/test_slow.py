@@ -133,7 +133,7 @@ def test_slopes_are_those_of_the_residuals(nominal, records, double):
     memory = FadingMemory(jnp.log(jnp.asarray([0.3, 5.0, 30.0], jnp.float32)))
     data = build_dataset(nominal.model, records, scaling="rms", difference="stencil", memory=lambda states: memory)
     settings = replace(PRESETS["default"], memories=3, width=4)
-    model = with_encoder(data, settings, jax.random.key(1))
+    model = with_encoder(data, settings, None, jax.random.key(1))
     balance = some(creep_balance.slow_balance(data.model, some(nominal.origin.long_record), data.region))
     rng = np.random.default_rng(0)
     start = parameters(model)[0]

@@ -17,6 +17,8 @@ from pitp_jax._effects import CATALOGUE
 from pitp_jax._errors import BadInput
 from pitp_jax._model.fitted import Fitted
 from pitp_jax._model.origin import Origin
+from pitp_jax._model_file import descended, load, save
+from pitp_jax._model_file.lineage import was_made_from
 from pitp_jax._record.excitation_kind import kind
 
 DRAG = "drag: quadratic, c"
@@ -126,3 +128,18 @@ def test_notes_are_in_the_words_and_in_the_file(nominal):
     found = pitp.diagnose(known, [*play(nominal, seed=7), resting("rest", 2e-6)], exclude=OTHERS)
     assert found.verdict == "no_gap" and "rest" not in (*found.fitted, *found.heldout)
     assert "note: left out" in str(found) and json.loads(json.dumps(found.as_json()))["notes"] == list(found.notes)
+
+
+def test_a_model_is_known_to_be_made_from_its_own_recordings(linear, tmp_path):
+    """Sums of files, whatever part of them was read, and of samples; through a file, and behind a later step."""
+    time = np.arange(200) / 100
+    memory = pitp.Record("a", time, np.ones(200), np.sin(time))
+    (tmp_path / "b.csv").write_text("time_s,voltage_V,displacement_m\n0,1,2\n")
+    file = pitp.Record("b", time, np.ones(200), np.cos(time), source=str(tmp_path / "b.csv"))
+    other = replace(memory, displacement=memory.displacement + 1e-9)
+    made = descended(descended(linear(), "identify", [memory]), "adapt", [file])
+    save(tmp_path / "model", made)
+    made = load(tmp_path / "model")
+    part = replace(file, time=time[::2], voltage=np.ones(100), displacement=np.cos(time[::2]))
+    assert was_made_from(made, [memory, part]) and was_made_from(made, [part])
+    assert not was_made_from(made, [memory, other]) and not was_made_from(linear(), [memory])

@@ -28,7 +28,7 @@ _PART = 0.1  # of the gap's rms, below which the model of the simulator is not a
 
 @overload
 def diagnose(
-    model: Model | Fitted, records: Sequence[Record], *, refit_nominal: bool = ..., exclude: Sequence[str] = ...,
+    model: Model | Fitted, records: Sequence[Record], *, refit_nominal: bool | None = ..., exclude: Sequence[str] = ...,
     seconds: float = ..., progress: Callable[[str], None] = ..., mesh: Mesh | None = ...,
 ) -> Diagnosis: ...  # fmt: skip
 
@@ -41,7 +41,7 @@ def diagnose(
 
 
 def diagnose(
-    model, records=None, *, against=None, position_gain=None, refit_nominal=False, exclude=(), seconds=np.inf,
+    model, records=None, *, against=None, position_gain=None, refit_nominal=None, exclude=(), seconds=np.inf,
     progress=lambda line: None, mesh=None,
 ):  # fmt: skip
     """Find what is missing between a model, or a simulator, and real recordings.
@@ -56,6 +56,7 @@ def diagnose(
         against: recordings of a simulator, paired by their commands; another rate and another clock are fine.
         position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
         refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
+            None: where the nominal was made from the very recordings given.
         exclude: names left out of the catalogue.
         seconds: of computing; then the best so far is handed back, and `notes` lists what was not tried.
         progress: called with one line per step.
@@ -100,13 +101,13 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     simulator = None
     if own > _PART * gap:
         say("diagnosing the simulator's own recordings")
-        simulator = diagnose_model(nominal, simulated, **options)
+        simulator = diagnose_model(nominal, simulated, refit_nominal=False, **options)
         if simulator.interrupted:  # there is no result about the robot yet
             raise KeyboardInterrupt
         nominal = simulator.model
         own = simulator.gap.after
     say("diagnosing the robot's recordings")
-    robot = diagnose_model(nominal, real, **options)
+    robot = diagnose_model(nominal, real, refit_nominal=False, **options)
     robot_gap = max(robot.gap.before, 1e-12)
     share = min((own / robot_gap) ** 2, 1.0)
     say("correction signals")

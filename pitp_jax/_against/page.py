@@ -7,7 +7,7 @@ from .._compare.page import overlay
 from .._report import html
 from .._report.html import tag
 from .._report.lines import DRIVE, finish, line, own_axes
-from .._report.numbers import figure, percent, shown_unit, with_error
+from .._report.numbers import figure, of_range, percent, shown_unit, with_error
 from .._table.units import from_base
 from .result import SimToReal
 
@@ -33,7 +33,12 @@ def _headline(found: SimToReal) -> str:
     lacking = [e.replace("_", " ") for e in found.effects if e != "parameter_change"]
     said = [f"lacks {' and '.join(lacking)}"] if lacking else []
     said += ["has other numbers"] if len(lacking) < len(found.effects) else []
-    return f"The simulator {', and '.join(said) or 'and the robot differ, by what is not known yet'}"
+    if said:
+        return f"The simulator {', and '.join(said)}"
+    if found.robot.handed_back:
+        before, after = (of_range(e) for e in (found.robot.gap.before, found.robot.gap.after))
+        return f"The numbers below reduce the difference from {before} to {after} of range; no single cause is certain"
+    return "The simulator and the robot differ, and no effect of the catalogue reduces the difference"
 
 
 def _first(found: SimToReal) -> list[str]:

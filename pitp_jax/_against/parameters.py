@@ -51,8 +51,12 @@ class Names:
     urdf: str = "-"
 
 
+_ALIKE = 0.05  # of a coefficient: changes that differ by less are one change of the position gain
+_SCALED_BY_GAIN = ("damping", "inertia")
+
 _NAMES = {
     "gain": Names("steady output per command"),
+    "position gain": Names("position gain of the controller", "actuator kp", "stiffness of the drive", "-"),
     "stiffness": Names("spring", "joint stiffness"),
     "damping": Names("viscous damping", "joint damping", "viscousFrictionCoefficient", "dynamics damping"),
     "inertia": Names("inertia", "joint armature", "armature"),
@@ -79,6 +83,7 @@ _NAMES = {
     # behind a linear joint the two lags are one: either may be typed in
     "sensor_lag tau": Names("lag of the sensor, or of the drive", 'actuator dyntype="filter" dynprm'),
     "slew_limit inverse": Names("largest rate of the command", "rate of ctrl", "velocity limit", "limit velocity"),
+    "force_limit inverse": Names("largest force of the drive", "actuator forcerange", "max effort", "limit effort"),
     "voltage_clip inverse": Names("largest command", "actuator ctrlrange", "clip of the target"),
     "dead_zone level": Names("dead zone of the command"),
 }
@@ -156,16 +161,41 @@ def parameters(
     fitted = {a.effect: a.parameters for a in robot.added}
     first, second = _side(nominal, of, held[0], {}), _side(robot.model, of, held[1], fitted)
     said, rows = {*robot.effects, *(e.name for e in nominal.effects)}, []
+    gain = position_gain_factor(nominal, robot.model, of)
+    if gain is not None:
+        value, names = of.factor, _NAMES["position gain"]
+        unit = f"{of.force}/{of.output}" if position_gain is not None else "Kp"
+        rows.append(Parameter(
+            "position gain", names.words, value, value * gain, value * (gain - 1), None, unit, names.mujoco,
+            names.physx, names.urdf, bool(said & {"parameter_change", "added_mass"}),
+        ))  # fmt: skip
     for key in dict.fromkeys([*first, *second]):
         it = second.get(key) or first[key]
         absent = np.inf if key.endswith("inverse") else 0.0  # a limit that is not there
         sim, real = (side[key].value if key in side else absent for side in (first, second))
         names = _NAMES.get(key) or Names(key.replace(" ", ": ", 1).replace("_", " "))
+        if gain is not None and key in _SCALED_BY_GAIN:
+            names = replace(names, words=f"{names.words}, if the position gain is the simulator's")
         rows.append(Parameter(
             key, names.words, float(sim), float(real), float(real - sim if np.isfinite(sim) else real), it.stderr,
             "" if it.unit == "1" else it.unit, names.mujoco, names.physx, names.urdf, bool(said & it.causes),
         ))  # fmt: skip
     return tuple(rows)
+
+
+def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Units) -> float | None:
+    """Return the robot's position gain over the simulator's where that alone explains all changed coefficients.
+
+    Kp q + D q' + J q'' = Kp c:  Kp times g leaves the steady output as it is and divides D / Kp and J / Kp by g. No
+    recording of commands and angles separates that from a damping and an inertia that are both smaller.
+    """
+    a, b = nominal.physical_coefficients, robot.physical_coefficients
+    if not of.position or len(a) != len(b) or min(*a, *b) <= 0:
+        return None
+    logs = np.log(b / a)
+    size = -float(np.mean(logs[1:]))
+    alike = np.abs(logs[0]) < _ALIKE and np.ptp(logs[1:]) < _ALIKE < abs(size)
+    return float(np.exp(size)) if alike else None
 
 
 @dataclass(frozen=True)
@@ -246,6 +276,8 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
         weight = a[0] * told["curvature"][0] ** 2
         yield "softening weight", share(weight, 0, "curvature", "curvature")
         yield "stiffness", share(-weight, 0, "curvature", "curvature")
+    elif (effect.name, effect.form) == ("softening", "weight on an arm"):
+        yield "softening weight", share(a[0] * told["kappa"][0] / told["curvature"][0], 0, "kappa")
     elif effect.name == "second_mode" and "kappa" in told and len(a) > 2:
         spring, omega, zeta = a[0] * told["kappa"][0], told["omega"][0], told["zeta"][0]
         yield "second_mode inertia", share(spring / omega**2, 2, "kappa", "omega", "omega")
@@ -258,6 +290,8 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
             if p.name == "inverse":  # stored so that 0 is "no limit"; told as the limit
                 error = None if error is None or not value else error / value**2
                 value, unit = 1 / value if value else np.inf, of.command + ("/s" if unit.startswith("s") else "")
+                if p.force:  # a limit of the drive's force
+                    value, unit, error = of.factor * value, of.force, error and of.factor * error
             elif p.force == 1:  # not by its unit: a backlash in rad is no command in rad
                 value, unit, error = of.factor * value, of.force, None if error is None else of.factor * error
             side = f", {effect.form}" if effect.form in ("above", "below") else ""

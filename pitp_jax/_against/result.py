@@ -75,7 +75,8 @@ class SimToReal:
 
     def lines(self) -> list[str]:
         """The table of parameters that differ, and what a user should know, in sentences."""
-        found = []
+        gain = next((p for p in self.parameters if p.name == "position gain"), None)
+        found = [] if gain is None else [self._gain_line(gain.robot / gain.simulator)]
         for p in self.parameters:
             if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
                 error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
@@ -95,6 +96,12 @@ class SimToReal:
                 f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the model of the simulator itself."
             )
         return [*found, *self.pairs.remarks("robot", "simulator")]
+
+    def _gain_line(self, factor: float) -> str:
+        """State that a position gain explains all changed coefficients, with its twin."""
+        names = [p.name for p in self.parameters if p.name in ("damping", "inertia")]
+        twin = " and ".join(f"{name} x {number(1 / factor, 3)}" for name in names)
+        return f"position gain x {number(factor, 3)} (or {twin}): these recordings do not separate the two"
 
     def __repr__(self) -> str:
         """Verdict and parameters, at most ten lines."""

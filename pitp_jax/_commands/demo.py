@@ -59,6 +59,7 @@ def _joint(out: str, quick: bool, json_file: str | None) -> None:
     print(
         f"  pitp diagnose {out}/{joint.ROBOT} --against {out}/{joint.SIMULATED} --position-gain {joint.POSITION_GAIN:g}"
     )
+    print(f"{out}/{joint.SIMULATOR_FILE} is the simulator as a MuJoCo file (pitp diagnose --mjcf, pitp verify)")
 
 
 def _check_recordings(out: Path, names: set[str]) -> None:

@@ -1,6 +1,7 @@
 """`pitp diagnose`: where recordings and a model, or a simulator, disagree, which missing effect causes it, how far."""
 
 import os
+import shlex
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,9 @@ from .._diagnose.report.answers import NEXT_CSV
 from .._diagnose.report.figures import FIGURES, figures
 from .._diagnose.report.page import report
 from .._errors import BadInput
+from .._mjcf import write_mjcf
+from .._mjcf.document import read_document
+from .._mjcf.joint import joint_of
 from .._model_file.lineage import descended
 from .._model_file.model_file import save
 from .._record.writing import write_csv, write_text_atomic
@@ -27,28 +31,34 @@ from .console import StatusLine, number, print_table, say
 from .ours import check_replaceable
 from .outputs import REPORT, check_outputs, staged, write_json
 from .recordings import open_both, read_records, warn
+from .verify import one_joint
 
-MODEL, JSON, ROBOT = "model_augmented", "diagnosis.json", "robot.html"
+MODEL, JSON, ROBOT, MJCF_JSON = "model_augmented", "diagnosis.json", "robot.html", "mjcf.json"
 FILES = (MODEL, REPORT, ROBOT, JSON, NEXT_CSV, *(f"figures/{n}.{kind}" for n in FIGURES for kind in ("png", "csv")))
 T = TypeVar("T")
 _ROWS = 8  # of the ranking on standard output
 
 
 def diagnose(
-    records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None
-) -> None:
+    records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None, mjcf=None,
+    joint=None, actuator=None,
+) -> None:  # fmt: skip
     """Diagnose, write what was asked for, and print the finding.
 
     Args:
         records: files and folders.
         nominal: model file, identified or trained; None with `against`.
-        refit_nominal: whether its coefficients are fitted along with every effect.
+        refit_nominal: whether its coefficients are fitted along with every effect; they are in any case where the
+            nominal was made from these recordings.
         seconds: of computing, or None.
         out: folder for the augmented model, the report, its figures and the next experiment, or None.
         json_file: where to write the finding for machines, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
         against: recordings of a simulator in the place of a model, or None.
         position_gain: of the simulator's controller, with `against`.
+        mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's numbers goes into `out`.
+        joint: list with the name of the joint in that file.
+        actuator: its actuator, where there are several.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -57,6 +67,14 @@ def diagnose(
         raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
     if against is None and position_gain is not None:
         raise BadInput("--position-gain is for --against: it is the simulator's")
+    if mjcf is not None:
+        if against is None or out is None:
+            raise BadInput("--mjcf is for --against, and needs --out DIR: the changed file is written there")
+        given = joint_of(read_document(mjcf), one_joint(joint), actuator)
+        if given.position and position_gain is None:
+            position_gain = given.torque_per_command
+    elif joint or actuator:
+        raise BadInput("--joint and --actuator are for --mjcf XML")
     check_outputs(json_file, folder=out, names=FILES, inputs=[nominal, *records, *(against or ())])
     if out is not None and not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the drive's name
         check_replaceable(csv, csv)
@@ -66,7 +84,7 @@ def diagnose(
         model, read_in = open_both(nominal, records, reading)
         warn(read_in)
         say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
-        diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal, **options)
+        diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
         augmented = descended(diagnosis.model, "diagnose", read_in, model)
     else:
         read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
@@ -88,6 +106,8 @@ def diagnose(
             _write_pages(diagnosis, stage)
             written |= _files_in(stage)
     _attempt("the printed result", lambda: _print(diagnosis))
+    if mjcf is not None and isinstance(diagnosis, SimToReal):
+        _write_mjcf(diagnosis, records, mjcf, one_joint(joint), str(out), actuator)
     if out is not None:
         _tidy(Path(out), written)
         added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
@@ -98,6 +118,17 @@ def diagnose(
     if robot.interrupted:
         place = out or json_file
         raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
+
+
+def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:
+    """Write the changed MuJoCo file into the folder, and say what was changed and what could not be."""
+    found = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
+    if found is not None:
+        write_json(Path(out) / MJCF_JSON, found.as_json())
+        for line in found.lines():
+            print(line)
+        words = ["pitp", "verify", *records, "--mjcf", str(found.file), "--before", mjcf, "--joint", joint]
+        print(f"wrote {found.file}; to verify it in MuJoCo: {shlex.join(words)}")
 
 
 def _files_in(stage: Path) -> set[str]:

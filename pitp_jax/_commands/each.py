@@ -26,13 +26,21 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
     if not read_as:
         yield arguments
         return
-    for name, columns in read_as.items():
+    joints, before = arguments.get("joint") or [], None
+    for k, (name, columns) in enumerate(read_as.items()):
         own = {**arguments, "reading": {**arguments["reading"], **columns}}
         for key in ("out", "report", "json_file"):
             if own.get(key):
                 own[key] = _own_place(own[key], name)
+        if len(joints) == len(read_as):  # of a simulator's file, which holds all of them in the end
+            own["joint"], own["mjcf"] = [joints[k]], before or arguments["mjcf"]
         print(f"== {name}")
         yield own
+        if len(joints) == len(read_as) and own.get("out"):
+            from .._mjcf.write import identified_name  # loaded by the command that has just run
+
+            made = Path(own["out"]) / identified_name(own["mjcf"])
+            before = str(made) if made.is_file() else before
     for place in (arguments.get("out"), arguments.get("report")):
         if place is not None and Path(place).is_dir():
             from .outputs import write_index  # with it comes NumPy: a mistyped option is answered without

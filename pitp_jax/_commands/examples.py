@@ -6,6 +6,7 @@ _PAGES = {
     "docs/my_rig_disagrees.md": ("diagnose",),
     "docs/another_day.md": ("check", "adapt", "compare"),
     "docs/to_the_rig.md": ("export",),
+    "docs/i_have_a_simulator.md": ("verify",),
 }
 EXAMPLES = {
     "demo": ("pitp demo --quick", "pitp demo --plant roll --out roll"),
@@ -37,6 +38,10 @@ EXAMPLES = {
     "diagnose": (
         "pitp diagnose demo/held_out --nominal demo/model.pitp",
         "pitp diagnose demo/records --nominal demo/nominal.pitp --refit-nominal --out report",
+    ),
+    "verify": (
+        "pitp verify demo/robot --mjcf demo/joint.xml --joint elbow --out check",
+        "pitp verify demo/robot/chirp.csv --mjcf demo/joint.xml --joint elbow --held-out demo/robot/steps.csv",
     ),
     "adapt": (
         "pitp adapt demo/model.pitp demo/held_out/complex.csv --out today.pitp",

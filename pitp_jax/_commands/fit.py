@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax
 
 from .._errors import BadInput
-from .._identify.identification import identify
+from .._identify.identification import Identification, identify
 from .._model.fitted import Fitted
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
@@ -19,7 +19,7 @@ from .._train.settings import preset_of
 from .._train.training import train
 from .compatibility import check_belongs
 from .console import ProgressBar, number, say
-from .fit_errors import errors_json, print_errors, suspects
+from .fit_errors import errors_json, explained, print_errors, suspects
 from .outputs import REPORT, check_outputs, staged, write_json
 from .predict import score
 from .recordings import is_square, read_records, warn
@@ -28,7 +28,7 @@ from .reports import listed, print_history
 
 def fit(
     records, out, nominal, order, preset, learn, input_map, seed, report, reading, cross_validate=False, json_file=None
-) -> None:
+) -> int:
     """Train, write the model file, and print how it went and how every record is fitted.
 
     Args:
@@ -45,6 +45,9 @@ def fit(
         cross_validate: whether every record is also predicted by a model of the others.
         json_file: where to write the errors for machines, or None.
 
+    Returns:
+        3 where the model explains nothing of the output, 0 otherwise.
+
     Raises:
         BadInput, ComputationFailed: with nothing written.
         KeyboardInterrupt: interrupted; the best complete model is written where a stage was complete.
@@ -57,9 +60,10 @@ def fit(
     def identified(some):
         return _identified(some, order or "auto", input_map or "square")
 
-    given = start
+    given, first = start, None
     if start is None:
-        start = identified(read_in)
+        first = identified(read_in)
+        start = first.model
     check_belongs(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}
@@ -71,6 +75,9 @@ def fit(
         raise KeyboardInterrupt(f"the best complete model is in {out}")
     summary = describe(done.model)
     seconds, names = number(done.notes.get("seconds"), 3), done.notes.get("records", [r.name for r in read_in])
+    explains, warning = explained(done.errors, read_in, first)
+    if warning:
+        print(f"warning: {warning}")
     if line := fallback_line(done.notes):
         print(line)
     print(f"trained a model of order {summary['order']} on {listed(names)} in {seconds} s")
@@ -83,13 +90,16 @@ def fit(
     held_out = ()
     if cross_validate:
         say(f"cross-validation: {len(done.errors)} trainings, each without one record")
-        held_out = run_cross_validate(given or identified, read_in, done.model, progress=ProgressBar().update, **how)
+        anew = given or (lambda some: identified(some).model)
+        held_out = run_cross_validate(anew, read_in, done.model, progress=ProgressBar().update, **how)
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
-    summary = {**errors_json(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback}
+    summary = {**errors_json(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback,
+               "warning": warning}  # fmt: skip
     write_json(json_file, summary)
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
+    return 0 if explains else 3
 
 
 def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) -> None:
@@ -112,7 +122,7 @@ def _given(path: str, order, input_map) -> Fitted:
     return model
 
 
-def _identified(records, order, input_map) -> Fitted:
+def _identified(records, order, input_map) -> Identification:
     """A nominal from the sweeps among the records, else from all."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
@@ -121,4 +131,4 @@ def _identified(records, order, input_map) -> Fitted:
         say(f"no record is a sweep: identifying on all, {listed([r.name for r in records])}")
     identified = identify(sweeps or records, order=order, input_map=input_map, progress=say)
     say(f"identified order {identified.model.order}")
-    return identified.model
+    return identified

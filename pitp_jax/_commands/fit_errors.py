@@ -3,9 +3,43 @@
 from collections.abc import Sequence
 from statistics import median
 
+import numpy as np
+
+from .._identify.explained import CHECK, LITTLE, NOTHING
+from .._identify.identification import Identification
+from .._record.record import Record
 from .._train.cross_validation import HeldOut
 from .._train.errors import RecordError
 from .console import number, print_table
+
+_HALF = 0.5  # of what identification leaves
+
+
+def explained(
+    errors: Sequence[RecordError], records: Sequence[Record], first: Identification | None
+) -> tuple[bool, str | None]:
+    """Return whether a trained model explains anything of its records, and a sentence where it explains little.
+
+    Args:
+        errors: of the trained model.
+        records: it was trained on.
+        first: the identification that it started from, or None where a nominal was given.
+    """
+    own, missed, moved = {r.name: r for r in records}, 0.0, 0.0
+    for e in errors:
+        y = own[e.name].displacement[own[e.name].observed]
+        missed += len(y) * (e.trained / 100 * own[e.name].span) ** 2
+        moved += len(y) * float(np.var(y))
+    left = float(np.sqrt(missed / max(moved, 1e-300)))
+    # training may explain what a linear model cannot, and then leaves much less
+    if first is not None and not first.explains and left > _HALF * first.chosen.heldout / 100:
+        return False, first.warning
+    text = f"{100 * left:.0f} % of the output's rms is left on the training records"
+    if left >= NOTHING:
+        return False, f"The model explains nothing: {text}. {CHECK}"
+    if left >= LITTLE:
+        return True, f"{text}: the model explains only a part. {CHECK}"
+    return True, None
 
 
 def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> None:

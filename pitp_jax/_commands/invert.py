@@ -4,7 +4,8 @@ import numpy as np
 
 from .._errors import BadInput
 from .._invert.feedforward_plan import Feedforward, feedforward
-from .._invert.playback import at_faster_rate, at_rate_of_model, at_slower_rate
+from .._invert.playback import at_faster_rate, at_slower_rate
+from .._invert.target_path import at_rate_of_model
 from .._model.coordinate import Zero
 from .._model.units import units_of
 from .._model_file.model_file import load
@@ -58,8 +59,10 @@ def invert(
     }
     if max_displacement is not None:
         limits["max_displacement"] = in_base(max_displacement, units.max_output, units.limit)
-    wanted = at_slower_rate(at_rate_of_model(wanted, loaded.model.dt), rate)
-    planned = at_faster_rate(feedforward(loaded, wanted, **limits), rate)
+    fine = at_rate_of_model(wanted, loaded.model.dt)
+    slower = at_slower_rate(fine, rate)
+    asked = slower is not fine
+    planned = at_faster_rate(feedforward(loaded, slower if asked else wanted, resample=not asked, **limits), rate)
     for warning in planned.warnings:
         say(f"warning: {' '.join(warning.split())}")
     result = {

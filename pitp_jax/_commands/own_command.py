@@ -4,11 +4,12 @@
 of two sets of files                            ->  put into FOLDER/pitp.toml: ["*"] option = "VALUE"
 """
 
+import json
 import os
 import shlex
 from collections.abc import Sequence
 
-from .._errors import cleaned
+from .._errors import by_option, cleaned
 
 _MARK = "; try: pitp check "
 _LONGEST = 585  # of a refusal, before the program's name
@@ -27,11 +28,11 @@ def own_command(text: str, argv: Sequence[str]) -> str:
         return text
     if argv[0] == "compare" or "--against" in argv:
         folder = paths[0] if os.path.isdir(paths[0]) else os.path.dirname(paths[0])
-        keys = "; ".join(f'{o[2:]} = "{v}"' for o, v in zip(options[::2], options[1::2], strict=False))
+        keys = "; ".join(f"{option[2:]} = {_value(option, values)}" for option, *values in by_option(options))
         whole = f'{head}; put into {os.path.join(folder, "pitp.toml")}: ["*"] and below it {keys}'
     else:
         # a name with control characters is not obeyed by the terminal: such a command has to be typed anew
-        words = ["pitp", *_without(argv, options[::2]), *options]
+        words = ["pitp", *_without(argv, [group[0] for group in by_option(options)]), *options]
         whole = f"{head}; try: {shlex.join(map(cleaned, words))}"
     return whole if len(whole) <= _LONGEST else text
 
@@ -41,8 +42,18 @@ def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
     words, k = [], 0
     while k < len(argv):
         if argv[k] in names:
+            several = argv[k] == "--join"
             k += 2
+            while several and k < len(argv) and not argv[k].startswith("--"):
+                k += 1
         else:
             words += [] if argv[k].partition("=")[0] in names else [argv[k]]
             k += 1
     return words
+
+
+def _value(option: str, values: Sequence[str]) -> str:
+    """Return the value of an option as TOML; joined files lie in the folder."""
+    if option == "--join":
+        return json.dumps([os.path.basename(value) for value in values], ensure_ascii=False)
+    return json.dumps(values[0], ensure_ascii=False)

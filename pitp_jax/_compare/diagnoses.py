@@ -66,7 +66,9 @@ def _parts(a: list[dict], b: list[dict], told: set[str]) -> list[Difference]:
     for key in dict.fromkeys([*sides[0], *sides[1]]):
         for name in sides[0].get(key) or sides[1][key]:
             x, y = (side.get(key, {}).get(name, {}) for side in sides)
-            errors = [(e["ci95"][1] - e["ci95"][0]) / 3.92 if e.get("ci95") else None for e in (x, y)]
+            # a lower bound has no upper end
+            ends = [e.get("ci95") or (None, None) for e in (x, y)]
+            errors = [None if low is None or high is None else (high - low) / 3.92 for low, high in ends]
             values = (_number(x.get("value")), _number(y.get("value")))
             unit = x.get("unit") or y.get("unit") or ""
             rows.append(measured(f"{key[0]} ({key[1]}): {name}", *values, unit, (errors[0], errors[1])))

@@ -1,4 +1,4 @@
-"""Simulate a robot's joint and its simulator under the same position commands, as two folders of recordings.
+"""Simulate a robot's joint and its simulator under the same position commands: two folders, and a MuJoCo file.
 
     J q'' + D q' + Kp (q - c(t - T)) + Fc sgn(q') = 0,    angle read = play(q, w), rounded to the encoder's steps
 
@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .._record.writing import write_csv
+from .._record.writing import write_csv, write_text_atomic
 
-SIMULATED, ROBOT = "sim", "robot"
+SIMULATED, ROBOT, SIMULATOR_FILE = "sim", "robot", "joint.xml"
 POSITION_GAIN = 20.0  # Kp of the simulator and of the robot, N m/rad
 _STEP = 2.5e-4  # s; at most, and a whole number of them in a sample
 _ENCODER = 2 * np.pi / 2**14  # rad
@@ -102,7 +102,7 @@ def _play(values: np.ndarray, half: float) -> np.ndarray:
 
 
 def write(folder: Path, *, quick: bool) -> None:
-    """Write `sim/` and `robot/` into an existing folder, one CSV per command.
+    """Write `sim/` and `robot/` into an existing folder, one CSV per command, and the simulator as a MuJoCo file.
 
     Args:
         folder: where.
@@ -113,6 +113,7 @@ def write(folder: Path, *, quick: bool) -> None:
     """
     seconds = 9.0 if quick else 18.0
     rng = np.random.default_rng(1)
+    write_text_atomic(folder / SIMULATOR_FILE, MJCF)
     for home in (SIMULATED, ROBOT):
         (folder / home).mkdir()
     for name, command in commands(seconds).items():
@@ -127,6 +128,22 @@ def write(folder: Path, *, quick: bool) -> None:
         write_csv(folder / ROBOT / f"{name}.csv", columns)
 
 
+MJCF = f"""<mujoco model="joint">
+  <compiler angle="radian"/>
+  <option timestep="0.0005" gravity="0 0 0" integrator="implicitfast"/>
+  <worldbody>
+    <body name="link">
+      <joint name="elbow" axis="0 1 0" damping="{IDEAL.damping}"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="{IDEAL.inertia} {IDEAL.inertia} {IDEAL.inertia}"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="elbow" joint="elbow" kp="{IDEAL.position_gain}"/>
+  </actuator>
+</mujoco>
+"""
+
+
 def recordings() -> set[str]:
     """List the names of the files `write` makes, with their folders."""
-    return {f"{home}/{name}.csv" for home in (SIMULATED, ROBOT) for name in commands(1.0)}
+    return {SIMULATOR_FILE} | {f"{home}/{name}.csv" for home in (SIMULATED, ROBOT) for name in commands(1.0)}

@@ -4,7 +4,8 @@
 
 Verb: `diagnose`. The way: records thinned (`data`) -> a simulator in which every effect is a slot (`simulator`,
 `library`) -> fits on whole free runs (`fit`) -> sets searched (`search`) beside a flexible reference (`reference`),
-compared by a bootstrap (`evidence`) -> verdict (`verdict`, `rules`) and budget (`shares`); `report/` draws it.
+compared by a bootstrap (`evidence`) -> verdict (`verdict`, `rules`), the model that is handed back (`handing_back`)
+with its parts (`parts`), gap (`gap`) and budget (`shares`); `report/` draws it.
 """
 
 from .diagnosis import Diagnosis as Diagnosis

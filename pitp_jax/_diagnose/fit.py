@@ -313,8 +313,12 @@ class Fitter:
             fit.damping *= 8
             fit.done = fit.damping > 1e4
 
-    def refitted_without(self, fits: Sequence[Fit], iterations: int) -> list[list[np.ndarray]]:
-        """Out-of-fold residuals of every fit, record by record: refitted without each fold from the fit to all."""
+    def refitted_without(self, fits: Sequence[Fit], iterations: int) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
+        """Refit every fit without each fold, starting from the fit to all records.
+
+        Returns:
+            out-of-fold residuals of every fit, record by record; its slots without each fold, shape (folds, slots).
+        """
         self.differentiate([f for f in fits if f.jacobian is None and f.free])
         tasks = []
         for f in fits:
@@ -336,4 +340,5 @@ class Fitter:
                         far = 10 * self.case.series[k].span  # what diverges there is no model
                         rows[k][tested] = far if residuals[k] is None else np.clip(residuals[k][tested], -far, far)
             per_fit.append(rows)
-        return per_fit
+        slots = np.array([t.slots for t in tasks]).reshape(len(fits), len(self.case.folds), -1)
+        return per_fit, list(slots)

@@ -47,7 +47,8 @@ class Form:
     @property
     def free(self) -> tuple[str, ...]:
         """The numbers that are fitted: those that do not start where they do nothing."""
-        return tuple(k for k, v in self.start.items() if v != OFF[INDEX[k]] or SHAPE[INDEX[k]])
+        moved = (k for k, v in self.start.items() if v != OFF[INDEX[k]] or SHAPE[INDEX[k]])
+        return tuple(k for k in moved if not FIXED[INDEX[k]])
 
     @property
     def stiffness(self) -> float:
@@ -75,6 +76,7 @@ class Scale:
     a1: float
     a2: float
     force: float
+    radian: float = 0.0  # 1 / rad in scaled coordinates; 0: the output is no angle
 
 
 def forms(s: Scale) -> list[Form]:
@@ -119,11 +121,14 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "softening: saturating", (0.6 / x,)
     yield "softening: exponential", (0.5 / x,)
     yield "softening: gravity", *((f / x,) for f in (0.5, 1.2, 2.5))
+    if s.radian:
+        yield "softening: weight on an arm", (0.1, s.radian), (-0.1, s.radian)
     yield "softening: root", (1 / x,)
     yield "end_stop: above", *((k, s.bottom + f * span) for k in (2.0, 20.0) for f in (0.6, 0.9))
     yield "end_stop: below", *((k, 0.85 * span - s.top) for k in (2.0, 20.0))
     yield "end_stop: each side", *((k, middle + 0.375 * span, 0.375 * span - middle) for k in (2.0, 20.0))
     if s.acceleration > 0:
+        yield "force_limit: inside the loop", *((f / (s.a2 * s.acceleration),) for f in (0.7, 1.0, 1.4))
         yield "slack: free fall", *((f / s.acceleration,) for f in (1.3, 3.0))
     yield "creep: one branch", *((k, f * tau) for k, f in branches)
     yield "hysteresis: Dahl", (5.0, 0.01 * x), (0.3, 0.1 * x), (0.3, 0.5 * x)
@@ -189,6 +194,7 @@ COSTLY = np.array([False] * 3 + [spec.costly and p.off is not None for spec in R
 SLOW = tuple(name for name, p in zip(NAMES[3:], _NUMBERS, strict=True) if p.slow)
 # numbers that do nothing where the strength beside them is off
 SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
+FIXED = np.array([False] * 3 + [p.fixed for p in _NUMBERS])
 _ENDS = np.cumsum([3, *(len(r.parameters) for r in ROWS)])
 PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1:], strict=False)}
 # what stands behind the core of a linear model

@@ -1,7 +1,4 @@
-"""What a diagnosis hands out, in physical units: the gap, the ranking, the added effects, the traces.
-
-closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   out of fold, pooled over records
-"""
+"""What a diagnosis hands out, in physical units: the ranking, the added effects, the traces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,37 +7,16 @@ import numpy as np
 
 from .._effects.physical import physical
 from .._model.model import Model
-from .._record.record import Record
-from .._simulate.prediction import predict
 from .evidence import probability
 from .fit import Fit
+from .gap import closed, interval, percent, spans
 from .library import CHANGED, CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, effects_of, family
-from .search import Hypothesis, Search
-from .shares import energies
+from .search import Search
 
-GAP = 1.1  # times the floor: no gap to close up to there
 _BLOCKS = 30
+_LEAST = 1e-10  # of the largest eigenvalue: below, slopes by differences hold no information
+_LOST = 0.01  # of a number, in directions without information: then it is not determined
 _PLAIN = {DELAY: "delay", LAG: "lag", FILTER: "filter"}  # as the page names them
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Out-of-fold figures in % of range, pooled over records, and the share that was closed with its 95 % interval.
-
-    Attributes:
-        before: of the nominal (refitted in a refit); after: with what was chosen; unrefitted: of the nominal as given.
-        noise_floor: the nominal's own error, None where it is not known; floor_from: where that comes from.
-        explainable: what the best set or the reference leaves.
-    """
-
-    before: float
-    after: float
-    unrefitted: float
-    noise_floor: float | None
-    floor_from: str
-    closed_fraction: float | None
-    ci95: tuple[float, float] | None
-    explainable: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -78,56 +54,11 @@ class Added:
     parameters: dict
 
 
-@dataclass(frozen=True)
-class Trace:
-    """One record in rig units: time (s), voltage (V), measured, nominal and augmented output; held out or fitted."""
-
-    name: str
-    heldout: bool
-    time: np.ndarray
-    voltage: np.ndarray
-    measured: np.ndarray
-    nominal: np.ndarray
-    augmented: np.ndarray
-
-
-def closed(before: float, after: float, low: float) -> float | None:
-    """The closed fraction; None where there was nothing to close."""
-    if before <= GAP * low or before <= 0:
-        return None
-    return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
-
-
-def percent(search: Search, h: Hypothesis) -> float:
-    """Out-of-fold error, % of range, pooled over records."""
-    return 100 * float(np.sqrt(energies([h.evidence], _spans(search))[0, 0]))
-
-
-def _spans(search: Search) -> np.ndarray:
-    return np.array([s.span for s in search.case.series])
-
-
-def interval(search: Search, before: Hypothesis, after: Hypothesis, low: float) -> tuple[float, float] | None:
-    """Records and blocks drawn anew for both errors; within [-1, 1]. None where there is nothing to close.
-
-    The nominal's own error is an estimate, too, and at most what it is told as: the lower end is that without it.
-    """
-    # the same draws for both: what they share cancels in their ratio
-    e = 100**2 * energies([before.evidence, after.evidence], _spans(search))
-    if np.sqrt(e[0, 0]) <= GAP * low:
-        return None
-
-    def drawn(least: float) -> np.ndarray:
-        room = e[0] - least**2
-        share = 1 - np.sqrt(np.maximum(e[1] - least**2, 0) / np.where(room > 0, room, np.nan))
-        return np.clip(np.where(room > 0, share, 0.0), -1, 1)  # a draw without a gap: nothing is closed
-
-    bare, here = drawn(0.0), drawn(low)
-    return float(min(np.quantile(bare[1:], 0.025), bare[0])), float(max(np.quantile(here[1:], 0.975), here[0]))
-
-
 def errors_of(search: Search, fit: Fit) -> dict[str, float]:
-    """Standard errors of the free numbers (of logarithms where positive): block sandwich, B / (B - p)."""
+    """Standard errors of the free numbers (of logarithms where positive): block sandwich, B / (B - p).
+
+    Infinite where the records hold no information about a number.
+    """
     if not fit.free:
         return {}
     if fit.jacobian is None:
@@ -145,11 +76,22 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
             score = weight * j.T @ e
             meat += np.outer(score, score)
             count += 1
-    inverse = np.linalg.pinv(h, rcond=1e-10)
+    inverse, known = _inverse(h)
     plain = np.diag(inverse)  # not below what independent residuals would give
     wide = count / max(count - len(fit.free), 1)
     variance = np.maximum(np.diag(inverse @ meat @ inverse) * wide, plain)
-    return dict(zip(fit.free, np.sqrt(np.maximum(variance, 0)).tolist(), strict=True))
+    errors = np.where(known, np.sqrt(np.maximum(variance, 0)), np.inf)
+    return dict(zip(fit.free, errors.tolist(), strict=True))
+
+
+def _inverse(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Invert a normal matrix where it has information, and tell which numbers that leaves determined."""
+    d = np.sqrt(np.maximum(np.diag(h), 0))
+    unit = np.where(d > 0, d, 1.0)
+    value, axes = np.linalg.eigh(h / np.outer(unit, unit))
+    good = value > _LEAST * max(value[-1], 1e-300)
+    inverse = (axes[:, good] / value[good]) @ axes[:, good].T / np.outer(unit, unit)
+    return inverse, (d > 0) & ((axes[:, ~good] ** 2).sum(1) < _LOST)
 
 
 def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
@@ -162,7 +104,7 @@ def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[
         error = None
         if slot in errors and np.isfinite(number):
             size = 1.0 if LOGARITHM[INDEX[slot]] else 1 / max(abs(fit.value(slot)), 1e-300)
-            error = abs(number) * size * errors[slot]
+            error = abs(number) * size * errors[slot] if np.isfinite(errors[slot]) else None
         rows[p.name] = {"value": float(number), "unit": unit, "stderr": error}
     return rows
 
@@ -177,16 +119,22 @@ def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
     nominal, rows = search.case.nominal, {}
     for k in search.movable:
         if k in fit.free:
-            value = fit.value(k) / nominal[INDEX[k]]
-            key = f"{k[0]}_{k[1]} over given" if k in CORE else f"{_PLAIN[k]} over given"
-            rows[key] = {"value": float(value), "unit": "1", "stderr": value * errors[k] if k in errors else None}
+            value, error = fit.value(k) / nominal[INDEX[k]], errors.get(k, np.inf)
+            stderr = value * error if np.isfinite(error) else None
+            rows[factor_name(k)] = {"value": float(value), "unit": "1", "stderr": stderr}
     return rows
+
+
+def factor_name(slot: str) -> str:
+    """Name a number of the linear model, over the one given."""
+    return f"{slot[0]}_{slot[1]} over given" if slot in CORE else f"{_PLAIN[slot]} over given"
 
 
 def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     """Every name's best form by itself, best first."""
     rows = []
-    before = percent(search, search.base)
+    ranges, base = spans(search), search.base.evidence
+    before = percent(base, ranges)
     judged = search.level(1)
     others = sorted((f for f in search.waiting.values() if len(f.names) == 1), key=lambda f: f.cost)
     for fit, label in [(h.fit, h.labels[0]) for h in judged] + [(f, search.labels(f)[0]) for f in others]:
@@ -199,8 +147,8 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
         row = Ranked(label, family(label), form, numbers, _train(search, fit), float("nan"), None, None, float("nan"))
         if len(rows) < len(judged):
             h = judged[len(rows)]
-            after, sure = percent(search, h), probability(h.evidence, search.base.evidence)
-            ci95 = interval(search, search.base, h, low)
+            after, sure = percent(h.evidence, ranges), probability(h.evidence, base)
+            ci95 = interval(base, h.evidence, ranges, low)
             row = replace(row, heldout=after, closed_fraction=closed(before, after, low), ci95=ci95, probability=sure)
         rows.append(row)
     return tuple(rows)
@@ -209,27 +157,3 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
 def _train(search: Search, fit: Fit) -> float:
     squares = [np.nanmean(r**2) / s.span**2 for r, s in zip(fit.residuals, search.case.series, strict=True)]
     return 100 * float(np.sqrt(np.mean(squares)))
-
-
-def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tuple[Trace, ...]:
-    """Every record beside the nominal and the model that is handed back."""
-    first = predict(nominal, records)
-    second = first if augmented is nominal else predict(augmented, records)
-    return tuple(
-        Trace(
-            r.name,
-            len(records) > 1,
-            r.time,
-            r.voltage,
-            np.where(p.scored, r.displacement, np.nan),
-            _levelled(p, r),
-            _levelled(q, r),
-        )
-        for r, p, q in zip(records, first, second, strict=True)
-    )
-
-
-def _levelled(p, r: Record) -> np.ndarray:
-    """A run with its zero fitted over the record."""
-    seen = p.scored & np.isfinite(r.displacement) & np.isfinite(p.displacement)
-    return p.displacement + (np.mean((r.displacement - p.displacement)[seen]) if seen.any() else 0.0)

@@ -5,6 +5,7 @@ Rates are those of the studies in docs/decisions/verdict.md, of 27 saved decisio
 """
 
 SURE = 0.9  # P asked of every claim; 0.8: one more wrong name of 27, 0.95: one right one lost
+LIKELY = 0.5  # P from which a part of the model that is handed back is called likely: better than not, no claim
 FIRST = 0.9  # of the linear model's error: what a first name must reach
 FURTHER = 0.8  # and each further name, of what was left; 0.9: one more wrong
 HALF = 0.5  # a deeper set that leaves less than this of a set's error: nothing is said yet; without: one more wrong

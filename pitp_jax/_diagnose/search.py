@@ -8,10 +8,11 @@ over.
 """
 
 from collections.abc import Callable, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .._model.units import base_units, units_of
 from . import rules
 from .budget import Budget
 from .data import FEWEST_FOLDS, Case
@@ -27,11 +28,14 @@ from .library import (
     INDEX,
     LAG,
     LONE,
+    ROWS,
     SLOW,
     Form,
     Scale,
     forms,
+    group,
     named,
+    slots_of_row,
 )
 
 BEAM, DEPTH = 2, 4  # fronts, names of a set
@@ -53,12 +57,14 @@ class Hypothesis:
         labels: names as the catalogue has them, in the order of `fit.names`.
         residuals: out of fold, per record.
         evidence: of those.
+        without: slots of the refits without each fold, shape (folds, slots).
     """
 
     fit: Fit
     labels: tuple[str, ...]
     residuals: list[np.ndarray]
     evidence: Evidence
+    without: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,6 +103,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
         voltage=float(np.abs(volts).max()),
         slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
         area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
+        radian=float(case.model.scales.state[0]) if base_units(units_of(case.model)).output.unit == "rad" else 0.0,
     )  # fmt: skip
 
 
@@ -162,8 +169,8 @@ class Search:
     # -- fits ----------------------------------------------------------------------------------------------------------
 
     def _scored(self, fits: Sequence[Fit]) -> list[Hypothesis]:
-        rows = self.fitter.refitted_without(fits, _FOLD_STEPS)
-        return [Hypothesis(f, self.labels(f), r, self.weigh(r)) for f, r in zip(fits, rows, strict=True)]
+        rows, slots = self.fitter.refitted_without(fits, _FOLD_STEPS)
+        return [Hypothesis(f, self.labels(f), r, self.weigh(r), s) for f, r, s in zip(fits, rows, slots, strict=True)]
 
     def labels(self, fit: Fit) -> tuple[str, ...]:
         """Catalogue names of a fit."""
@@ -274,7 +281,8 @@ class Search:
         groups = gaining | {key: gaining[key] or groups[key] for key in order[:_CERTAIN]}
         self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
         groups = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
-        for fit in self._richer([self._plainest(g) for g in groups.values() if g]):
+        best = self._richer([self._plainest(g) for g in groups.values() if g])
+        for fit in self._beside_structures(best) if self.refit else best:
             if not self.exclude & set(self.labels(fit)):
                 self.waiting[frozenset(fit.names)] = fit
 
@@ -338,6 +346,31 @@ class Search:
                 best[n] = f
         return best
 
+    def _beside_structures(self, fits: Sequence[Fit]) -> list[Fit]:
+        """The best fits beside every linear structure where that leaves GAIN less than the one they started beside.
+
+        First steps rank structures by what a wrong effect can make of them: friction started without the mass that it
+        acts on, and left six times the error.
+        """
+        many, best = [], list(fits)
+        for n in sorted(range(len(fits)), key=lambda n: fits[n].cost)[:BEAM]:
+            f = fits[n]
+            own = {k for r in ROWS if group(r.name) in f.names for k in slots_of_row(r)}
+            own |= {k for form in self.library if form.name in f.names for k in form.start}
+            mine = [k for k in f.free if k in own]
+            for structure in self.linears:
+                free, slots = (*structure.fit.free, *mine), structure.fit.slots.copy()
+                if own & {*structure.fit.free} or {*free} == {*f.free}:
+                    continue
+                kept = [INDEX[k] for k in (*own, *({*structure.fit.free} & {*f.free}))]
+                slots[kept] = f.slots[kept]
+                many.append((n, f.anew(free=free, slots=slots)))
+        self.fitter.fit([f for _, f in many], _STEPS)
+        for n, f in many:
+            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+                best[n] = f
+        return best
+
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
         """Of every set the starts that promise most go on, and of the sets those whose best start does.
 
@@ -378,7 +411,8 @@ class Search:
             fitter = Fitter(self.case.alone(places), self.budget)
             fit = self.linear.fit.again(starts=self.linear.fit.starts[places], residuals=[], jacobian=None, cost=np.inf)
             fitter.fit([fit], _LINEAR_STEPS)
-            for k, row in zip(places, fitter.refitted_without([fit], _FOLD_STEPS)[0], strict=True):
+            ((apart,), _) = fitter.refitted_without([fit], _FOLD_STEPS)
+            for k, row in zip(places, apart, strict=True):
                 rows[k] = row
         return self.weigh(rows)
 

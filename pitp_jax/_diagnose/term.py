@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from .._effects.found_term import PRODUCTS, TERM
 from .._model.units import units_of
 from .._table.quantity import Units
-from .result import Gap, in_units
+from .gap import Gap
+from .result import in_units
 from .search import Hypothesis, Search
 
 

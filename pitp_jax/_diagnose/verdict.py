@@ -1,11 +1,12 @@
-"""The verdict: which names of the last set that pays are said, with what they are tied, and how sure that is.
+"""The verdict: which effects of the last significant hypothesis are reported, with what they are tied, how certain.
 
 no_gap     the nominal leaves at most OWN times its own error; or nothing, reference included, gains GAIN of its error
-explained  every name of the set beats, with P >= SURE, the best set of the same size searched without it (or two of
-           them are tied), and the reference on top closes nothing more
-partly     the same, and it does
-unknown    else: the set loses to the reference, has a force without a name or an undecided member, a deeper set leaves
-           less than HALF of it and is not sure of its names, or there are few excitations and a rival within TWICE
+explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
+           are tied) and a flexible model, which on top of the hypothesis closes nothing more
+partly     the same, but a flexible model closes more on top
+unknown    otherwise: a flexible model is as good, a force without a name or an undecided effect is part of it, a
+           deeper hypothesis leaves less than HALF and does not need all of its effects, or there are few excitations
+           and a rival within TWICE
 
 A confident wrong name costs a laboratory a week, `unknown` an hour.
 """
@@ -21,7 +22,12 @@ from .library import CHANGED, FREE, LONE, TWINS
 from .reference import reference
 from .search import PARAMETERS, Hypothesis, Search
 
-_DIFFERS = "the machine differs from record to record: a linear model of each by itself leaves less than any set"
+_DIFFERS = (
+    "Separate linear models for each recording predict better than any common model. Were all recordings made on the "
+    "same machine?"
+)
+_FLEXIBLE = "A general black-box model fits equally well, so no single cause can be named with confidence."
+_LARGER = "A larger set of effects leaves less than half of the error, and some of these effects are not needed in it."
 
 
 @dataclass(frozen=True)
@@ -75,14 +81,14 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
                         tuple(rivals), alone)  # fmt: skip
 
     if search.given.rms <= rules.OWN * own:
-        return answer("no_gap", reason="the nominal leaves no more than on its own records")
+        return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
     if not chosen.names:
         # nothing at all helps, the reference included
         gains = [h.rms for h in search.every.values()] + [bar.rms]
         if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
-            return answer("no_gap", reason="what is left is the sensor's noise")
-        return answer("unknown", reason="no effect of the catalogue pays")
-    p, rivals, taken = {}, {}, _fractions(search, chosen)
+            return answer("no_gap", reason="The remaining error is the sensor's noise.")
+        return answer("unknown", reason="No effect in the catalogue improves the fit significantly.")
+    p, rivals, taken = {}, {}, closing_fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     for name, label in zip(chosen.names, chosen.labels, strict=True):
         if (
@@ -90,22 +96,22 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         ):  # never said: a third of a joint's diagnosis went into searches without these
             continue
         # searched anew without the name: what stands in its place need not have been tried yet
-        rivals[name] = _rival(search, chosen, {name})
-        p[label] = _needed(chosen, rivals[name])
+        rivals[name] = rival_without(search, chosen, {name})
+        p[label] = needed(chosen, rivals[name])
     if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
         p[CHANGED] = probability(chosen.evidence, search.given.evidence)
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
     moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
-        return answer("unknown", reason="a flexible model without names explains as much", **seen)
+        return answer("unknown", reason=_FLEXIBLE, **seen)
     if alone is not None and not settled and probability(alone, chosen.evidence, 1 - rules.GAIN) >= rules.SURE:
         return answer("unknown", reason=_DIFFERS, **seen)
     if FREE in chosen.names:
-        return answer("unknown", reason="a force that has no name is part of it", **seen)
+        return answer("unknown", reason="A force that has no name is part of the best model.", **seen)
     deeper = [h for h in search.every.values() if len(h.names) > len(chosen.names) and h.rms < rules.HALF * chosen.rms]
     deepest = min(deeper, key=lambda h: h.rms, default=None)
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
-        return answer("unknown", reason="a larger set leaves less than half of it, and does without", **seen)
+        return answer("unknown", reason=_LARGER, **seen)
     said, tied = [], {}
     # what closes most is said first
     order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
@@ -116,8 +122,9 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         equal = () if p[label] >= rules.SURE else _tie(search, chosen, name, label)
         if equal is None or few:
             rival = "+".join(rivals[name].labels)
-            why = "too few kinds of excitation to tell" if few else "these records cannot tell"
-            return answer("unknown", reason=f"{why} {label} from {rival}", rivals=(label, rival), **seen)
+            why = "hold too few kinds of excitation to" if few else "do not"
+            reason = f"These recordings {why} separate {label} from {rival or 'the model without it'}."
+            return answer("unknown", reason=reason, rivals=(label, rival), **seen)
         # no record can tell these apart, so they are told however sure the set is
         twins = TWINS.get(label, ())
         if search.refit and label not in LONE:
@@ -125,13 +132,13 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         said.append(label)
         tied[label] = tuple(dict.fromkeys((*equal, *twins)))
     if not said:
-        return answer("unknown", reason="no single effect of the set closes much", **seen)
+        return answer("unknown", reason="No single effect makes up a tenth of the reduction.", **seen)
     open_ = more >= rules.SURE or deepest is not None
     verdict = "partly" if open_ and not settled else "explained"
     return answer(verdict, said, tied, **seen)
 
 
-def _needed(chosen: Hypothesis, rival: Hypothesis) -> float:
+def needed(chosen: Hypothesis, rival: Hypothesis) -> float:
     """P that the rival leaves more, by GAIN at least: what is less hangs on the simulator's own error."""
     return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
 
@@ -141,8 +148,8 @@ def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bo
     for name in chosen.names:
         if name not in deepest.names:
             return False
-        rival = _rival(search, deepest, {name})
-        if _needed(deepest, rival) < rules.SURE:
+        rival = rival_without(search, deepest, {name})
+        if needed(deepest, rival) < rules.SURE:
             return False
     return True
 
@@ -152,7 +159,7 @@ def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
     return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
 
 
-def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
+def rival_without(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     """The best set no larger than the chosen one that lacks some names, searched anew."""
     search.without(without, len(chosen.names))
     labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
@@ -165,7 +172,7 @@ def _rival(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
     return min(fair, key=lambda h: h.rms)
 
 
-def _fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
+def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
     """Of the energy that the set closes, what came with each name in the order taken, by search name.
 
     What a set loses without a name says less: where two effects can stand for each other, neither is missed much.
@@ -183,8 +190,8 @@ def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str
     """Names that may stand in the place of one: with them left out, too, the set must be sure; None: too many."""
     group, labels = {name}, []
     while len(group) < rules.TIED + 1:
-        rival = _rival(search, chosen, group)
-        if _needed(chosen, rival) >= rules.SURE:
+        rival = rival_without(search, chosen, group)
+        if needed(chosen, rival) >= rules.SURE:
             return tuple(labels)
         # a tie is one name in the place of one; two would be another explanation
         new = set(rival.names) - set(chosen.names)

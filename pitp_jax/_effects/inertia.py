@@ -2,6 +2,7 @@
 
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w,  z'' = w^2 (x - z) + 2 zeta w (x' - z')
+force_limit   |a_2 x''| <= f: a drive that saturates behind the controller, whose spring and damper are the nominal's
 slack         x'' >= -g: a load that is only pulled falls freely once the film lets go
 """
 
@@ -48,6 +49,22 @@ def _free_fall(p, now: Instant):
     return -now.tokens[2] * missing
 
 
+def _saturated(p, now: Instant):
+    """Compute the force that the controller asks for beyond the limit."""
+    if now.order != 2:
+        return 0.0 * now.x
+    asked, limit = now.tokens[2] * now.highest, 1 / jnp.maximum(p.inverse, 1e-30)
+    return asked - jnp.clip(asked, -limit, limit)
+
+
+FORCE_LIMIT = (
+    EffectSpec(
+        "force_limit", "inside the loop", (Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False),),
+        "The drive of a position controller cannot exceed a force.",
+        "a_2 x'' = min(max(k (u - x) - a_1 x', -f), f), inverse = 1 / f", "drive", "M", resolved=True, needs_mass=True,
+        law=_saturated,
+    ),
+)  # fmt: skip
 _FALL = Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False)
 SLACK = (
     EffectSpec(

@@ -33,6 +33,7 @@ class Parameter:
         linear: the effect is proportional to it (asked of the first parameter only).
         least, most: bounds of a fit, in the model's scaled coordinates.
         slow: a time constant that is fitted no shorter than the plant's own.
+        fixed: never fitted: a unit decides it.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Parameter:
     least: float = -np.inf
     most: float = np.inf
     slow: bool = False
+    fixed: bool = False
 
 
 @dataclass(frozen=True)

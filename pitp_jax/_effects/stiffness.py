@@ -47,6 +47,11 @@ def _saturating(p, now):
     return _LOST * now.k * now.x * _ratio(r, jnp.tanh, -(r**2) / 3)
 
 
+def _weight(p, now):
+    r = p.curvature * now.x
+    return p.kappa * now.k * now.x * _ratio(r, jnp.sin, -(r**2) / 6) + p.kappa * now.k * now.x
+
+
 def _exponential(p, now):
     r = jnp.clip(p.b * now.x, -3.0, 6.0)  # far on the hard side the exponential would outrun any step
     return now.k * now.x * _ratio(r, lambda r: -jnp.expm1(-r), -r / 2 + r**2 / 6)
@@ -59,10 +64,13 @@ def _root(p, now):
 
 
 def _by_tangent(p, k, plant):
-    """Report a polynomial as what its tangent does from the middle of the motion to its ends."""
-    places = np.array([plant.bottom, (plant.top + plant.bottom) / 2, plant.top])
-    low, middle, high = np.polyval([5 * p.c5, 0, 3 * p.c3, 2 * p.c2, 0], places)
-    return "stiffening" if (low + high) / 2 > middle else "softening", "polynomial", (p.c2, p.c3, p.c5)
+    """Report a polynomial as what its tangent does from rest to the ends of the motion, the farther end first.
+
+    Of a motion to one side, the tangent of c2 x^2 at its ends has the mean of that in its middle, whatever the sign.
+    """
+    ends = np.array([plant.bottom, plant.top])
+    change = np.polyval([5 * p.c5, 0, 3 * p.c3, 2 * p.c2, 0], ends)
+    return "stiffening" if np.abs(ends) @ change > 0 else "softening", "polynomial", (p.c2, p.c3, p.c5)
 
 
 def _polynomial(name: str, title: str) -> EffectSpec:
@@ -114,6 +122,13 @@ SPRINGS = (
         "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, which pulls less the further it turns.",
         "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K", costly=True,
         law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
+    ),
+    EffectSpec(
+        "softening", "weight on an arm",
+        (Parameter("kappa", positive=False, off=0.0), Parameter("curvature", "1/x", length=-1, fixed=True)),
+        "A weight on an arm pulls beside the spring, less the further it turns.",
+        "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", "stiffness", "K", stiffens=True, costly=True,
+        law=_weight,
     ),
     EffectSpec(
         "softening", "root", _CURVATURE, "The spring's force grows as the root of a large displacement.",

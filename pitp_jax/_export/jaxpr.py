@@ -102,7 +102,7 @@ def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
     if name == "concatenate":
         return [np.concatenate(args, params["dimension"])]
     if name not in _MOVES:
-        raise BadInput(f"a step with the operation {name} cannot be written as C: report it with the model")
+        raise BadInput(f"a step with the operation {name} cannot be written as C: use others in an encoder of your own")
     moving = _MOVES[name]
     firsts = np.cumsum([0, *(a.size for a in args[:moving])])
     # JAX itself moves the places, as numbers: no rule of slicing or padding is written a second time here

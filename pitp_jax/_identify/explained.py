@@ -1,6 +1,6 @@
 """Judge whether a linear model explains the output at all, and name the likely reason where it does not.
 
-feedback:  var(u_t | earlier u, earlier y) / var(u_t | earlier u)      least squares on the last samples of both
+feedback:  var(u_t | earlier u, y up to t) / var(u_t | earlier u)      least squares on the last samples of both
 folded:    1 - R^2 of |G u| and (G u)^2 beside y                       G: lags of order 1 and modes of a grid
 """
 
@@ -15,17 +15,25 @@ from .output_error import Problem
 
 NOTHING, LITTLE = 0.9, 0.5  # of the output's rms held out: left by a model that explains nothing, or little
 _OUT_OF_NOISE, _NOISE = 0.1, 0.5  # of the output's rms: left held out; and the noise above which it hardly moves
+CHECK = "Check --input-column and --output-column, and whether another input moves the output"
+_LAGS, _FED_BACK, _PREDICTED = 8, 0.1, 1e-3  # samples; variances of an input that follows from the output
 _GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the modes behind a folded output
 
 
 def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
     """Return whether anything is explained, and a sentence where it is little, or hardly more than noise."""
     least = min(c.heldout.score for c in candidates)
-    left = f"{100 * chosen.heldout.score:.2g} % of the output's rms is left on held-out blocks"
+    left = f"{100 * chosen.heldout.score:.0f} % of the output's rms is left on held-out blocks"
     if chosen.heldout.score > _OUT_OF_NOISE and _noise_part(problem) > _NOISE:
+        if _fed_back(problem):
+            return False, (
+                f"The model explains nothing but the sensor's noise, and the input follows from it ({left}): a "
+                "controller holds the plant in place, and such records determine no model. Record with a test signal "
+                "in the reference"
+            )
         return least < NOTHING, (
-            f"{left}, and most of the output is its sensor's noise, as of a plant that a controller holds in place: "
-            "such records determine no model. Record with a larger excitation, a test signal in the reference"
+            f"{left}, and most of the output is its sensor's noise: such records determine no model. Record with a "
+            "larger excitation"
         )
     if least >= NOTHING and _folded_left(problem) < NOTHING:
         return True, (
@@ -33,16 +41,39 @@ def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Proble
             "show the direction. `pitp diagnose` names it"
         )
     if least >= NOTHING:
-        return False, (
-            f"The model explains nothing: {left}, and no order explains more. Check --input-column and "
-            "--output-column, whether another input moves the output, and whether the record was made in a closed loop"
-        )
+        return False, f"The model explains nothing: {left}, and no order explains more. {_reason(problem)}"
     if chosen.heldout.score >= LITTLE:
-        return True, (
-            f"{left}: the model explains only a part. Check whether another input moves the output, and whether the "
-            "columns are the right ones"
-        )
+        return True, f"{left}: the model explains only a part. {_reason(problem)}"
     return True, None
+
+
+def _reason(problem: Problem) -> str:
+    if _fed_back(problem):
+        return (
+            "The input follows from the output: a controller closes the loop. Record its reference as the input, or "
+            "with a test signal in the reference"
+        )
+    return CHECK
+
+
+def _fed_back(problem: Problem) -> bool:
+    """Return whether the output tells the input, where the earlier input does not."""
+    alone = beside = 0.0
+    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+        y = np.where(weight > 0, output, output[weight > 0].mean())
+        rows = range(_LAGS, len(drive))
+        if len(rows) < 4 * _LAGS:
+            continue
+        inputs = np.column_stack(
+            [*(drive[_LAGS - k : len(drive) - k] for k in range(1, _LAGS + 1)), np.ones(len(rows))]
+        )
+        outputs = np.column_stack([y[_LAGS - k : len(y) - k] for k in range(_LAGS + 1)])
+        for columns, both in ((inputs, False), (np.column_stack([inputs, outputs]), True)):
+            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+            rest = drive[_LAGS:] - columns @ np.linalg.lstsq(columns, drive[_LAGS:], rcond=1e-10)[0]
+            alone, beside = alone + float(rest @ rest) * (not both), beside + float(rest @ rest) * both
+    moved = sum(float(np.sum((drive - drive.mean()) ** 2)) for drive in problem.drive)
+    return beside < _FED_BACK * alone and alone > _PREDICTED * moved
 
 
 def _noise_part(problem: Problem) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, refuse_traced
 from .._model.coordinate import Zero, to_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
@@ -26,7 +26,7 @@ from .._simulate.prediction import at_rate, outside_fraction, outside_words
 from .advice import on_reach, on_smoothing, on_start, on_stroke, on_target
 from .course import Course
 from .limits import limits_of
-from .target_path import extend, settling
+from .target_path import at_rate_of_model, extend, settling
 
 _SHOTS = 6
 _MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage makes: turned over, and of its negative
@@ -76,6 +76,7 @@ def feedforward(
     zero: Zero = "rest",
     start_input: float = 0.0,
     shots: int = _SHOTS,
+    resample: bool = True,
 ) -> Feedforward:
     """Find the voltage that makes the model follow a target displacement, or come as near as the limits allow.
 
@@ -90,6 +91,7 @@ def feedforward(
             is at 0 V, in its base unit.
         start_input: V at the first and the last sample, that which holds a machine where it stands.
         shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone, cut at the limits.
+        resample: take a target that is coarser than the model along a cubic spline, on the model's step.
 
     Returns:
         the voltage on its own clock, with what was cut and how well the model itself follows it.
@@ -105,8 +107,17 @@ def feedforward(
     """
     if not isinstance(target, Target | Record):
         raise BadInput(f"a {type(target).__name__} is not a target: give pitp.Target(time, displacement)")
+    refuse_traced("feedforward", "inverse", model)
     model, units = model_of(model), units_of(model)
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
+    given = target
+    if resample:
+        target = at_rate_of_model(target, model.dt)
+    if target is not given:
+        warnings += (
+            f"the target is sampled every {given.dt:.4g} s, coarser than the model's {model.dt:.4g} s: joined by a "
+            "cubic spline",
+        )
     model = at_rate(model, target.dt)
     wanted = np.asarray(to_model(model, target.displacement, zero))
     start, stands = standing(model, start_input, target.dt)

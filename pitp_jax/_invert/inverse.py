@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._errors import BadInput
+from .._model.coordinate import Zero
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import jit
@@ -25,7 +26,11 @@ Kind = Literal["closed_form", "discrete"]
 
 
 def inverse(
-    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"], *, kind: Kind = "closed_form"
+    model: Model | Fitted,
+    displacement: Float[np.ndarray | Array, " time"],
+    *,
+    kind: Kind = "closed_form",
+    zero: Zero = "rest",
 ) -> tuple[Float[Array, " time"], Bool[Array, " time"]]:
     """Compute the voltage (V) that makes the model follow a displacement (m) from rest; `jax.vmap` for more.
 
@@ -37,6 +42,7 @@ def inverse(
             extends (behind a linear input with the sensor's sign).
         kind: "closed_form" inverts the continuous equation (eq. 13); "discrete" inverts the decoder's own steps along
             the same derivatives, so a free run meets the displacement more closely (not for hold "bandlimited").
+        zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
         voltage, shape (time,), V; and a mask, shape (time,), True where no voltage makes the force: it is clipped
@@ -54,12 +60,12 @@ def inverse(
     if kind not in ("closed_form", "discrete"):
         raise BadInput(f"kind {kind!r} is not 'closed_form' or 'discrete'")
     model = model_of(model)
-    return _inverse(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, kind)
+    return _inverse(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, kind, zero)
 
 
 @jit
-def _inverse(model: Model, displacement: Float[Array, " time"], dt, kind: Kind):
-    equation = equation_of(model, motion_along(model, displacement, dt), dt)
+def _inverse(model: Model, displacement: Float[Array, " time"], dt, kind: Kind, zero: Zero):
+    equation = equation_of(model, motion_along(model, displacement, dt, zero), dt)
     force, voltage, features = invert_path(model, equation, dt)
     if kind == "discrete":
         voltage = ports.played(model, along_motion(model, force, features, dt), dt, exact=True)

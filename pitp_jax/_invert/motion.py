@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._model.coordinate import sign, to_model
+from .._model.coordinate import Zero, sign, to_model
 from .._model.fitted import Fitted, model_of
 from .._model.memory import ElapsedTime
 from .._model.model import Model
@@ -18,9 +18,9 @@ from .._numerics.path_derivative import path_derivatives
 from .._simulate import ports
 
 
-def motion_along(model: Model, displacement: Float[Array, " time"], dt) -> Float[Array, " time"]:
+def motion_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero = "rest") -> Float[Array, " time"]:
     """Compute the scaled x behind a displacement (m), without what effects of the sensor make of it."""
-    x = (to_model(model, displacement) / model.scales.state[0]).astype(displacement.dtype)
+    x = (to_model(model, displacement, zero) / model.scales.state[0]).astype(displacement.dtype)
     return ports.moves(model, x, dt) if model.effects else x
 
 
@@ -38,13 +38,14 @@ def features_of(model: Model, equation: Float[Array, "time tokens"], dt) -> Floa
 
 
 def memory_along(
-    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"]
+    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"], *, zero: Zero = "rest"
 ) -> Float[Array, "time memory"]:
     """Compute the memories along a displacement (m), shape (time, memories).
 
     Args:
         model: any.
         displacement: shape (time,), m, without missing values; held at its first value before.
+        zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
         one column per memory, m (the elapsed time of the paper's preset: s).
@@ -54,12 +55,12 @@ def memory_along(
         (64, 0)
     """
     model = model_of(model)
-    return _memory_along(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt)
+    return _memory_along(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, zero)
 
 
 @jit
-def _memory_along(model: Model, displacement: Float[Array, " time"], dt) -> Float[Array, "time memory"]:
-    x = motion_along(model, displacement, dt)
+def _memory_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero) -> Float[Array, "time memory"]:
+    x = motion_along(model, displacement, dt, zero)
     memory = model.memory.trajectory(x, dt, model.memory.initial(x[0]))
     memories = model.memory
     unit = memories.horizon if isinstance(memories, ElapsedTime) else sign(model) * model.scales.state[0]
@@ -67,13 +68,14 @@ def _memory_along(model: Model, displacement: Float[Array, " time"], dt) -> Floa
 
 
 def tokens_along(
-    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"]
+    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"], *, zero: Zero = "rest"
 ) -> Float[Array, "time tokens"]:
     """Compute the tokens sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
 
     Args:
         model: any; effects act beside the tokens.
         displacement: shape (time,), m, without missing values and without noise: it is differentiated.
+        zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
         tokens in the units of the coefficients, V^2 s^i / m (behind a linear input V s^i / m).
@@ -84,12 +86,12 @@ def tokens_along(
         True
     """
     model = model_of(model)
-    return _tokens_along(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt)
+    return _tokens_along(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, zero)
 
 
 @jit
-def _tokens_along(model: Model, displacement: Float[Array, " time"], dt) -> Float[Array, "time tokens"]:
-    features = features_of(model, equation_of(model, motion_along(model, displacement, dt), dt), dt)
+def _tokens_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero) -> Float[Array, "time tokens"]:
+    features = features_of(model, equation_of(model, motion_along(model, displacement, dt, zero), dt), dt)
     tokens, _ = model.tokens_from(model.encoder.over()(list(features.T)))
     units = model.scales.force / jnp.asarray(model.scales.state, features.dtype)
     return (jnp.stack(tokens, -1) * units).astype(features.dtype)

@@ -1,6 +1,5 @@
 """Put a plan on the clock of what plays it, say a DAQ of another rate than the target's.
 
-coarser   a target of a few way points is taken along its cubic spline, on the clock of the model
 slower    the target is taken along its interpolating spline (quintic), and planned at that rate
 faster    the voltage runs straight between the plan's samples, as an order-one hold takes it: no limit is lost
 """
@@ -13,29 +12,10 @@ from scipy.interpolate import make_interp_spline
 from .._errors import BadInput
 from .._record.reading import Target
 from .feedforward_plan import Feedforward
+from .target_path import MOST
 
 _SAME = 1e-6  # relative, between rates
-_MOST = 20_000_000  # samples
 _DEGREE = 5
-_CLOSE = 0.01  # relative, between the step of a target and that of a model
-
-
-def at_rate_of_model(target: Target, dt: float) -> Target:
-    """Resample a target that is coarser than the model's step `dt` (s) on that step, else return it as it is.
-
-    Raises:
-        BadInput: too many samples would be planned.
-    """
-    if target.dt < (1 + _CLOSE) * dt:
-        return target
-    # the step that fits the spacing of the way points, so that each of them is met
-    pieces = int(np.ceil(target.dt / dt * (1 - _CLOSE)))
-    count = pieces * (len(target.time) - 1) + 1
-    if count > _MOST:
-        raise BadInput(f"{count} samples at the model's rate; at most {_MOST} are planned: shorten the target")
-    time = np.linspace(target.time[0], target.time[-1], count)
-    spline = make_interp_spline(target.time, target.displacement, k=3 if len(target.time) > 3 else 1)
-    return replace(target, time=time, displacement=spline(time))
 
 
 def at_slower_rate(target: Target, rate: float | None) -> Target:
@@ -48,8 +28,8 @@ def at_slower_rate(target: Target, rate: float | None) -> Target:
         return target
     seconds = float(target.time[-1] - target.time[0])
     count = int(seconds * rate * (1 + _SAME)) + 1
-    if count > _MOST:
-        raise BadInput(f"--rate {rate:g} Hz makes {count} samples; at most {_MOST} are written: lower it")
+    if count > MOST:
+        raise BadInput(f"--rate {rate:g} Hz makes {count} samples; at most {MOST} are written: lower it")
     if rate > (1 - _SAME) / target.dt:
         return target
     if count <= _DEGREE or len(target.time) <= _DEGREE:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._errors import BadInput
+from .._errors import BadInput, refuse_traced
 from .._model.coordinate import to_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
@@ -64,6 +64,7 @@ def invert_stream(
         >>> sum(len(piece.voltage) for piece in pieces) == len(target.displacement)
         True
     """
+    refuse_traced("invert_stream", "inverse", model, blocks)
     model = model_of(model)
     if model.effects:
         raise BadInput("streaming inverts eq. 13 alone, without the model's effects: use `feedforward`")

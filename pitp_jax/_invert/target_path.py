@@ -1,28 +1,35 @@
 """Lay the path of the inverse: a target, its lead-in from rest and the ramp back to zero.
 
+coarser: a target of a few way points is taken along its cubic spline, on the clock of the model
 x^(i): quintic (order + 3) spline through the samples, differentiated
-lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state
+lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state, within the
+         force at the target's first sample where that arrives
 down:  u_ends + (u - u_ends) (1 + cos(pi t / T)) / 2,  T = pi |u - u_ends| / (2 slew) at least
 
 Both last as long as the slowest mode asks: 5 and 3 periods of one that rings, 1/2 of one that does not (3 time
 constants), where a memory counts as no more than 5 periods of the slowest pole: what creeps for minutes swings nothing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
 
 from .._effects.kernels import total_delay
+from .._errors import BadInput
 from .._model.drive import ElectrodeLag
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 from .._numerics.spline_derivative import derivatives
+from .._record.reading import Target
 from .limits import Limits
 
-_NEAR = 0.02
+MOST = 20_000_000  # samples of a plan
+_CLOSE = 0.01  # relative, between the step of a target and that of a model
+_NEAR, _MET = 0.02, 1e-5  # of the target's size: a first state that is reached, also within the narrower bounds
+_BEYOND = 1.02  # of the force at the first sample: what is damped arrives there late otherwise
 _RINGS = 0.7  # damping below which a pole rings
 _IN, _OUT, _SMOOTH = 5.0, 3.0, 0.5  # periods: lead-in and lead-out of what rings, both of what does not
 _SUDDEN = 0.05  # of the largest x^(i), i = 2 ... n - 1: more at the first sample is no start from rest
@@ -55,6 +62,24 @@ class Path:
         return tail
 
 
+def at_rate_of_model(target: Target, dt: float) -> Target:
+    """Resample a target that is coarser than the model's step `dt` (s) on that step, else return it as it is.
+
+    Raises:
+        BadInput: too many samples would be planned.
+    """
+    if target.dt < (1 + _CLOSE) * dt:
+        return target
+    # the step that fits the spacing of the way points, so that each of them is met
+    pieces = int(np.ceil(target.dt / dt * (1 - _CLOSE)))
+    count = pieces * (len(target.time) - 1) + 1
+    if count > MOST:
+        raise BadInput(f"{count} samples at the model's rate; at most {MOST} are planned: shorten the target")
+    time = np.linspace(target.time[0], target.time[-1], count)
+    spline = make_interp_spline(target.time, target.displacement, k=3 if len(target.time) > 3 else 1)
+    return replace(target, time=time, displacement=spline(time))
+
+
 def settling(model: Model) -> tuple[float, float]:
     """Compute how long lead-in and lead-out take by the slowest mode, s."""
     poles = np.roots(model.physical_coefficients[::-1])
@@ -84,7 +109,8 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
     Rest is S = 0: at order 3 and up the acceleration counts. One of order 2 can take it up at once, but for what the
     first sample, which stays at the voltage of the ends, would miss.
 
-    The lead-in is doubled, twice at most, while its voltage breaks the slew limit or it does not arrive.
+    The lead-in is doubled while its voltage breaks the slew limit or it does not arrive: once within the force that
+    the first sample needs, then twice within the limits.
     """
     order, force_of = model.order, model.input_map.force
     wanted = wanted - stands
@@ -102,13 +128,18 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
         return Path(stands + np.append(lead, wanted), slice(len(lead), len(lead) + len(wanted)), True, True, lead_out)
     high = float(force_of(np.asarray(limits.high))) - still
     low = (0.0 if limits.low == 0 else float(force_of(np.asarray(limits.low)))) - still
+    own = _BEYOND * float(model.physical_coefficients @ states[0])
+    wide = 0.98 * low, 0.98 * high
+    narrow = max(low, min(own, 0.0)), min(high, max(own, 0.0))
     lead, count, kept, reached = np.zeros(0), 0, False, False
-    for stretch in (1, 2, 4):
+    # no more force than the first sample needs, where that arrives
+    tried = [(narrow, stretch, _MET) for stretch in (1, 2, 4) if narrow[0] < narrow[1]]
+    for bounds, stretch, near in [*tried, *((wide, stretch, _NEAR) for stretch in (1, 2, 4))]:
         count = max(int(np.ceil(stretch * lead_in / dt)), 64)
-        lead, force, end = swing_in(model.physical_coefficients, states[0], count, dt, low, high)
+        lead, force, end = swing_in(model.physical_coefficients, states[0], count, dt, *bounds)
         slew = np.abs(np.diff(np.asarray(model.input_map.voltage(still + force)))).max() / dt
         off = np.abs(end - states[0])[:order] / (span * model.natural_frequency ** np.arange(order))
-        kept, reached = bool(slew <= limits.slew), bool((off <= _NEAR).all())
+        kept, reached = bool(slew <= limits.slew), bool((off <= near).all())
         if kept and reached:
             break
     path = stands + np.concatenate([lead, wanted])
@@ -141,7 +172,7 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     # the end state by a weight of 1e4, not as a constraint: where the bounds forbid it, the nearest one is reached
     rows = np.vstack([1e4 * last / size[:, None], smooth, 1e-2 * np.eye(basis.shape[1])])
     rhs = np.concatenate([1e4 * end / size / unit, np.zeros(len(smooth) + basis.shape[1])])
-    c = lsq_linear(rows, rhs, bounds=(0.98 * low / unit, 0.98 * high / unit)).x * unit
+    c = lsq_linear(rows, rhs, bounds=(low / unit, high / unit)).x * unit
     return (states[:, 0] @ c)[:-1], (basis @ c)[:-1], last @ c
 
 

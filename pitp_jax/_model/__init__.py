@@ -28,3 +28,4 @@ from .model import Output as Output
 from .model import Scales as Scales
 from .model import linear_model as linear_model
 from .origin import Origin as Origin
+from .own_encoder import OwnEncoder as OwnEncoder

@@ -7,6 +7,7 @@ In scaled coordinates X_i = x^(i) / scale_i and force / force_scale everything i
 nominal coefficient times a positive factor, so a zero encoder is exactly the identified linear model.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from html import escape
 from itertools import pairwise
@@ -17,17 +18,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._errors import BadInput
 from .constants import Constants, number, numbers
 from .domain import Domain
 from .dominant import dominant_frequency
 from .drive import AbstractDrive, DirectDrive
 from .encoder import AbstractEncoder, ConstantEncoder
-from .input_map import AbstractInputMap
+from .input_map import AbstractInputMap, SquareInput
 from .memory import AbstractMemory, NoMemory
+from .own_encoder import as_encoder, own_module
 from .positive import positive_factor
 from .rows import Rows
 from .sections import product, sections_of
-from .substeps import substeps
+from .substeps import substeps as substeps_of
 
 Hold = Literal["foh", "zoh", "bandlimited"]
 
@@ -72,7 +75,8 @@ class Model(eqx.Module):
 
     Attributes:
         coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
-        encoder, memory, input_map, output, scales, drive, effects: the parts; `effects` act on the force side.
+        encoder, memory, input_map, output, scales, drive, effects: the parts; `effects` act on the force side. Any
+            other Equinox module as encoder is wrapped (`OwnEncoder`).
         hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
         substeps: RK4 steps per sample.
         domain: what it was shown: sampling, voltages, region.
@@ -80,7 +84,7 @@ class Model(eqx.Module):
 
     coefficients: Float[Array, " tokens"]
     input_map: AbstractInputMap
-    encoder: AbstractEncoder
+    encoder: AbstractEncoder = eqx.field(converter=as_encoder)
     memory: AbstractMemory
     output: Output
     scales: Scales
@@ -92,7 +96,8 @@ class Model(eqx.Module):
 
     def __repr__(self) -> str:
         """Describe it in two lines: what it is, and its coefficients."""
-        kind = "identified" if isinstance(self.encoder, ConstantEncoder) else f"trained ({type(self.encoder).__name__})"
+        part = own_module(self.encoder) or self.encoder
+        kind = "identified" if isinstance(part, ConstantEncoder) else f"trained ({type(part).__name__})"
         parts = [f"{self.memory.size} memory states"] if self.memory.size else []
         parts += [effect.name for effect in self.effects]
         head = f"Model: {kind}, order {self.order}, input map {self.input_map.name}"
@@ -143,6 +148,8 @@ class Model(eqx.Module):
         Their polynomial is stable (`sections`): from order 3 on the factors act on the nominal's sections, and the
         coefficients follow in proportion.
         """
+        if len(logits) != self.order + 2:
+            raise BadInput(f"the encoder returns {len(logits)} logits; order {self.order} needs {self.order + 2}")
         *factor, offset = [*map(positive_factor, logits[:-1]), logits[-1]]
         if self.order >= 3:  # up to order 2 positive tokens are stable by themselves (Routh-Hurwitz)
             (*sections, last), nominal = factor, list(jnp.asarray(self.scales.sections, offset.dtype))
@@ -154,7 +161,8 @@ class Model(eqx.Module):
     def sampled(self, dt: float, hold: Hold) -> "Model":
         """Convert the model to records of another sampling interval (s) and hold; its coefficients stay."""
         domain = replace(self.domain, dt=dt)
-        return replace(self, substeps=substeps(self.physical_coefficients, dt), hold=hold, domain=domain)
+        count = substeps_of(self.physical_coefficients, dt)
+        return replace(self, substeps=count, hold=hold, domain=domain)
 
     def changed(self, factors: np.ndarray) -> "Model":
         """Multiply the nominal coefficients by these factors, shape (n + 1,)."""
@@ -163,27 +171,65 @@ class Model(eqx.Module):
 
 
 def linear_model(
-    coefficients: np.ndarray,
+    coefficients: np.ndarray | Sequence[float],
     *,
-    input_map: AbstractInputMap,
-    state_scale: np.ndarray,
-    force_scale: float,
-    output: Output,
-    hold: Hold,
-    substeps: int,
+    dt: float | None = None,
     domain: Domain | None = None,
+    input_map: AbstractInputMap | None = None,
+    hold: Hold = "foh",
+    substeps: int | None = None,
+    output: Output | None = None,
+    state_scale: np.ndarray | None = None,
+    force_scale: float | None = None,
 ) -> Model:
-    """Build a model with constant tokens from coefficients a_0 ... a_n (V^2 s^i / m), no memory, no effects."""
-    coefficients = np.asarray(coefficients, np.float64)
+    """Build a linear model from coefficients a_0 ... a_n (V^2 s^i / m): constant tokens, no memory, no effects.
+
+    Other parts come in by `dataclasses.replace(model, encoder=..., memory=..., drive=...)`.
+
+    Args:
+        coefficients: a_0 ... a_n of stable roots, shape (n + 1,); behind a linear input in V s^i / m.
+        dt: sampling interval, s.
+        domain: sampling interval and limits, in place of `dt`.
+        input_map: `SquareInput()` (default) or `LinearInput()`.
+        hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
+        substeps: Runge-Kutta steps a sample; None follows from the poles.
+        output: offset and direction of the sensor; default 0 and +1.
+        state_scale: unit of every derivative, m / s^i, shape (n + 1,); None is what the force's unit moves at the
+            natural frequency.
+        force_scale: unit of the force, V^2 or V; None is that of the highest voltage, of 1 kV (1 V behind a linear
+            input) where no limit is known.
+
+    Returns:
+        the model.
+
+    Raises:
+        BadInput: neither `dt` nor `domain`.
+
+    Examples:
+        >>> model = pitp.linear_model([1e9, 6.4e6, 1e6], dt=1e-3)
+        >>> round(model.natural_frequency / (2 * np.pi), 2)
+        5.03
+    """
+    if domain is None and dt is None:
+        raise BadInput("linear_model: give dt, the sampling interval in s")
+    domain = Domain(number(dt)) if domain is None else domain
+    coefficients, input_map = np.asarray(coefficients, np.float64), input_map or SquareInput()
+    if force_scale is None:
+        highest = np.abs(domain.voltage_range).max()
+        known = highest if np.isfinite(highest) and highest > 0 else 1e3 if input_map.one_sided else 1.0
+        force_scale = float(input_map.force(np.asarray(known, float)))
+    if state_scale is None:
+        powers = (dominant_frequency(coefficients) or 1 / domain.dt) ** np.arange(len(coefficients))
+        state_scale = force_scale / np.abs(coefficients * powers).max() * powers
     scaled = coefficients * np.asarray(state_scale) / force_scale
     return Model(
         coefficients=jnp.asarray(scaled, jnp.float32),
         input_map=input_map,
         encoder=ConstantEncoder(len(coefficients) + 1),
         memory=NoMemory(),
-        output=output,
+        output=output or Output(),
         scales=Scales(state_scale, force_scale, sections_of(coefficients) if len(coefficients) > 3 else ()),
         hold=hold,
-        substeps=substeps,
-        domain=domain or Domain(1.0),
+        substeps=substeps_of(coefficients, domain.dt) if substeps is None else substeps,
+        domain=domain,
     )

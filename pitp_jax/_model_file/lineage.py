@@ -37,9 +37,20 @@ def descended(
         known = None if parent is None else digest(parent)
     except BadInput:  # a part of one's own, which no file holds
         known = None
-    entry = {"step": step, "versions": versions, "parent": known, "records": [_sum(r) for r in records]}
+    entry = {"step": step, "versions": versions, "parent": known, "records": sums(records)}
     fitted = fitted_of(model)
     return replace(fitted, origin=replace(fitted.origin, lineage=(*fitted.origin.lineage, entry)))
+
+
+def sums(records: Sequence[Record]) -> list[dict]:
+    """Name and SHA-256 of each recording: of its file where there is one, else of its samples."""
+    return [_sum(r) for r in records]
+
+
+def was_made_from(model: Model | Fitted, records: Sequence[Record]) -> bool:
+    """Return whether all these recordings are among those that a step of the model's line of descent saw."""
+    seen = {r["sha256"] for entry in fitted_of(model).origin.lineage for r in entry.get("records", ())}
+    return bool(seen) and all(one["sha256"] in seen for one in sums(records))
 
 
 def _sum(record: Record) -> dict:

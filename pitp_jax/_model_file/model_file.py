@@ -25,6 +25,7 @@ from .._errors import BadInput, cleaned
 from .._model.constants import ConstantArray, constant_array
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
+from .._model.own_encoder import own_module
 from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
 from .parts import build, decode, describe, encode, origin_of
@@ -69,9 +70,8 @@ def _sum(body: bytes) -> bytes:
 def _body(fitted: Fitted) -> bytes:
     """Write what stands behind the digest: header and leaves."""
     header, model = describe(fitted), _stored(fitted.model)
-    skeleton = _stored(
-        _skeleton(header)
-    )  # as `load` will build it: a model that could not be read back is refused here
+    # as `load` will build it: a model that could not be read back is refused here
+    skeleton = _stored(_skeleton(header, own_module(fitted.model.encoder)))
     arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _arrays(model)]
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:
@@ -92,17 +92,20 @@ def _body(fitted: Fitted) -> bytes:
     return body.getvalue()
 
 
-def load(path: str | os.PathLike) -> Fitted:
+def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitted:
     """Read a model file; no code from the file is run.
 
     Args:
         path: a file that `save` wrote.
+        encoder: where the model has an encoder of your own, a module of the same class and sizes. Its arrays are
+            replaced by the stored ones; all else in it stays.
 
     Returns:
         a `Fitted`: the model and its origin, equal to those that were saved.
 
     Raises:
-        BadInput: missing, a folder, not a model file, from a newer version, or damaged in any bit.
+        BadInput: missing, a folder, not a model file, from a newer version, damaged in any bit, or an encoder is
+            missing or does not fit.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -116,12 +119,15 @@ def load(path: str | os.PathLike) -> Fitted:
         text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
         header = decode(text) if version > 1 else upgraded(decode(text))
         check_header(header)
-        model = _filled(_skeleton(header), header["leaves"], memoryview(body)[end + 1 :])
+        model = _filled(_skeleton(header, encoder), header["leaves"], memoryview(body)[end + 1 :])
         return Fitted(model, origin_of(header))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     except Exception as error:  # an intact digest over contents no version of `save` writes
         reason = cleaned(" ".join(f"{type(error).__name__}: {error}".split())[:120])
+        if encoder is not None:
+            name = type(encoder).__name__
+            raise BadInput(f"{path}: {name} is not the stored encoder ({reason}); give one of its sizes") from None
         raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
 
 
@@ -171,12 +177,12 @@ def _version(path, line: bytes) -> int:
     return int(version)
 
 
-def _skeleton(header: dict) -> Model:
+def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
     """Build the model of a header with shapes where its leaves belong; nothing is allocated.
 
     Constants (scales, domain, the sensor's offset) have their numbers in the header.
     """
-    return eqx.filter_eval_shape(lambda: build(header))
+    return eqx.filter_eval_shape(lambda: build(header, own))
 
 
 def _stored(model: Model) -> Model:

@@ -28,6 +28,7 @@ from .._model.input_map import LinearInput, SquareInput
 from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Scales
 from .._model.origin import Origin, OutOfFold
+from .._model.own_encoder import OwnEncoder
 from .._record.long_record import LongRecord
 
 LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
@@ -89,6 +90,8 @@ ENCODERS = {
         lambda offset, frugal=0, **k: CompactEncoder(**k, offset=bool(offset), frugal=bool(frugal), key=_key()),
     ),
     "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
+    # its module is not rebuilt from the file, which could then choose what runs: the caller gives one
+    "own": Part(OwnEncoder, lambda e: {"module": type(e.module).__name__}, OwnEncoder),
 }
 
 
@@ -194,7 +197,7 @@ def _named(registry: dict[str, Part], part) -> dict:
     raise BadInput(f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})")
 
 
-def _part(registry: dict[str, Part], described: dict):
+def _part(registry: dict[str, Part], described: dict, **given: Any):
     settings = dict(described)
     name = settings.pop("name")
     if name in REMOVED:
@@ -203,7 +206,7 @@ def _part(registry: dict[str, Part], described: dict):
         raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
     for key, value in settings.items():
         # the one setting that is a word: an adapted encoder stands around a plain one
-        if key == "of" and value in ("constant", "compact", "paper"):
+        if key == "of" and value in ("constant", "compact", "paper", "own"):
             continue
         # True is an int to Python and would be a size of 1
         if (
@@ -212,7 +215,7 @@ def _part(registry: dict[str, Part], described: dict):
             or (isinstance(value, int) and not 0 <= value <= LARGEST)
         ):
             raise ValueError(f"{name}: {key} = {str(value)[:40]}")
-    return registry[name].build(**settings)
+    return registry[name].build(**settings, **given)
 
 
 def _bands(stored: dict | None) -> OutOfFold | None:
@@ -252,15 +255,27 @@ def _without_control(value: Any) -> Any:
     return cleaned(value) if isinstance(value, str) else value
 
 
-def build(header: dict) -> Model:
-    """Build the model the header describes; its leaves are placeholders."""
+def _encoder(described: dict, own: Any) -> Any:
+    """Build an encoder; a module of the user's own is the given one."""
+    settings = dict(described)
+    module = settings.pop("module", None)
+    if module is not None and own is None:
+        name = cleaned(module)[:40]
+        raise BadInput(f"holds an encoder of your own ({name}): give pitp.load(FILE, encoder={name}(...)) in Python")
+    if module is None and own is not None:
+        raise BadInput("holds no encoder of your own: load it without `encoder`")
+    return _part(ENCODERS, settings, **({} if own is None else {"module": own}))
+
+
+def build(header: dict, own: Any = None) -> Model:
+    """Build the model the header describes; its leaves are placeholders. `own`: the user's module in its encoder."""
     scales = header["scales"]
     if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
     model = Model(
         coefficients=jnp.zeros((len(scales["state"]),)),
         input_map=_part(INPUT_MAPS, header["input_map"]),
-        encoder=_part(ENCODERS, header["encoder"]),
+        encoder=_encoder(header["encoder"], own),
         memory=_part(MEMORIES, header["memory"]),
         output=Output(**header["output"]),
         scales=Scales(**scales),

@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import BadInput, cleaned
+from .._errors import BadInput, cleaned, refuse_traced
 from .._table import Loaded, ReadOptions, Refused, load_columns, together
 from .._table.formats import split_suffix
+from .._table.header import NoTable
+from .._table.join import proposed_join
 from .._table.options import FOLDER_FILE as FOLDER_FILE
-from .._table.options import OPTIONS
+from .._table.options import OPTIONS, joined_in
 from .._table.robot import is_bag
 from .._table.units import base_unit, from_base
 from .checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, check_wanted
@@ -59,6 +61,7 @@ class Target(Timed):
 
     def __post_init__(self):
         """Refuse what cannot be inverted (`read_target` gives the column and the line as well)."""
+        refuse_traced("Target", "inverse with an array", self.time, self.displacement)
         for field in ("time", "displacement"):
             object.__setattr__(self, field, own_column(getattr(self, field), f"{self.source or 'target'}: {field}"))
         check_wanted(self.time, self.displacement, self.source or "target")
@@ -83,8 +86,9 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
             kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
             without time and for any clock, which it overrules. `header_line`: the line that names the columns, from 1.
             `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a
-            workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `joint`: one of those that
-            `each` in `pitp.toml` names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
+            workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `join`: files with the
+            other columns, where time, input and output stand in separate files. `joint`: one of those that `each` in
+            `pitp.toml` names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
 
     Returns:
         the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
@@ -132,6 +136,10 @@ def options_of(said: Mapping[str, Any]) -> ReadOptions:
         raise BadInput(
             f"{strange[0]!r} is no option of reading; they are {', '.join(ReadOptions.__dataclass_fields__)}"
         )
+    files = said.get("join")
+    if files is not None:
+        names = [files] if isinstance(files, (str, os.PathLike)) else files
+        said = {**said, "join": tuple(os.fspath(_existing(name)) for name in names)}
     return ReadOptions(**said)
 
 
@@ -147,7 +155,7 @@ def attempted(
         make: from a file, the label of a part and its columns to a list.
     """
     # names first: a record's label depends on all the others
-    files = files_of(paths)
+    files = _without_joined(files_of(paths), options)
     made: list = []
     refused: dict[str, BadInput] = {}
     for file, name in zip(files, names_of(files), strict=True):
@@ -157,7 +165,17 @@ def attempted(
             made += [piece for label, one in zip(labels, parts, strict=True) for piece in make(file, label, one)]
         except BadInput as error:
             refused[name] = error
+    incomplete = refused and not made and all(isinstance(e, Refused | NoTable) for e in refused.values())
+    join = proposed_join(files, options, quantities) if incomplete else None
+    if join is not None:
+        return made, {join.source: join}, 1
     return made, refused, len(files)
+
+
+def _without_joined(files: list[Path], options: ReadOptions) -> list[Path]:
+    """The files less those that are joined to others of them, unless that leaves none."""
+    joined = {os.path.realpath(other) for file in files for other in options.join or joined_in(file)}
+    return [file for file in files if os.path.realpath(file) not in joined] or files
 
 
 def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
@@ -394,7 +412,7 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
         **({"limit": masked.limit} if masked.clipped else {}),
         "remarks": [f"{remark.record}: {remark}" for remark in remarks],
         "findings": remarks,
-        "options": one.options.said(),
+        "options": _beside(one.options, path).said(),
     }
     return [
         Record(
@@ -403,6 +421,13 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
         )
         for k, piece in enumerate(put.pieces, 1)
     ]  # fmt: skip
+
+
+def _beside(options: ReadOptions, path: Path) -> ReadOptions:
+    """The options as `pitp.toml` beside a file has them: joined files by their way from there."""
+    if options.join is None:
+        return options
+    return replace(options, join=tuple(os.path.relpath(other, path.parent) for other in options.join))
 
 
 def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]:

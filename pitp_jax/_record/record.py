@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import BadInput, cleaned
+from .._errors import BadInput, cleaned, refuse_traced
 from .._shown import Shown
 from .._table.units import INPUT_UNITS, from_base
 from .checks import check_samples
@@ -85,6 +85,7 @@ class Record(Timed):
 
     def __post_init__(self):
         """Refuse what no later step could use (the readers give the file, column and sample as well)."""
+        refuse_traced("Record", "free_run or residual with arrays", self.time, self.voltage, self.displacement)
         for name in ("time", "voltage", "displacement"):
             object.__setattr__(self, name, own_column(getattr(self, name), f"record {self.name!r}: {name}"))
         for unit in (self.voltage_unit, self.displacement_unit):

@@ -60,6 +60,20 @@ def with_error(value: float, stderr: float | None, unit: str) -> str:
     return f"{text} {unit}".strip()
 
 
+def with_interval(value: float, low: float, high: float, unit: str) -> str:
+    """`0.4781 s (0.4777 to 0.4785)`; digits as for a standard error of a quarter of the interval's width."""
+    width = (high - low) / 4
+    if not width or not math.isfinite(width):
+        return f"{figure(value)} {unit}".strip()
+    size = max(abs(value), abs(low), abs(high))
+    power = _power(size) if not 1e-3 <= size < 1e6 else 0
+    lead = _power(width / 10.0**power)
+    places = -lead + (width / 10.0**power / 10.0**lead < 2)
+    texts = [f"{round(v / 10.0**power, places):.{max(places, 0)}f}".replace("-", "−") for v in (value, low, high)]
+    scaled = f"·10{str(power).translate(_DIGITS)}" if power else ""
+    return f"{f'{texts[0]}{scaled} {unit}'.strip()} ({texts[1]} to {texts[2]}{scaled})"
+
+
 def shown_unit(unit: str) -> str:
     """A unit as it is printed."""
     return unit.replace("um", "µm").replace("^2", "²").replace("^3", "³")

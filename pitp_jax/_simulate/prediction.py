@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._errors import refuse_traced
 from .._model.fitted import Fitted, model_of
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
@@ -132,6 +133,7 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
         >>> run.displacement.shape == records[0].displacement.shape
         True
     """
+    refuse_traced("predict", "free_run", model)
     model = model_of(model)
     check_set(records)
     model = at_rate(model, records[0].dt)

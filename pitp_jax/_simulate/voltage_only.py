@@ -8,7 +8,7 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, refuse_traced
 from .._model.coordinate import Zero, from_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
@@ -45,6 +45,7 @@ def rollout(
         >>> x.shape, bool(x[0] == 0.0), bool(x[-1] > 0)
         ((200,), True, True)
     """
+    refuse_traced("rollout", "free_run", model, voltage)
     model = model_of(model)
     dt = model.dt if dt is None else dt
     drive = _checked(voltage, dt, begins)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._errors import BadInput
+from .._errors import BadInput, by_option
 from .names import Header, read_header
 from .options import OPTIONS, ReadOptions
 from .refusal import Refused
@@ -29,6 +29,7 @@ _WORD = {
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
 _SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are no seconds for certain
+_EPOCH = 1e9, 4e9  # s since 1970: the years 2001 to 2096
 _RISING = 0.9  # of the steps of a clock
 _MONITOR = 10.0  # V: the range of a DAQ
 
@@ -158,6 +159,8 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
     """
     seen = time[np.isfinite(time)]
     step = float(np.median(np.diff(seen))) if len(seen) > 1 else 0.0
+    if len(seen) and seen.min() > _EPOCH[0] and seen.max() < _EPOCH[1]:
+        return None
     # 0, 1, 2, ... may count samples, ms or s
     whole = step >= 1 and np.array_equal(seen, np.round(seen))
     if not (whole or step >= _SLOWEST or 0 < step < _FASTEST):
@@ -250,8 +253,8 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
 def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
     """Return the clocks that the values, the names and the units leave, in this order of importance.
 
-    A latency or a cycle time has a unit of time, and does not rise. Of clocks that agree the one with the smallest
-    values is taken, which loses the fewest digits.
+    A latency or a cycle time has a unit of time, and does not rise. Of clocks that agree the one that counts
+    seconds for certain is taken, or the one with the smallest values, which loses the fewest digits.
     """
     if len(clocks) < 2:
         return clocks
@@ -269,7 +272,9 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
     seconds = {s.place: to_base(values[s.place], (s.kind == "time" and s.unit) or "s") for s in clocks}
     first = seconds[clocks[0].place]
     if len(clocks) > 1 and all(_agree(first, other) for other in seconds.values()):
-        clocks = [min(clocks, key=lambda s: float(np.nanmax(np.abs(seconds[s.place]))))]
+        # one that certainly counts seconds first
+        asked = {s.place: s.kind is None and clock_question(values[s.place], "") is not None for s in clocks}
+        clocks = [min(clocks, key=lambda s: (asked[s.place], float(np.nanmax(np.abs(seconds[s.place])))))]
     return clocks
 
 
@@ -400,7 +405,7 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     """Options that would answer: what no file holds (a scale, a rate, a unit) in capitals."""
     absent = {f"--{OPTIONS[q]}-column" for q in problems if options.column(q) is not None and not pools[q]}
     stated = options.words()
-    words = [w for pair in zip(stated[::2], stated[1::2], strict=True) if pair[0] not in absent for w in pair]
+    words = [word for group in by_option(stated) if group[0] not in absent for word in group]
     taken = {choice.place for choice in chosen.values()}
     free = [s for s in seen if s.place not in taken and s.column.form == "number" and not s.counts_rows]
     if "time" in problems and not problems["time"].options:
@@ -431,10 +436,8 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
 
 def _once(words: Sequence[str]) -> list[str]:
     """Options and values, each option once: the first stands."""
-    pairs: dict[str, str] = {}
-    for option, value in zip(words[::2], words[1::2], strict=True):
-        pairs.setdefault(option, value)
-    return [word for pair in pairs.items() for word in pair]
+    groups = by_option(words)
+    return [word for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for word in group]
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 
 from .._errors import BadInput
 from .choice import Choice, choose_columns, clock_question, listed
-from .formats import Parts, open_parts
+from .formats import Parts
 from .held import hold_sparse
+from .join import joined_parts
 from .names import read_header
 from .options import OPTIONS, ReadOptions, with_folder
 from .refusal import Refused
@@ -72,9 +73,9 @@ def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) ->
         BadInput: nothing readable, or something must be asked.
     """
     said = with_folder(options, path)
-    parts = open_parts(path, said)
+    parts = joined_parts(path, said)
     if said != options and any(_ours(table) for tables in parts for table in tables):
-        said, parts = options, open_parts(path, options)  # pitp.toml is for what pitp did not write
+        said, parts = options, joined_parts(path, options)  # pitp.toml is for what pitp did not write
     if said.split_by in ("sheet", "group"):
         chosen = [_agreed(tables, said, quantities) for tables in parts]
         return [replace(_load(*one, said), label=one[0].part) for one in chosen]

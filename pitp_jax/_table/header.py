@@ -33,6 +33,17 @@ _KEYS = (  # of rows that begin with a key: `TraceName,CH1,CH2`, `UnitName=  kV 
 _PAIR = re.compile(r"(?:unit of )?(\w[\w ]*?)\s*(?:\bin\b|[=:/]|[(\[])\s*([^\s\d)\]]+)\s*[)\]]?")
 
 
+class NoTable(BadInput):
+    """A text without two columns of numbers."""
+
+    def __init__(self, source: str):
+        """Compose the message for a file."""
+        super().__init__(
+            f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV, or give "
+            "--separator and --header-line"
+        )
+
+
 @dataclass(frozen=True)
 class Rows:
     """The first rows of a table.
@@ -99,7 +110,7 @@ def layouts(
     full = [row for row in map(rows.cells.__getitem__, body) if len(row) == width and _count(row, decimal)]
     forms = _forms(full[_settings(full) :], width, decimal)
     if sum(form != "text" for form in forms) < 2:
-        raise BadInput(f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV")
+        raise NoTable(source)
     first = _first(rows, body, width, forms, decimal)
     if first is None:
         raise BadInput(f"{source}: no row in which every column has its number; correct the first rows")

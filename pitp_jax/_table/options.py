@@ -7,6 +7,7 @@ A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option 
 
 import json
 import math
+import os
 import tomllib
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatch
@@ -43,6 +44,7 @@ class ReadOptions:
         sheet: of a workbook.
         split_by: a column, "sheet" or "group": a record for each of its values.
         from_s, to_s: the range of time of every recording, in s after its first row.
+        join: files with the other columns of the same rows, where time, input and output stand in separate files.
         joint: of the joints that `each` in `pitp.toml` names, the one to read.
 
     Raises:
@@ -67,6 +69,7 @@ class ReadOptions:
     split_by: str | None = None
     from_s: float | None = None
     to_s: float | None = None
+    join: tuple[str, ...] | None = None
     joint: str | None = None
 
     def __post_init__(self):
@@ -137,11 +140,13 @@ class ReadOptions:
 
     def words(self) -> list[str]:
         """The options as a command line has them."""
-        return [word for name, value in self.said().items() for word in (f"--{name}", _word(value))]
+        return [word for name, value in self.said().items() for word in (f"--{name}", *_words(value))]
 
 
-def _word(value: Any) -> str:
-    return f"{value:.12g}" if isinstance(value, float) else str(value)
+def _words(value: Any) -> list[str]:
+    if isinstance(value, tuple):
+        return list(value)
+    return [f"{value:.12g}" if isinstance(value, float) else str(value)]
 
 
 def folder_file(said: dict[str, dict[str, Any]]) -> str:
@@ -167,6 +172,8 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
     source, joints = cleaned(path.parent / FOLDER_FILE), joints_of(said.pop("each", {}))
     if isinstance(said.get("units_line"), int):
         said["units_line"] = str(said["units_line"])
+    if "join" in said:
+        said["join"] = joined_in(path)
     # what stands on the command line
     own = {f.name: getattr(options, f.name) for f in fields(options)}
     if options.joint is not None and options.joint not in joints:
@@ -181,6 +188,16 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
         return replace(options, **{name: value for name, value in said.items() if own[name] is None})
     except BadInput as error:
         raise BadInput(f"{source}: {error}") from None
+
+
+def joined_in(path: Path) -> tuple[str, ...]:
+    """Return the files that `join` in `pitp.toml` joins to a file; none where the folder has no such file."""
+    try:
+        names = _of_file(path).get("join", ())
+    except BadInput:  # refused when the file is read
+        return ()
+    beside = [path.parent / str(name) for name in ([names] if isinstance(names, str) else names)]
+    return tuple(os.fspath(other) for other in beside if other != path)
 
 
 def joints_in(path: Path) -> list[str]:

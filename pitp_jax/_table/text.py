@@ -19,13 +19,13 @@ import numpy as np
 
 from .._errors import BadInput, cleaned
 from .guard import check_count, file_bytes, gunzip
-from .header import MISSING, Layout, Rows, is_number, layouts, trimmed
+from .header import MISSING, Layout, NoTable, Rows, is_number, layouts, trimmed
 from .names import read_header
 from .options import ReadOptions
 from .refusal import Refused
 from .signatures import SIGNATURES
 from .stamps import is_stamp, seconds
-from .table import Table
+from .table import Column, Table
 from .units import spelt
 
 COMMENTS = ("#", "%", "//", "!")
@@ -67,6 +67,29 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
     if not tables:
         raise refusals[0]
     return tables
+
+
+def single_column(path: Path) -> Table | None:
+    """A text of one number a line, with a name above them or that of the file; None for any other file."""
+    source = cleaned(path)
+    try:
+        lines = [line.strip().strip('"') for line in _text(path, source).decode("utf-8").split("\n")]
+    except (BadInput, UnicodeError):
+        return None
+    numbers = [k for k, line in enumerate(lines) if line and not line.startswith(COMMENTS)]
+    decimal = "," if any("," in lines[k] for k in numbers[1:]) else "."
+    name = path.name.partition(".")[0]
+    if numbers and not is_number(lines[numbers[0]], decimal):
+        name = lines[numbers.pop(0)]
+    cells = [lines[k] for k in numbers]
+    if len(cells) < 2 or not all(is_number(cell, decimal) for cell in cells):
+        return None
+    values = np.array([float(cell.replace(",", ".")) for cell in cells])
+
+    def place(k: int) -> str:
+        return f"sample {k} (line {numbers[k] + 1})"
+
+    return Table(path, (Column(cleaned(name)),), lambda places: [values for _ in places], place, "text of one column")
 
 
 def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
@@ -299,10 +322,7 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
             if score > best + 1e-9:
                 best, dialect = score, (separator, decimal)
     if dialect is None:
-        raise BadInput(
-            f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV, or give "
-            "--separator and --header-line"
-        )
+        raise NoTable(source)
     return dialect
 
 

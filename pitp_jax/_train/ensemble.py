@@ -1,9 +1,11 @@
 """Estimate uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
 
-    x(t) = mean_k x_k(t),    s(t)^2 = (1 + 1/K) var_k x_k(t) + s_0^2,    band = x(t) +- q s(t),  q: Student's, K - 1
+    x(t) = mean_k x_k(t),    band = x(t) +- sqrt( t_{K-1}(p)^2 (1 + 1/K) var_k x_k(t) + b(p)^2 )
+    b(p) = range Q(p) t_R(p) / z(p)       p: level;  t, z: Student's and the normal quantile of |.|
 
-What the members agree on by mistake no spread can show, so s_0, their rms error on the training records over its
-range, stands beside it. Student's quantile on both is on the safe side (docs/decisions/training.md).
+What the members agree on by mistake no spread can show, so b stands beside it: Q are the quantiles of the mean's
+|error| / range on the R training records. Errors of free runs are not normal: most are small, and a few are large.
+Student's factor stands for the R records that Q is known from (docs/decisions/training.md).
 
 Of P JAX processes, number p trains the members p, p + P, ...; in the end every process has them all.
 """
@@ -19,9 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 from jax.experimental.multihost_utils import process_allgather
+from jaxtyping import Float
 
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
+from .._model.own_encoder import own_module
 from .._model.programs import jit
 from .._model_file import load, save
 from .._record.initial_state import in_motion
@@ -33,6 +37,8 @@ from .._simulate.decoder import rollout
 from .._simulate.prediction import FAR, at_rate, starts
 from .training import train
 
+_LEVELS = 201  # quantiles kept of the errors, every half percent
+
 
 @dataclass(frozen=True, repr=False)
 class Ensemble(Shown):
@@ -41,6 +47,9 @@ class Ensemble(Shown):
     Attributes:
         models: K models, each usable alone.
         error: rms error of the mean on the training records, over the range of each.
+        errors: quantiles of |error| / range on those records, at evenly spaced levels from 0 to 1. Empty: `error` times
+            Student's quantile of K - 1 stands for them.
+        records: number R of those records.
 
     Raises:
         ValueError: fewer than 2 members, or members that differ in their parts, scales or output.
@@ -48,6 +57,27 @@ class Ensemble(Shown):
 
     models: tuple[Model | Fitted, ...]
     error: float
+    errors: tuple[float, ...] = ()
+    records: int = 1
+
+    @staticmethod
+    def calibrated(models: Sequence[Model | Fitted], records: Sequence[Record]) -> "Ensemble":
+        """Make an ensemble of trained members with the error of their mean on these records, the training's."""
+        bands = predict_band(Ensemble(tuple(models), 0.0), records)
+        errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
+        # quantiles record by record first: a long record counts as much as a short one
+        pooled = np.concatenate([np.quantile(np.abs(e), np.linspace(0, 1, _LEVELS)) for e in errors])
+        quantiles = np.quantile(pooled, np.linspace(0, 1, _LEVELS))
+        rms = float(np.sqrt(np.mean([np.mean(e**2) for e in errors])))
+        return Ensemble(tuple(models), rms, tuple(quantiles.tolist()), len(records))
+
+    def floor(self, level: float) -> float:
+        """Compute b / range: the error at this level that the members share."""
+        quantile = 0.5 + level / 2
+        if not self.errors:
+            return self.error * float(scipy.stats.t.ppf(quantile, len(self.models) - 1))
+        known = float(np.interp(level, np.linspace(0, 1, len(self.errors)), self.errors))
+        return known * float(scipy.stats.t.ppf(quantile, self.records) / scipy.stats.norm.ppf(quantile))
 
     def __post_init__(self):
         """Refuse one member, which has no spread, and members of two makes, which cannot be run at once."""
@@ -103,9 +133,7 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
     # the same records for all: what differs is the start of the nets and the order of minibatches
     models = tuple(train(nominal, records, key=keys[k], **options).model for k in mine)
     models = _gathered(models, members) if processes > 1 else models
-    bands = predict_band(Ensemble(models, 0.0), records)
-    errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
-    return Ensemble(models, float(np.sqrt(np.mean(np.square(errors)))))
+    return Ensemble.calibrated(models, records)
 
 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
@@ -143,10 +171,10 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         # a mean over fewer members from there on would jump: where one is lost, the band ends
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
         x = np.where(lost, np.nan, x) * model.scales.state[0]
-        base = ensemble.error * r.span
-        spread = np.sqrt((1 + 1 / len(x)) * x.var(0, ddof=1) + base**2)  # 1 / K: the mean itself is uncertain
+        spread = quantile * np.sqrt(1 + 1 / len(x)) * x.std(0, ddof=1)  # 1 / K: the mean itself is uncertain
+        half = np.hypot(spread, ensemble.floor(level) * r.span)
         scored = np.arange(r.samples) >= spent[0][0]
-        bands.append(Band(r.name, model.output.to_rig(x.mean(0)), quantile * spread, bool(lost.any()), scored))
+        bands.append(Band(r.name, model.output.to_rig(x.mean(0)), half, bool(lost.any()), scored))
     return tuple(bands)
 
 
@@ -171,18 +199,19 @@ def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:
         for k in range(members):
             slot = k % processes, k // processes
             path.write_bytes(files[slot][: sizes[slot]].tobytes())
-            models.append(load(path))
+            models.append(load(path, encoder=own_module(own[0].encoder) if own else None))
     return tuple(models)
 
 
 def _stacked(models: Sequence[Model]) -> Model:
     """Stack the members into one model whose leaves have a leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
+    # an encoder of one's own may hold functions, which are the same in all
+    return jax.tree.map(lambda *leaves: leaves[0] if callable(leaves[0]) else jnp.stack(leaves), *models)
 
 
 def _make(model: Model) -> tuple:
     """Describe what members must have in common: structure, shapes, scales and output."""
-    shapes, structure = jax.tree.flatten(jax.tree.map(jnp.shape, model))
+    shapes, structure = jax.tree.flatten(jax.tree.map(lambda a: a if callable(a) else jnp.shape(a), model))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
 
@@ -191,7 +220,7 @@ def _run(stack: Model, voltage, dt: float, start):
     return eqx.filter_vmap(lambda m, s: ports.readings(m, rollout(m, voltage, dt, s)))(stack, start)
 
 
-def _relative(band: Band, record: Record) -> float:
+def _relative(band: Band, record: Record) -> Float[np.ndarray, " counted"]:
+    """Compute the mean's error over the record's range, at the samples that count."""
     keep = band.scored & record.observed
-    error = (band.displacement - record.displacement)[keep]
-    return float(np.sqrt(np.mean(error**2)) / record.span)
+    return (band.displacement - record.displacement)[keep] / record.span

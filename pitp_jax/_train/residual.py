@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._invert.motion import equation_of, features_of, motion_along
+from .._model.coordinate import Zero
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.programs import jit
@@ -31,6 +32,7 @@ def residual(
     displacement: Float[np.ndarray | Array, " time"],
     *,
     cutoff_hz: float | None = None,
+    zero: Zero = "rest",
 ) -> Float[Array, " time"]:
     """Compute the residual of eq. 12 along a recording, over the model's unit of force, shape (time,).
 
@@ -43,6 +45,7 @@ def residual(
         displacement: shape (time,), m, without missing values: 0 at 0 V, growing as the actuator extends (behind a
             linear input with the sensor's sign).
         cutoff_hz: cut-off of the low-pass filter; None is the training's: twice the band of the force.
+        zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
         residual, shape (time,): the force that the motion needs minus that of the voltage.
@@ -55,7 +58,7 @@ def residual(
     """
     model = model_of(model)
     u, x = (jnp.asarray(a, model.coefficients.dtype) for a in (voltage, displacement))
-    return _measured(model, u, x, model.dt, cutoff_hz)[0]
+    return _measured(model, u, x, model.dt, cutoff_hz, zero)[0]
 
 
 def residual_loss(
@@ -67,11 +70,12 @@ def residual_loss(
     width: float = PRESETS["default"].huber,
     penalty: tuple[float, float] = PRESETS["default"].penalty,
     cutoff_hz: float | None = None,
+    zero: Zero = "rest",
 ) -> Float[Array, ""]:
     """Compute the loss of the training over a recording: Huber's residuals plus what leaves the box (eq. 12).
 
     Args:
-        model, voltage, displacement, cutoff_hz: as of `residual`.
+        model, voltage, displacement, cutoff_hz, zero: as of `residual`.
         box: lowest and highest factor on the nominal tokens that costs nothing; default none does.
         width: of Huber's quadratic part, in units of the model's force.
         penalty: alpha and beta, the costs of a unit above and below the box.
@@ -87,21 +91,21 @@ def residual_loss(
     """
     model = model_of(model)
     u, x = (jnp.asarray(a, model.coefficients.dtype) for a in (voltage, displacement))
-    return _loss(model, u, x, model.dt, cutoff_hz, box, width, penalty)
+    return _loss(model, u, x, model.dt, cutoff_hz, zero, box, width, penalty)
 
 
 @jit
-def _loss(model: Model, voltage, displacement, dt, cutoff_hz, box, width, penalty) -> Float[Array, ""]:
-    difference, tokens, equation, valid = _measured(model, voltage, displacement, dt, cutoff_hz)
+def _loss(model: Model, voltage, displacement, dt, cutoff_hz, zero: Zero, box, width, penalty) -> Float[Array, ""]:
+    difference, tokens, equation, valid = _measured(model, voltage, displacement, dt, cutoff_hz, zero)
     weight = jnp.where(valid, spread_weights(equation[:, :-1], valid=valid, xp=jnp), 0.0)
     return balance(model, difference, tokens, weight, box, width=width, penalty=penalty)[0]
 
 
 @jit
-def _measured(model: Model, voltage, displacement, dt, cutoff_hz):
+def _measured(model: Model, voltage, displacement, dt, cutoff_hz, zero: Zero):
     """Compute residual, tokens and scaled [x, ..., x^(n)] along a recording, and where the filter has settled."""
     dtype = model.coefficients.dtype
-    x = motion_along(model, displacement, dt)
+    x = motion_along(model, displacement, dt, zero)
     force = scaled_force(model, ports.filmed(model, voltage, dt, voltage[0] == 0)).astype(dtype)
     cutoff = _cutoff(force, dt) if cutoff_hz is None else jnp.asarray(cutoff_hz, dtype)
     equation = equation_of(model, _low_passed(x, cutoff, dt), dt)

@@ -20,6 +20,7 @@ from .._model.drive import ElectrodeLag
 from .._model.encoder import CompactEncoder, PaperEncoder
 from .._model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model
+from .._model.own_encoder import build_own
 from .._record.derivative import DIFFERENCES
 from .._record.long_record import LongRecord
 from .._record.preprocess import StateRecord
@@ -27,7 +28,7 @@ from .dataset import Dataset
 from .second_resonance import second_mass
 
 _WORDS = {
-    "encoder": ("compact", "paper"),
+    "encoder": ("compact", "paper", "own"),
     "memory": ("fading", "elapsed", "none"),
     "drive": ("electrode", "direct"),
     "scaling": ("rms", "paper"),
@@ -43,7 +44,7 @@ class Settings:
     """What a preset fixes; the paper's symbols (Algorithm 1, III-D) in brackets.
 
     Attributes:
-        encoder: "compact" or "paper".
+        encoder: "compact", "paper", or "own", which `train(..., encoder=MODULE)` sets.
         width: hidden size of the compact encoder's nets.
         offset: whether the compact encoder has an offset token.
         few: with fewer records than that, behind a square, the compact encoder is a smaller one (`frugal`): damping
@@ -186,11 +187,13 @@ def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
     return replace(with_drive(model, settings), effects=effects)
 
 
-def with_encoder(data: Dataset, settings: Settings, key) -> Model:
-    """Give the nominal a fresh encoder, bounded at twice the trained region."""
+def with_encoder(data: Dataset, settings: Settings, own, key) -> Model:
+    """Give the nominal a fresh encoder, the compact one bounded at twice the trained region; `own`: the user's."""
     model = data.model
     n, memories = model.order, model.memory.size
-    if settings.encoder == "paper":
+    if own is not None:
+        encoder = build_own(own, n + memories, n + 2, key)
+    elif settings.encoder == "paper":
         encoder = PaperEncoder(n + memories, n + 1, key=key)
     else:
         low, high = data.region.T

@@ -88,6 +88,7 @@ def train(
     settings: Settings | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     mesh: Mesh | None = None,
+    encoder: eqx.Module | Callable[..., eqx.Module] | None = None,
     key,
 ) -> Training:
     """Train an encoder on records, starting exactly at the nominal model.
@@ -103,6 +104,10 @@ def train(
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
         mesh: devices of this process that share the free runs, by records (`records_mesh`); default one device.
+        encoder: your own, in place of the preset's: an Equinox module as `OwnEncoder` describes it, or
+            fn(features, logits, key=key) that makes one. With a module no second mass is looked for, so that it takes
+            order + `Settings.memories` features. Training starts where its weights put it: at the nominal if its last
+            layer is zero.
         key: JAX key; the same key, records and machine give the same model.
 
     Returns:
@@ -116,7 +121,7 @@ def train(
     Examples:
         >>> trained = pitp.train(model, records, key=jax.random.key(0)).model  # doctest: +SKIP
     """
-    settings = preset_of(preset) if settings is None else settings
+    settings = _settings_for(encoder, preset_of(preset) if settings is None else settings)
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
@@ -134,7 +139,7 @@ def train(
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
-        for model, entry in _attempts(nominal, data, slow, records, compare, settings, key, progress, mesh):
+        for model, entry in _attempts(nominal, data, slow, records, compare, settings, encoder, key, progress, mesh):
             best = model
             history.append(entry)
     except KeyboardInterrupt:
@@ -157,6 +162,15 @@ def train(
     origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
     model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
+
+
+def _settings_for(encoder, settings: Settings) -> Settings:
+    """Choose the settings for an encoder of the user's own; with a module the number of memories is known before."""
+    if encoder is not None:
+        return replace(settings, encoder="own", ringing=settings.ringing and not isinstance(encoder, eqx.Module))
+    if settings.encoder == "own":
+        raise BadInput("settings: encoder 'own' needs the encoder itself: give train(..., encoder=MODULE)")
+    return settings
 
 
 def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginning]) -> Model:
@@ -190,8 +204,8 @@ def _prepared(
 
 
 def _attempts(
-    nominal, data: Dataset, slow: SlowBalance | None, records, compare: Judge, settings: Settings, key, progress,
-    mesh: Mesh | None,
+    nominal, data: Dataset, slow: SlowBalance | None, records, compare: Judge, settings: Settings, own, key,
+    progress, mesh: Mesh | None,
 ):  # fmt: skip
     """Yield (best model so far, history entry): the usual way, and where that does not converge others.
 
@@ -209,7 +223,7 @@ def _attempts(
 
     init, sub = jax.random.split(key)
     model = None
-    for model, entry in _stages(with_encoder(data, settings, init), data, settings, sub, progress):
+    for model, entry in _stages(with_encoder(data, settings, own, init), data, settings, sub, progress):
         yield model, entry
     if model is None or not settings.refine_steps:
         return
@@ -223,7 +237,7 @@ def _attempts(
         if best.nearly:
             again = refined(best.model, windows=False, emphasis=np.maximum(best.worse, 1.0) ** 2)
         else:
-            fresh = with_encoder(data, settings, jax.random.fold_in(init, start))
+            fresh = with_encoder(data, settings, own, jax.random.fold_in(init, start))
             again = refined(with_parts(fresh, nominal, settings), 10.0 ** (start - 2))
         ends = [best.model]
         for ends[0], entry in _until_lost(again):
@@ -263,7 +277,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
         for epoch in range(epochs):
             key, sub = jax.random.split(key)
             # a half cosine down to a twentieth: a stage ends where the noise of minibatches has settled
-            fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder == "compact" else 1.0
+            fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder != "paper" else 1.0
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
             params, state, (physics, constraint) = _epoch(
@@ -287,7 +301,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
 
 def _in_an_epoch(settings: Settings) -> dict:
     """Choose the settings that the program of an epoch depends on."""
-    dropout = settings.encoder == "paper"
+    dropout = settings.encoder != "compact"
     return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
 
 

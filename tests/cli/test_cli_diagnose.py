@@ -17,7 +17,7 @@ from pitp_jax.cli import main
 
 TAU = 0.02  # s: the electrode's lag that the nominal does not know
 KEYS = {"verdict", "effects", "equivalent", "gap", "ranking", "where", "next_experiment", "records", "pieces", "term"}
-KEYS |= {"budget", "handed_back"}
+KEYS |= {"budget", "handed_back", "parts", "refit"}
 GAP = {"before", "after", "unrefitted", "noise_floor", "floor_from", "closed_fraction", "ci95", "explainable"}
 RANKED = {"effect", "family", "form", "parameters", "train", "heldout", "closed_fraction", "ci95"}
 RANKED |= {"probability"}
@@ -73,6 +73,11 @@ def test_finds_the_lag_and_says_so(run):
     assert (tau["unit"], tau["value"]) == ("s", pytest.approx(TAU, rel=0.02))
     assert run.told["gap"]["closed_fraction"] > 0.95
     assert "verdict: explained by electrode_rc" in run.out
+    assert run.out.startswith("The model handed back reduces the error on held-out recordings from ")
+    (part,) = run.told["parts"]
+    assert (part["effect"], part["certainty"], run.told["refit"]) == ("electrode_rc", "certain", "no")
+    low, high = part["parameters"]["tau"]["ci95"]
+    assert low < tau["value"] < high and abs(TAU - tau["value"]) < 2 * (high - low)
     assert "electrode_rc *" in run.out and "closed (%)" in run.out
     assert "pitp: diagnosing" in run.err and "pitp: sets of 1" in run.err
 

@@ -77,6 +77,23 @@ def test_fit_says_first_that_training_failed(call, bench, tmp_path, trainer, mon
     assert json.loads((tmp_path / "j").read_text())["fallback"] == "the nominal itself"
 
 
+@pytest.mark.parametrize(("trained", "said", "ends"), [(34.0, "explains nothing", 3), (25.0, "only a part", 0)])
+def test_fit_says_first_that_its_model_explains_little(
+    call, bench, tmp_path, trainer, monkeypatch, trained, said, ends
+):
+    """A sine's standard deviation is 35 % of its range."""
+
+    def poor(*args, **options):
+        return replace(trainer(*args, **options), errors=(training.RecordError("sine2", 36.0, trained),))
+
+    monkeypatch.setattr("pitp_jax._commands.fit.train", poor)
+    options = ["--nominal", bench / "nominal", "--json", tmp_path / "j"]
+    code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options)
+    assert code == ends and (tmp_path / "model").exists()
+    assert text.startswith("warning: ") and said in text.splitlines()[0]
+    assert said in json.loads((tmp_path / "j").read_text())["warning"]
+
+
 @pytest.mark.slow
 def test_parts_to_learn(call, bench, tmp_path, trainer):
     options = ["--nominal", bench / "nominal", "--learn", "sensor_lag", "--learn", "delay", "--learn", "delay"]

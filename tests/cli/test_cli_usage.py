@@ -44,7 +44,7 @@ def test_usage_errors(call, argv):
     assert "--help" in refused(call(*argv))
 
 
-LISTS = {"--each", "--learn", "--validate", "--against"}
+LISTS = {"--each", "--learn", "--validate", "--against", "--join", "--joint", "--held-out"}
 
 
 def test_an_option_given_twice_is_refused_or_a_list():
@@ -185,3 +185,18 @@ def test_for_one_of_two_sets_a_pitp_toml_is_proposed(call, tmp_path):
     machine_log(robot / "log.csv", "time_s,command_rad,angle_rad")
     line = refused(call("compare", sim, robot))
     assert f"put into {sim / 'pitp.toml'}: " in line and "input-column = " in line and "pitp check" not in line
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--nominal m.pitp --mjcf arm.xml --joint q --out gap", "--mjcf is for --against"),
+        ("--against sim --mjcf arm.xml --joint q", "needs --out DIR"),
+        ("--against sim --joint q", "--joint and --actuator are for --mjcf XML"),
+        ("--against sim --mjcf gone.xml --joint q --out gap", "gone.xml: No such file"),
+    ],
+)
+def test_a_mujoco_file_needs_its_options(options, words, call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = refused(call("diagnose", "robot", *options.split()))
+    assert words in line

@@ -25,7 +25,7 @@ def headline(d: Diagnosis) -> str:
         said = f"explained by {named(d.effects)}{''.join(f', or by {name}' for name in d.equivalent)}"
         return f"The gap is {'partly ' if d.verdict == 'partly' else ''}{said}"
     if d.verdict == "unknown":
-        return "Unknown: there is a gap, and no name in the catalogue is sure"
+        return "Unknown: there is a gap, and no single cause is certain"
     return "No gap: the error is the model's own"
 
 
@@ -52,7 +52,7 @@ def verdict_text(d: Diagnosis) -> str:
             f"No candidate reduces the error on {_records_used(d)}: either something disturbs the rig "
             "from outside, or the cause has a form the catalogue does not hold."
         )
-    return f"The best candidate helps, and no name is sure: {'; '.join(d.notes[:1]) or 'see below'}. {_far(d)}"
+    return f"{d.reason} {_far(d)}"
 
 
 def budget_bar(d: Diagnosis) -> str:
@@ -66,8 +66,8 @@ def budget_bar(d: Diagnosis) -> str:
     ]
     parts += [(name, row, "#0072b2") for name, row in b["effects"].items()]
     parts += [
-        ("explainable without a name", b["unnamed"], "#e69f00"),
-        ("not from the input", b["unexplainable"], "#999999"),
+        ("predictable from the input, no single cause certain", b["unnamed"], "#e69f00"),
+        ("not predictable", b["unexplainable"], "#999999"),
     ]
     bar, rows = [], []
     for label, row, color in parts:

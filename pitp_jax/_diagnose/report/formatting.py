@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._effects import CATALOGUE
 from ..._effects.spec import EffectSpec
-from ..._report.numbers import figure, percent, shown_unit, with_error
+from ..._report.numbers import figure, percent, shown_unit, with_error, with_interval
 from ..._table.quantity import Units, per_second
 from ..._table.units import INPUT_UNITS, OUTPUT_UNITS, base_unit
 
@@ -50,21 +50,55 @@ def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
         number: its value, unit and stderr.
         length_unit: the displacement's unit, of the user's files.
     """
-    value, unit, error = number["value"], number["unit"], number["stderr"]
+    value, error = number["value"], number["stderr"]
+    label, unit, values = _in_handy_units(name, number["unit"], (value,), length_unit)
+    if error is not None:
+        # relative errors of a limit and of its inverse are the same
+        error = error * abs(values[0] / value) if value else None
+    return label, f"{_cross(name)}{with_error(values[0], error, unit)}"
+
+
+def parameter_between(name: str, number: dict, length_unit: str) -> tuple[str, str]:
+    """Label and text of one parameter with its 95 % interval: `3.1 kV (2.9 to 3.4)`, `at least 7.1 s`.
+
+    Args:
+        name: of the parameter.
+        number: its value, unit and ci95, whose upper end is None where there is only a lower bound.
+        length_unit: the displacement's unit, of the user's files.
+    """
+    if number["ci95"] is None:
+        label, unit, (value,) = _in_handy_units(name, number["unit"], (number["value"],), length_unit)
+        return label, f"{_cross(name)}{figure(value, 2)} {unit}".rstrip() + " (these recordings do not determine it)"
+    low, high = number["ci95"]
+    if high is None:
+        label, unit, (value,) = _in_handy_units(name, number["unit"], (low,), length_unit)
+        return label, f"at least {figure(value, 2)} {unit}"
+    label, unit, values = _in_handy_units(name, number["unit"], (number["value"], low, high), length_unit)
+    return label, f"{_cross(name)}{with_interval(values[0], min(values), max(values), unit)}"
+
+
+def _cross(name: str) -> str:
+    return "× " if name.endswith(_FACTOR) else ""
+
+
+def _in_handy_units(
+    name: str, unit: str, values: Sequence[float], length_unit: str
+) -> tuple[str, str, tuple[float, ...]]:
+    """Label, unit as printed and values of one parameter."""
     if name.endswith(_FACTOR):
         stem = name.removesuffix(_FACTOR)
         label = f"{_COEFFICIENTS[int(stem[2:])]} ({stem.replace('_', '')})" if stem in ("a_0", "a_1", "a_2") else stem
-        return label, f"× {with_error(value, error, '')}"
+        return label, "", tuple(values)
     if name == "omega":  # of a mode: an angle's unit has no part in it
-        return "frequency", with_error(value / (2 * np.pi), error and error / (2 * np.pi), "Hz")
-    if name in _LIMITS and value and "/" in unit:
+        return "frequency", "Hz", tuple(v / (2 * np.pi) for v in values)
+    if name in _LIMITS and all(values) and "/" in unit:
         top, _, bottom = unit.partition("/")
         bottom = re.sub(r"^\((.*)\)$", r"\1", bottom)  # of a unit such as 1/(deg/s)
-        unit = per_second(bottom, {"1": 0, "s": 1, "s^2": 2}[top])
-        name, error, value = _LIMITS[name], error and error / value**2, 1 / value
-    factor, unit = _handy(value, unit, length_unit)
-    error = None if error is None else error * factor
-    return name, with_error(value * factor, error, "" if unit == "1" else shown_unit(unit))
+        inside = per_second(bottom, {"1": 0, "s": 1, "s^2": 2}[top])
+        factor, shown = _handy(1 / values[0], inside, length_unit)
+        return _LIMITS[name], shown_unit(shown), tuple(factor / v for v in values)
+    factor, shown = _handy(values[0], unit, length_unit)
+    return name, "" if shown == "1" else shown_unit(shown), tuple(factor * v for v in values)
 
 
 def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:

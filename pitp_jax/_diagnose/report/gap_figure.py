@@ -7,8 +7,8 @@ from ..._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from ..._report.numbers import shown_unit
 from ..._table.units import OUTPUT_UNITS
 from ..diagnosis import Diagnosis
-from ..result import Trace
 from ..steady_tone import steady_tone
+from ..traces import Trace
 
 _CYCLES = 6  # oscillations in the zoom
 

@@ -6,14 +6,16 @@ from matplotlib.figure import Figure
 from ..._model.units import units_of
 from ..._report import html
 from ..._report.html import tag
-from ..._report.numbers import figure, interval, percent
+from ..._report.numbers import figure, interval, number, percent
 from .. import rules
 from ..diagnosis import Diagnosis
-from ..result import Gap, Ranked
+from ..gap import Gap
+from ..result import Ranked
 from .answers import NEXT_CSV, budget_bar, cards, headline, next_step, verdict_text
 from .figures import figures
 from .gap_figure import errors, output_unit, worst
 from .which import parameter_lines
+from .words import certainty, numbers_of, result_line
 
 
 def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
@@ -25,12 +27,7 @@ def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
     """
     drawn = figures(diagnosis) if drawn is None else drawn
     parts = [
-        tag("p", "Diagnosis: a model beside recordings of the real actuator", "soft"),
-        tag("h1", headline(diagnosis), diagnosis.verdict),
-        tag("p", verdict_text(diagnosis), "lead"),
-        tag("p", next_step(diagnosis), "lead"),
-        budget_bar(diagnosis),
-        f'<div class="cards">{"".join(cards(diagnosis))}</div>',
+        *_first(diagnosis),
         *_pictures(diagnosis, drawn),
         *_next(diagnosis, drawn),
         tag("h2", "All candidates"),
@@ -40,6 +37,36 @@ def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
         *_reading(diagnosis),
     ]
     return html.page(headline(diagnosis), parts)
+
+
+def first_screen(diagnosis: Diagnosis) -> str:
+    """The result, its parts, the verdict and the three cards, without the page around."""
+    return "".join(_first(diagnosis))
+
+
+def _first(d: Diagnosis) -> list[str]:
+    verdict = [tag("p", f"{headline(d)}. {verdict_text(d)}", "lead"), tag("p", next_step(d), "lead")]
+    return [
+        tag("p", "Diagnosis: a model beside recordings of the real actuator", "soft"),
+        tag("h1", result_line(d), d.verdict),
+        *_parts(d),
+        *verdict,
+        budget_bar(d),
+        f'<div class="cards">{"".join(cards(d))}</div>',
+    ]
+
+
+def _parts(d: Diagnosis) -> list[str]:
+    """The parts of the model that is handed back."""
+    if not len(d.parts):
+        return []
+    header = ("part", "form", "values (95 % interval)", "of the reduction", "P", "certainty")
+    rows = []
+    for p in d.parts:
+        values = "; ".join(numbers_of(d, p, " = "))
+        share, sure = percent(p.fraction) if p.fraction else "", number(p.probability, 2)
+        rows.append(("named" if p.effect in d.effects else "", (p.effect, p.form, values, share, sure, certainty(p))))
+    return [html.table(header, rows, {1: "left", 2: "long", 5: "long"})]
 
 
 def _pictures(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
@@ -126,7 +153,7 @@ def _records(d: Diagnosis) -> list[str]:
                 figure(scale * span), figure(before), figure(after), percent(d.where["records"].get(t.name)),
             )[:columns])
         )  # fmt: skip
-    notes = [tag("p", f"Note: {line}.", "soft") for line in d.notes]
+    notes = [tag("p", f"Note: {line}{'' if line[-1:] in '.?' else '.'}", "soft") for line in d.notes]
     return [html.table(header[:columns], rows, {1: "left"}), *_pieces(d), *notes]
 
 

@@ -9,6 +9,7 @@ from ..diagnosis import Diagnosis
 from ..result import Ranked
 from .formatting import coefficient_name, named, parameter
 from .gap_figure import refitted
+from .words import numbers_of
 
 _NEAREST = 3  # rejected candidates named
 
@@ -27,7 +28,7 @@ def which(d: Diagnosis) -> str:
             "Which", "None", tag("p", "No effect takes off more than the model's own error allows to see.")
         )
     nearest = [f"{r.effect}: closes {fraction_closed(r.closed_fraction)}" for r in d.ranking]
-    why = tag("p", f"{d.notes[0][:1].upper()}{d.notes[0][1:]}.") if d.notes else ""
+    why = tag("p", d.reason) if d.reason else ""
     return html.card(
         "Which", "No name is sure", _term(d), why, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST])
     )
@@ -61,17 +62,13 @@ def fraction_closed(value: float | None) -> str:
 
 def _effect(d: Diagnosis, name: str) -> str:
     """One named effect: its form and its numbers, as the model that is handed back has them."""
-    if name == "parameter_change":
-        return tag("p", "Coefficients over those given:") + html.bullets(_shift(d))
-    row = next((a for a in d.added if a.effect == name), None)
-    if row is None:
-        other = next((r for r in d.ranking if r.effect == name), None)
-        return html.bullets(parameter_lines(d, other)) if other else ""
-    lines = [_line(d, key, number) for key, number in row.parameters.items()]
-    title = f"{name}, form “{row.form}”" if len(d.effects) > 1 else f"Form “{row.form}”"
-    p = d.probability.get(name)
+    part = next((p for p in d.parts if p.effect == name), None)
+    if part is None:
+        return ""
+    title = f"{name}, form “{part.form}”" if len(d.effects) > 1 else f"Form “{part.form}”"
+    p = part.probability
     sure = tag("p", f"P {p:.2f} that no other set without it does as well.") if p is not None else ""
-    return tag("p", title) + html.bullets(lines) + sure
+    return tag("p", title) + html.bullets(numbers_of(d, part, " = ")) + sure
 
 
 def _line(d: Diagnosis, name: str, number: dict) -> str:

@@ -1,47 +1,81 @@
-"""A diagnosis in two to six lines: each effect in plain words with its numbers, what it closes, what is left."""
+"""A diagnosis in some lines: the model handed back and its parts with their numbers, the verdict, the next step."""
 
 from ..._model.units import units_of
-from .formatting import named, parameter, plain_words
+from ..._report.numbers import interval, of_range, percent
+from .formatting import named, parameter_between, plain_words
 
 
 def lines(d) -> list[str]:
     """For the terminal."""
-    g = d.gap
-    error = f"out-of-fold error {g.before:.3g} -> {g.after:.3g} % of range"
+    told = [result_line(d), *(f"  {line}" for line in part_lines(d))]
+    said = f"verdict: {d.verdict}" + (f" by {named(d.effects)}" if d.effects else "")
+    told.append(f"{said}. {d.reason}" if d.reason else f"{said}.")
     if d.verdict == "no_gap":
-        return [
-            f"verdict: no_gap. The model's error, {g.before:.3g} % of range, is its own: there is no effect to add."
-        ]
-    said = [f"verdict: {d.verdict}" + (f" by {named(d.effects)}" if d.effects else "")]
-    for name in d.effects:
-        row = d.budget["effects"].get(name) or d.budget["parameters"]
-        share, p = row["share"], row.get("probability", d.probability.get(name))
-        numbers = _numbers(d, name)
-        sure = f" (P {p:.2f})" if p is not None else ""
-        tied = row.get("equivalent") or ()
-        alike = f"; these records cannot tell it from {named(tied)}" if tied else ""
-        told = f"{plain_words(name, units_of(d.model))}{numbers}"
-        said.append(f"{name}: {told}; explains {100 * share:.0f} % of the gap{sure}{alike}")
+        return told
+    told += [f"{name}: {plain_words(name, units_of(d.model))}" for name in d.effects]
     if d.term is not None:
-        said.append(f"{d.term.equation}: closes {100 * (d.term.closed_fraction or 0):.0f} %, -> {d.term.after:.3g} %")
-    back = (
-        f"; handed back: the nominal with {named(d.handed_back)}" if d.handed_back else "; the nominal is handed back"
-    )
-    said.append(error + back)
+        told.append(f"{d.term.equation}: closes {100 * (d.term.closed_fraction or 0):.0f} %, -> {d.term.after:.3g} %")
     b = d.budget
     rest = [
         f"{100 * b[k]['share']:.0f} % {text}"
-        for k, text in (("unnamed", "explainable without a name"), ("unexplainable", "not from the input"))
+        for k, text in (
+            ("unnamed", "can be predicted from the input, but no single cause is certain"),
+            ("unexplainable", "cannot be predicted"),
+        )
     ]
-    said.append("of the gap's energy: " + ", ".join(rest))
-    said.append(d.where["summary"])
-    return said
+    return [*told, "of the error's energy: " + ", ".join(rest), d.where["summary"]]
 
 
-def _numbers(d, name: str) -> str:
-    mine = next((a for a in d.added if a.effect == name), None)
-    if mine is None:
-        return ""
+def result_line(d) -> str:
+    """Say what the model that is handed back does to the error, out of sample."""
+    g = d.gap
+    if d.verdict == "no_gap":
+        return f"The nominal model is handed back: its error, {of_range(g.before)} of range, is its own."
+    where = "held-out recordings" if d.heldout else "parts of the recording that were left out"
+    where = "all recordings" if d.pieces is not None else where
+    if not d.handed_back:
+        return (
+            f"The nominal model is handed back: no model reduces its error on {where} ({of_range(g.before)} of range)."
+        )
+    given = f" (as given: {of_range(g.unrefitted)})" if g.unrefitted != g.before else ""
+    closed = ""
+    if g.closed_fraction is not None:
+        ends = f", 95 % interval {interval(*g.ci95)}" if g.ci95 else ""
+        closed = f": {percent(g.closed_fraction)} of the gap is closed{ends}"
+    return (
+        f"The model handed back reduces the error on {where} from {of_range(g.before)}{given} to {of_range(g.after)} "
+        f"of range{closed}."
+    )
+
+
+def part_lines(d) -> list[str]:
+    """Every part of the model handed back: numbers with intervals, its contribution and its certainty."""
+    told = []
+    for part in d.parts:
+        line = f"{part.effect} ({part.form}): {', '.join(numbers_of(d, part))}"
+        told.append("; ".join([line, *contribution(part), certainty(part)]))
+    return told
+
+
+def numbers_of(d, part, equals: str = " ") -> list[str]:
+    """The numbers of a part, one text each."""
     unit = d.model.origin.displacement_unit
-    texts = [f"{label} {text}" for label, text in (parameter(k, v, unit) for k, v in mine.parameters.items())]
-    return f", {', '.join(texts)}"
+    texts = (parameter_between(name, number, unit) for name, number in part.parameters.items())
+    return [f"{label}{equals}{text}" for label, text in texts]
+
+
+def contribution(part) -> list[str]:
+    """The part's fraction of the reduction, and P; nothing for coefficients that a refit fits along."""
+    if not part.fraction:
+        return []
+    sure = "" if part.probability is None else f", P {part.probability:.2f}"
+    return [f"{percent(part.fraction)} of the reduction{sure}"]
+
+
+def certainty(part) -> str:
+    """How certain a part is, in words."""
+    if part.certainty == "tied":
+        return f"tied: these recordings do not separate it from {named(part.tied)}"
+    if part.certainty == "likely":
+        return f"likely; to make it certain, record {part.recording}"
+    return "certain" if part.certainty == "certain" else "not certain"

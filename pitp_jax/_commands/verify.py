@@ -1,0 +1,74 @@
+"""`pitp verify`: the gap between a robot and its MuJoCo model, before and after the file was changed."""
+
+from .._errors import BadInput, ComputationFailed
+from .._mjcf import Verification, verify_mjcf
+from .._mjcf.page import page
+from .._record.writing import write_csv, write_text_atomic
+from .._table.units import from_base
+from .console import number, print_table
+from .outputs import REPORT, check_outputs, staged
+from .recordings import read_records
+
+
+def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, reading) -> None:
+    """Play the recordings' commands in MuJoCo, write what was asked for, and print the gaps.
+
+    Args:
+        records: files and folders: recordings that the diagnosis used.
+        mjcf: the changed file.
+        before: the file as it was, or None.
+        joint: list with its name.
+        actuator: its name, where several drive the joint.
+        held_out: files and folders of recordings that the diagnosis did not use.
+        out: folder for one CSV per record and a page, or None.
+        json_file: where to write the gaps for machines, or None.
+        reading: keyword arguments of `pitp.read`.
+
+    Raises:
+        BadInput: with nothing written.
+        ComputationFailed: the changed file is not better beyond the noise; the results, which say so, are written.
+    """
+    inputs = [mjcf, before, *records, *held_out]
+    check_outputs(json_file, folder=out, inputs=inputs)
+    used, others = (read_records(paths, reading, square=False) if paths else () for paths in (records, held_out))
+    files = [f"{record.name.lstrip('/')}.csv" for record in (*used, *others)]
+    if len(set(files)) < len(files):
+        raise BadInput("a held-out recording has the name of another recording; rename one")
+    check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=inputs)
+    found = verify_mjcf(used, mjcf, one_joint(joint), before=before, held_out=others, actuator=actuator)
+    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+        if out is not None:
+            for played, file in zip(found.played, files, strict=True):
+                columns = {"time_s": played.record.time}
+                unit = played.record.displacement_unit
+                series = {"measured": played.record.displacement, "before": played.before, "after": played.after}
+                columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
+                write_csv(stage / file, columns)
+            write_text_atomic(stage / REPORT, page(found))
+    _print(found)
+    if found.better is False:
+        raise ComputationFailed(f"{mjcf} is not better than {before} beyond the noise; keep the old file")
+
+
+def one_joint(joint: list[str] | None) -> str:
+    """The joint's name.
+
+    Raises:
+        BadInput: none or several.
+    """
+    if not joint:
+        raise BadInput("--mjcf needs --joint NAME: whose motion was recorded")
+    if len(joint) > 1:
+        raise BadInput("several --joint need --each NAME=INPUT,OUTPUT once per joint, in the same order")
+    return joint[0]
+
+
+def _print(found: Verification) -> None:
+    rows = [
+        (p.record.name, "no" if p.held_out else "yes", "-" if p.before is None else number(p.gap(after=False), 3),
+         number(p.gap(), 3))
+        for p in found.played
+    ]  # fmt: skip
+    print_table(("recording", "used by the diagnosis", "gap before (%)", "gap after (%)"), rows)
+    for line in found.lines():
+        print(line)

@@ -1,0 +1,214 @@
+"""The gap: errors of the model as given, without effects and as handed back, and the fraction that was closed.
+
+    closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   pooled over records
+
+Out of fold. Where a search worked on pieces of long recordings: of free runs of these models over all recordings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._model.fitted import fitted_of
+from .._model.model import Model
+from .._record.initial_state import noise_std
+from .._record.record import Record
+from .._report.numbers import figure, of_range
+from .._simulate.prediction import predict
+from . import rules
+from .data import Case
+from .evidence import Evidence, evidence
+from .library import model_of
+from .pieces import Piece
+from .search import Hypothesis, Search
+from .shares import energies
+from .traces import Trace, levelled
+from .verdict import Decision
+
+_GAP = 1.1  # times the floor: no gap to close up to there
+_FAR = 10.0  # ranges: what diverges is off by so much
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Errors in % of range, pooled over records, and the fraction that was closed with its 95 % interval.
+
+    Attributes:
+        before: of the nominal (refitted in a refit); after: with what was chosen; unrefitted: of the nominal as given.
+        noise_floor: the nominal's own error, None where it is not known; floor_from: where that comes from.
+        explainable: what the best set or the reference leaves.
+    """
+
+    before: float
+    after: float
+    unrefitted: float
+    noise_floor: float | None
+    floor_from: str
+    closed_fraction: float | None
+    ci95: tuple[float, float] | None
+    explainable: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Residuals of three models on the same samples.
+
+    Attributes:
+        given, base, handed: of the nominal as given, of the linear model without effects, of the model handed back.
+        spans: range of every record, scaled.
+    """
+
+    given: Evidence
+    base: Evidence
+    handed: Evidence
+    spans: np.ndarray
+
+
+def out_of_fold(search: Search, handed: Hypothesis) -> Errors:
+    """Collect the errors of the records that were searched, each predicted by a fit that did not see it."""
+    return Errors(search.given.evidence, search.base.evidence, handed.evidence, spans(search))
+
+
+def of_free_runs(search: Search, model: Model, records: Sequence[Record], traces: Sequence[Trace]) -> Errors:
+    """Collect the errors over all recordings: `traces` are free runs of the nominal and of the model handed back."""
+    scale = float(search.case.model.scales.state[0])
+    given, handed = ([_error(getattr(t, which), t) for t in traces] for which in ("nominal", "augmented"))
+    base = given
+    if search.base.evidence is not search.given.evidence:
+        linear, _ = model_of(search.case.nominal, search.base.fit.slots, model, search.scale)
+        base = [_error(levelled(p, r), t) for p, r, t in zip(predict(linear, records), records, traces, strict=True)]
+    ranges = np.array([np.nanmax(t.measured) - np.nanmin(t.measured) for t in traces]) / scale
+    floor = np.full(len(traces), 1e-12)
+    judged = [evidence([e / scale for e in rows], floor) for rows in (given, base, handed)]
+    return Errors(judged[0], judged[1], judged[2], ranges)
+
+
+def _error(run: np.ndarray, trace: Trace) -> np.ndarray:
+    """Error of a run, nan where nothing is measured; a run that diverges is far off."""
+    far = _FAR * (np.nanmax(trace.measured) - np.nanmin(trace.measured))
+    error = np.nan_to_num(run - trace.measured, nan=far, posinf=far, neginf=-far)
+    return np.where(np.isfinite(trace.measured), np.clip(error, -far, far), np.nan)
+
+
+def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
+    """Compare the errors.
+
+    Args:
+        search, decision: of the diagnosis.
+        errors: of the three models.
+        own: the nominal's own error, scaled, 0 where it is not known; source: where that comes from.
+    """
+    low = floor_percent(errors.spans, own)
+    before, after, given = (percent(e, errors.spans) for e in (errors.base, errors.handed, errors.given))
+    # of all that was tried, names or none: how far down any explanation came
+    least = min(min(h.evidence.score for h in search.every.values()), decision.bar.score)
+    room = before * float(np.exp((least - search.base.evidence.score) / 2))
+    ci95 = interval(errors.base, errors.handed, errors.spans, low)
+    return Gap(
+        before, after, given, low if low > 0 else None, source, closed(before, after, low), ci95, min(room, before)
+    )
+
+
+def as_far_as_closed(verdict: str, gap: Gap) -> str:
+    """The verdict, but at best "partly" where the interval of the closed fraction reaches 0."""
+    return "partly" if verdict == "explained" and gap.ci95 is not None and gap.ci95[0] <= 0 else verdict
+
+
+def closed(before: float, after: float, low: float) -> float | None:
+    """The closed fraction; None where there was nothing to close."""
+    if before <= _GAP * low or before <= 0:
+        return None
+    return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
+
+
+def percent(errors: Evidence, spans: np.ndarray) -> float:
+    """Return an error in % of range, pooled over records."""
+    return 100 * float(np.sqrt(energies([errors], spans)[0, 0]))
+
+
+def spans(search: Search) -> np.ndarray:
+    """Range of every record that was searched, scaled."""
+    return np.array([s.span for s in search.case.series])
+
+
+def interval(before: Evidence, after: Evidence, spans: np.ndarray, low: float) -> tuple[float, float] | None:
+    """Records and blocks drawn anew for both errors; within [-1, 1]. None where there is nothing to close.
+
+    The nominal's own error is an estimate, too, and at most what it is told as: the lower end is that without it.
+    """
+    # the same draws for both: what they share cancels in their ratio
+    e = 100**2 * energies([before, after], spans)
+    if np.sqrt(e[0, 0]) <= _GAP * low:
+        return None
+
+    def drawn(least: float) -> np.ndarray:
+        room = e[0] - least**2
+        share = 1 - np.sqrt(np.maximum(e[1] - least**2, 0) / np.where(room > 0, room, np.nan))
+        return np.clip(np.where(room > 0, share, 0.0), -1, 1)  # a draw without a gap: nothing is closed
+
+    bare, here = drawn(0.0), drawn(low)
+    return float(min(np.quantile(bare[1:], 0.025), bare[0])), float(max(np.quantile(here[1:], 0.975), here[0]))
+
+
+def floor_percent(spans: np.ndarray, own: float) -> float:
+    """The nominal's own error in % of range."""
+    return 100 * own * float(np.sqrt(np.mean(1 / spans**2))) if own else 0.0
+
+
+def own_misfit(case: Case) -> tuple[float, str]:
+    """What the nominal leaves beyond the noise of the records it was identified on (scaled), and where that is from.
+
+    M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
+
+    It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
+    robot's noise times that hid any gap.
+    """
+    origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
+    if not np.isfinite(origin.misfit):
+        return 0.0, "the sensor's noise: the nominal carries no error of its own"
+    noise = origin.noise / scale if origin.noise > 0 else _noise(case)
+    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
+
+
+def _noise(case: Case) -> float:
+    """The sensor's white noise, scaled; geometric mean over records."""
+    scale = float(case.model.scales.state[0])
+    each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
+    return float(np.exp(np.mean(np.log(np.maximum(each, 1e-12)))))
+
+
+def beside_noise(case: Case, lacking: float, averaged: int) -> float:
+    """An error beside the noise, as records show it of which so many samples are averaged to one.
+
+    (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples takes the white part off on
+    either side of the comparison, which stays that of the full rate.
+    """
+    noise, own = _noise(case), rules.OWN
+    return float(np.sqrt((own * lacking) ** 2 + (own**2 - 1 + 1 / averaged) * noise**2) / own)
+
+
+def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequence[Trace]) -> str:
+    """Say on what the search worked, and the errors over what it left out."""
+    searched = {r.name: np.zeros(r.samples, bool) for r in records}
+    for p in pieces:
+        time = next(r.time for r in records if r.name == p.record)
+        searched[p.record] |= (time - time[0] >= p.from_s) & (time - time[0] <= p.to_s)
+    others = [~searched[t.name] for t in traces]
+    before, after = (_over(traces, which, others) for which in ("nominal", "augmented"))
+    part = 100 * sum(map(np.sum, searched.values())) / sum(r.samples for r in records)
+    return (
+        f"the search worked on {len(pieces)} pieces, {figure(part, 2)} % of the samples; on the samples that it did "
+        f"not use the error is {of_range(after)} of range ({of_range(before)} with the nominal model); all other "
+        "errors are of free runs over all recordings"
+    )
+
+
+def _over(traces: Sequence[Trace], which: str, places: Sequence[np.ndarray]) -> float:
+    """Free-run error (% of range) of "nominal" or "augmented" at some samples, pooled over recordings."""
+    squares = []
+    for t, here in zip(traces, places, strict=True):
+        e = _error(getattr(t, which), t)[here]
+        if np.isfinite(e).any():
+            squares.append(np.nanmean(e**2) / np.ptp(t.measured[np.isfinite(t.measured)]) ** 2)
+    return 100 * float(np.sqrt(np.mean(squares))) if squares else float("nan")

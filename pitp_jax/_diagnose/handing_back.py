@@ -1,0 +1,101 @@
+"""Which model is handed back: the best that beats the nominal out of fold, and in the package's own free runs.
+
+The search has a simulator of its own, so a model counts only once the rollout that users run confirms it: its error is
+below the nominal's, and it stays bounded from rest under the widest voltage of the records.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .._model.model import Model
+from .._record.record import Record
+from .._simulate.prediction import predict
+from .._simulate.voltage_only import rollout
+from . import rules
+from .evidence import probability
+from .library import CORE, FREE, model_of
+from .search import PARAMETERS, Hypothesis, Search
+from .verdict import Decision
+
+_DOUBLED = 4  # times at most that the steps a sample of a model handed back are doubled
+
+
+def hand_back(
+    search: Search, decision: Decision, model: Model, records, before: float
+) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
+    """The best hypothesis that beats the nominal with P >= SURE and whose model does so in the package's own free runs.
+
+    Args:
+        search, decision, model, records: of the diagnosis.
+        before: the nominal's error in these free runs, `package_error`.
+
+    Returns:
+        hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
+    """
+    given, error, alone = search.given.evidence.bare, _error, decision.alone
+    # a set that is not judged may predict better than the one that was
+    deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
+    tried = [decision.chosen]
+    if decision.verdict != "explained":
+        chosen, said = decision.chosen.evidence.bare, set(decision.said)
+        sure = [h for h in deeper if said <= set(h.labels) and probability(h.evidence.bare, chosen) >= rules.SURE]
+        tried = [*sure[:3], *tried]
+    tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
+    for h in tried:
+        if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
+            continue
+        # numbers shared by machines that differ foresee none of them
+        if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
+            continue
+        # in the package's own parts
+        made, added = model_of(search.case.nominal, h.fit.slots, model, search.scale)
+        made = replace(made, domain=made.domain.driven_by(records))
+        made, after = stable(made, records, before)
+        if after < before and is_bounded(made, records):
+            parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
+            parts += ["term"] if FREE in h.names else []
+            parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
+            return h, (made, added), tuple(dict.fromkeys(parts))
+    return search.given, (model, []), ()
+
+
+def _error(h: Hypothesis) -> float:
+    return h.evidence.bare.rms
+
+
+def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
+    """The model with as many steps a sample as its effects need, and its error: their poles are in no coefficient.
+
+    Where it leaves `most` or more its steps are doubled until that gains nothing.
+    """
+    error = package_error(made, records)
+    for _ in range(_DOUBLED):
+        if error < most:
+            break
+        finer = replace(made, substeps=2 * made.substeps)
+        before, error = error, package_error(finer, records)
+        if np.isfinite(before) and error > (1 - rules.GAIN) * before:
+            return made, before
+        made = finer
+    return made, error
+
+
+def is_bounded(made: Model, records: Sequence[Record]) -> bool:
+    """Whether no drive of the records runs away at the widest of their voltages, from rest."""
+    top = max(float(np.abs(r.voltage).max()) for r in records)
+    played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
+    return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
+
+
+def package_error(model: Model, records: Sequence[Record]) -> float:
+    """Geometric mean over records of the free run's error, zero fitted; infinite where one diverges."""
+    total = []
+    for p, r in zip(predict(model, records), records, strict=True):
+        seen = p.scored & np.isfinite(r.displacement)
+        e = (p.displacement - r.displacement)[seen]
+        if p.diverged or not np.isfinite(e).all():
+            return np.inf
+        total.append(np.log(np.std(e) + 1e-300))
+    return float(np.exp(np.mean(total)))

@@ -1,0 +1,11 @@
+"""Write identified numbers into a MuJoCo file, and play the recordings' commands in MuJoCo to verify them.
+
+    SimToReal + arm.xml -> changes of attributes -> arm_identified.xml -> the commands in MuJoCo -> gap before, after
+
+Needs the `mujoco` package (extra `mujoco`); it is imported when a file is written or played.
+"""
+
+from .verify import Verification as Verification
+from .verify import verify_mjcf as verify_mjcf
+from .write import Written as Written
+from .write import write_mjcf as write_mjcf

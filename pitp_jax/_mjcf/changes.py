@@ -1,0 +1,230 @@
+"""From the numbers of a simulator and a robot to attributes of a MuJoCo file.
+
+    F: torque per unit of the command,   k: how much larger the robot's F is
+    J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients moved alike
+
+From commands and motion only the ratios of J, D, K to F are known. Where the robot's J and D are smaller (or larger) by
+one factor, its gain is the larger (or smaller) one: one number in the place of two. The same where the inertia would
+have to fall below that of the links, which no armature can.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from .._against.parameters import Parameter
+from .._report.numbers import number
+from .document import Tag
+from .joint import Joint
+
+_ALIKE = 0.1  # of their logarithm, beside two standard errors: two factors that differ by less are one
+_TURN = 2 * math.pi  # rad; the far side of a stop that was found on one side alone
+
+
+@dataclass(frozen=True)
+class Change:
+    """One attribute.
+
+    Attributes:
+        element: `joint` or `actuator`.
+        attribute: its name.
+        old, new: values as the file spells them; old empty where the file's own element has none.
+        text: the comment: from, to, interval, unit.
+    """
+
+    element: str
+    attribute: str
+    old: str
+    new: str
+    text: str
+
+
+@dataclass(frozen=True)
+class NotWritten:
+    """A number that a MuJoCo file cannot hold as an attribute: what, its value, and the nearest way with its cost."""
+
+    words: str
+    value: str
+    way: str
+
+
+_WAYS = {
+    "backlash width": "a second hinge in series, range +- half of it: one more body, a smaller timestep",
+    "backlash rate": "damping of that second hinge over its inertia",
+    "second_mode inertia": "a second body on a hinge with stiffness and damping",
+    "second_mode spring": "stiffness of that second hinge",
+    "second_mode damper": "damping of that second hinge",
+    "slew_limit inverse": "limit the rate of ctrl in your control loop; or actuator <pid> slewmax",
+    "dead_zone level": "subtract it from ctrl in your control loop",
+    "softening weight": "mass of the body, or pos of its inertial: m g l must rise by the difference",
+    "coulomb_friction rise": "actuator <dcmotor> with a friction model; frictionloss has one level",
+    "coulomb_friction speed": "actuator <dcmotor> with a friction model; frictionloss has one level",
+    "coulomb_friction give": "actuator <dcmotor> with a friction model, or solreffriction",
+    "coulomb_friction mu": "none: frictionloss does not grow with the load",
+    "sensor_lag tau": "none on the sensor: filter qpos in your control loop",
+}
+
+
+def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten]]:
+    """List what is written into the file, and what cannot be.
+
+    Args:
+        joint: as it is in the file.
+        told: the table of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
+
+    Returns:
+        changes of attributes, and the numbers that no attribute holds.
+    """
+    rows = {p.name: p for p in told if _is_known(p)}
+    f = joint.torque_per_command
+    k, beside = _gain_factor(joint, {p.name: p for p in told}, rows)
+    found: list[Change] = []
+    if k != 1.0:
+        found += _gain(joint, k, beside)
+    for name, attribute, unit in (
+        ("inertia", "armature", "kg m^2"), ("damping", "damping", "N m s/rad"), ("stiffness", "stiffness", "N m/rad"),
+        ("coulomb_friction level", "frictionloss", "N m"),
+    ):  # fmt: skip
+        row = rows.get(name) or (next((p for p in told if p.name == name), None) if k != 1.0 else None)
+        if row is None:
+            continue
+        difference = f * (k * row.robot - row.simulator)
+        if name == "stiffness" and joint.position:  # the controller's own spring, kp g^2, grew with the gain
+            difference = f * k * (row.robot - row.simulator)
+        error = None if row.stderr is None else f * k * row.stderr
+        if error is not None and abs(difference) < 2 * error:
+            continue
+        old = getattr(joint, attribute)
+        found.append(
+            _moved(joint, attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit))
+        )
+    found += _of_actuator(joint, rows, f * k)
+    found += _stops(joint, rows)
+    written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time",
+               "electrode_rc tau", "voltage_clip inverse", "force_limit inverse", "end_stop place",
+               "end_stop place, above", "end_stop place, below"}  # fmt: skip
+    if _lag_attribute(joint) is None:
+        written.discard("electrode_rc tau")
+    elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:
+        written.add("sensor_lag tau")
+    left = [NotWritten(p.words, _value(p), _WAYS.get(name, "none")) for name, p in rows.items() if name not in written]
+    if "electrode_rc tau" in rows and "electrode_rc tau" not in written:
+        left = [
+            replace(n, way="write the motor as <general> with dyntype and dynprm") if n.way == "none" else n
+            for n in left
+        ]
+    return found, left
+
+
+def _is_known(p: Parameter) -> bool:
+    """Whether a number belongs to what the diagnosis hands back, and its difference is more than its error."""
+    return bool(p.difference) and (p.stderr is None or abs(p.difference) > 2 * p.stderr)
+
+
+def _value(p: Parameter) -> str:
+    error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
+    return f"{number(p.robot)}{error} {p.unit}".rstrip()
+
+
+def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
+    """Return the factor on the gain, and the other reading of the same numbers."""
+    inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
+    if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
+        return 1.0, ""
+    ratio = inertia.robot / inertia.simulator
+    error = 0.0 if inertia.stderr is None else inertia.stderr / inertia.simulator
+    alike = False
+    if damping is not None and damping.simulator > 0:
+        other = damping.robot / damping.simulator
+        spread = math.hypot(error, 0.0 if damping.stderr is None else damping.stderr / damping.simulator)
+        alike = other > 0 and abs(math.log(other / ratio)) <= 2 * spread + _ALIKE * abs(math.log(ratio))
+    impossible = joint.armature + joint.torque_per_command * inertia.difference < 0
+    if not alike and not impossible:
+        return 1.0, ""
+    return 1 / ratio, f"or inertia and damping x {number(ratio)} each" if alike else ""
+
+
+def _gain(joint: Joint, k: float, beside: str) -> list[Change]:
+    note = f"; {beside}" if beside else ""
+    old_attributes = joint.actuator_tag.attributes
+    if not joint.position:
+        gear = _with_first(old_attributes.get("gear", "1"), joint.gear * k)
+        return [Change("actuator", "gear", number(joint.gear), gear,
+                       f"gear: {number(joint.gear)} -> {number(joint.gear * k)} (x {number(k)}{note})")]  # fmt: skip
+    text = f"kp: {number(joint.kp)} -> {number(joint.kp * k)} (x {number(k)}{note})"
+    if joint.actuator_tag.name == "general":
+        gain = _with_first(old_attributes.get("gainprm", "1"), joint.kp * k)
+        bias = f"0 {number(-joint.kp * k, 6)} {number(-joint.kv, 6)}"
+        return [Change("actuator", "gainprm", number(joint.kp), gain, text),
+                Change("actuator", "biasprm", "", bias, "")]  # fmt: skip
+    return [Change("actuator", "kp", number(joint.kp), number(joint.kp * k, 6), text)]
+
+
+def _with_first(values: str, first: float) -> str:
+    return " ".join([number(first, 6), *values.split()[1:]])
+
+
+def _linear(unit: str) -> str:
+    return unit.replace("kg m^2", "kg").replace("N m s/rad", "N s/m").replace("N m/rad", "N/m").replace("N m", "N")
+
+
+def _moved(joint: Joint, attribute: str, old: float, new: float, error: float | None, unit: str) -> Change:
+    between = "" if error is None else f" ({number(max(new - 1.96 * error, 0.0))} to {number(new + 1.96 * error)})"
+    return Change("joint", attribute, number(old), number(new, 6),
+                  f"{attribute}: {number(old)} -> {number(new)}{between} {unit}")  # fmt: skip
+
+
+def _lag_attribute(joint: Joint) -> str | None:
+    """The attribute of this actuator that holds a lag: position has one, motor none."""
+    return {"position": "timeconst", "general": "dynprm"}.get(joint.actuator_tag.name)
+
+
+def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> list[Change]:
+    """Delay, lag and limits of the actuator."""
+    found = []
+    if (row := rows.get("delay time")) is not None:
+        new = max(joint.delay + row.difference, 0.0)
+        found.append(_timed("delay", joint.delay, new, row.stderr))
+        found.append(Change("actuator", "nsample", "", str(math.ceil(new / joint.timestep) + 1), ""))
+    row = rows.get("electrode_rc tau") or rows.get("sensor_lag tau")
+    if row is not None and (attribute := _lag_attribute(joint)):
+        new = max(joint.lag + row.difference, 0.0)
+        found.append(_timed(attribute, joint.lag, new, row.stderr))
+        if attribute == "dynprm":
+            found.append(Change("actuator", "dyntype", "", "filterexact", ""))
+    for name, attribute, scale in (
+        ("voltage_clip inverse", "ctrlrange", 1.0), ("force_limit inverse", "forcerange", torque / joint.gear),
+    ):  # fmt: skip
+        if (row := rows.get(name)) is not None and math.isfinite(row.robot):
+            limit, old = number(scale * row.robot, 6), joint.actuator_tag.attributes.get(attribute, "")
+            text = f"{attribute}: {old or 'none'} -> +- {limit}"
+            found.append(Change("actuator", attribute, old, f"-{limit} {limit}", text))
+            if not joint.autolimits:
+                found.append(Change("actuator", attribute.replace("range", "limited"), "", "true", ""))
+    return found
+
+
+def _timed(attribute: str, old: float, new: float, error: float | None) -> Change:
+    between = "" if error is None else f" ({number(new - 1.96 * error)} to {number(new + 1.96 * error)})"
+    return Change(
+        "actuator", attribute, number(old), number(new, 6), f"{attribute}: {number(old)} -> {number(new)}{between} s"
+    )
+
+
+def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
+    both = rows.get("end_stop place")
+    above, below = rows.get("end_stop place, above") or both, rows.get("end_stop place, below") or both
+    if above is None and below is None:
+        return []
+    low, high = joint.limits or (-_TURN, _TURN)
+    low, high = -abs(below.robot) if below else low, above.robot if above else high
+    unit = 180 / math.pi if joint.hinge and joint.degrees else 1.0
+    new = f"{number(unit * low, 6)} {number(unit * high, 6)}"
+    old = "" if joint.limits is None else " ".join(number(unit * end) for end in joint.limits)
+    found = [Change("joint", "range", old, new, f"range: {old or 'none'} -> {new}{' degrees' if unit != 1 else ''}")]
+    return found if joint.autolimits else [*found, Change("joint", "limited", "", "true", "")]
+
+
+def tag_of(joint: Joint, change: Change) -> Tag:
+    """The start tag that a change belongs to."""
+    return joint.joint_tag if change.element == "joint" else joint.actuator_tag

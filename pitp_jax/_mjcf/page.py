@@ -1,0 +1,53 @@
+"""The page of a verification: the gap before and after, and every recording beside MuJoCo."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .._report import html
+from .._report.html import tag
+from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
+from .._report.numbers import figure, shown_unit
+from .._table.units import from_base
+from .verify import Played, Verification
+
+_DRAWN = 12  # recordings
+
+
+def page(found: Verification) -> str:
+    """Write a self-contained HTML page."""
+    headline = "The changed file is closer to the robot" if found.better else "The gap in MuJoCo"
+    if found.better is False:
+        headline = "The changed file is not closer to the robot"
+    rows = [
+        ("named" if p.held_out else "", (
+            p.record.name, "no" if p.held_out else "yes",
+            "–" if p.before is None else f"{figure(p.gap(after=False))} %", f"{figure(p.gap())} %",
+        ))
+        for p in found.played
+    ]  # fmt: skip
+    header = ("recording", "used by the diagnosis", "gap before", "gap after")
+    pictures = [
+        html.picture(f"recording_{k}", _drawn(p), f"{p.record.name}: the same command")
+        for k, p in enumerate(found.played[:_DRAWN])
+    ]
+    return html.page(headline, [
+        tag("p", f"Joint {found.joint} of {found.mjcf}, MuJoCo {found.version}", "soft"),
+        tag("h1", headline), html.bullets(found.lines()), html.table(header, rows, {0: "long", 1: "left"}),
+        tag("p", "Gap: rms of the difference, % of the recording's range. Bold: not used by the diagnosis.", "soft"),
+        tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>',
+    ])  # fmt: skip
+
+
+def _drawn(played: Played) -> Figure:
+    record, unit = played.record, played.record.displacement_unit
+    axes = own_axes(None, 1, (5.6, 2.6))
+    time = record.time - record.time[0]
+    for values, color, label in (
+        (record.displacement, MEASURED, "robot"), (played.before, ERROR, "before"), (played.after, PREDICTED, "after"),
+    ):  # fmt: skip
+        if values is not None:
+            line(axes[0], time, np.asarray(from_base(values, unit)), color=color, lw=0.9, label=label)
+    axes[0].legend(loc="upper right")
+    finish(np.array([axes[0]]), "time (s)", [f"position ({shown_unit(unit)})"])
+    assert isinstance(axes[0].figure, Figure)
+    return axes[0].figure

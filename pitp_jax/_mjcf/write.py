@@ -1,0 +1,221 @@
+"""Write the identified numbers into a copy of the user's MuJoCo file: attributes change, all else stays.
+
+out/arm_identified.xml    and beside it what the model includes and loads, so that it can be played where it lies
+"""
+
+import hashlib
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from .._against import SimToReal
+from .._against.parameters import Parameter, parameters
+from .._errors import BadInput, cleaned
+from .._model_file.lineage import sums
+from .._record.record import Record
+from .._record.writing import write_bytes_atomic, write_text_atomic
+from .._report.numbers import number
+from .._table.units import base_unit
+from . import elsewhere
+from .changes import Change, NotWritten, changes_of, tag_of
+from .document import Document, Edit, assets, edited, read_document
+from .joint import Joint, joint_of, load_model, mujoco_package
+
+_SUFFIX = "_identified"
+_APART = 0.1  # share by which the simulator's recordings and its file may differ in inertia before it is said
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written into a MuJoCo file.
+
+    Attributes:
+        file: the new file.
+        joint, actuator: their names.
+        changes: attributes with old and new value.
+        left: numbers that no attribute holds, with the nearest way.
+        remarks: what the user should know.
+    """
+
+    file: Path
+    joint: str
+    actuator: str
+    changes: tuple[Change, ...]
+    left: tuple[NotWritten, ...]
+    remarks: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Sentences for the terminal."""
+        said = [f"{c.element} {self.joint if c.element == 'joint' else self.actuator or 'on it'}: {c.text}"
+                for c in self.changes if c.text]  # fmt: skip
+        left = [f"not written: {n.words}, {n.value}; nearest way: {n.way}" for n in self.left]
+        return [*said, *left, *self.remarks]
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return {
+            "file": str(self.file), "joint": self.joint, "actuator": self.actuator,
+            "changes": [vars(c) for c in self.changes], "not_written": [vars(n) for n in self.left],
+            "remarks": list(self.remarks),
+        }  # fmt: skip
+
+
+def write_mjcf(
+    found: SimToReal, mjcf: str | Path, joint: str, out: str | Path, *, actuator: str | None = None
+) -> Written:
+    """Write what the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
+
+    Beside it the same numbers for Isaac Lab, Newton and URDF. Changed are joint `armature`, `damping`, `stiffness`,
+    `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and `delay` with `nsample` and
+    `timeconst` where the installed MuJoCo knows them. Each change has a comment with the old value, the new one and its
+    95 % interval.
+
+    Args:
+        found: `diagnose(robot, against=simulated)`, the simulated recordings made with this file.
+        mjcf: the file.
+        joint: whose motion was recorded.
+        out: folder for `NAME_identified.xml`, its includes and meshes; or the file itself to write.
+        actuator: that was commanded, where several drive the joint.
+
+    Returns:
+        the changes, and what could not be written.
+
+    Raises:
+        BadInput: MuJoCo is not installed or refuses a file; no such joint or actuator, or several.
+
+    Examples:
+        >>> found = pitp.diagnose(robot, against=simulated)  # doctest: +SKIP
+        >>> pitp.write_mjcf(found, "arm.xml", "elbow", "gap").changes  # doctest: +SKIP
+    """
+    told = parameters(found.nominal, found.robot, found.records, None)
+    return write_numbers(told, found.records, found.nominal.physical_coefficients, mjcf, joint, out, actuator)
+
+
+def write_numbers(
+    told: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
+    out: str | Path, actuator: str | None = None,
+) -> Written:  # fmt: skip
+    """Write a table of numbers into a copy of a file.
+
+    Args:
+        told: numbers of the simulator and the robot, in the command's unit.
+        records: of the robot.
+        simulator: its coefficients a_i, shape (order + 1,).
+        mjcf, joint, out, actuator: as for `write_mjcf`.
+    """
+    document = read_document(mjcf)
+    it = joint_of(document, joint, actuator)
+    changes, left = changes_of(it, told)
+    changes, unknown = _known_to_mujoco(it, changes)
+    remarks = _remarks(records, simulator, it)
+    edits = [
+        Edit(tag_of(it, group[0]), {c.attribute: c.new for c in group}, [c.text for c in group if c.text])
+        for element in ("joint", "actuator") if (group := [c for c in changes if c.element == element])
+    ]  # fmt: skip
+    texts = edited(document, edits, _heading(records, document))
+    target = _write_all(document, texts, Path(out))
+    after = joint_of(read_document(target), joint, actuator)
+    for name, text in elsewhere.texts(after).items():
+        write_text_atomic(target.parent / name, text)
+    return Written(target, joint, it.actuator, tuple(changes), (*left, *unknown), tuple(remarks))
+
+
+def _heading(records: Sequence[Record], document: Document) -> str:
+    """The comment at the top: where the numbers come from."""
+    period = sorted({number(1e3 * r.dt) for r in records})
+    original = hashlib.sha256(document.texts[document.main]).hexdigest()
+    lines = [
+        f"pitp: numbers identified on recordings; the original is {document.main.name}, SHA-256 {original}",
+        f"the command is held for {' or '.join(period)} ms",
+        *(f"recording {one['name']} SHA-256 {one['sha256']}" for one in sums(records)),
+    ]
+    return "\n     ".join(lines)
+
+
+def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> list[str]:
+    """Say where the file and the simulator's recordings disagree, and what the units leave open."""
+    said = []
+    seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
+    if abs(seen - it.inertia) > _APART * it.inertia:
+        said.append(
+            f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}: "
+            "were they made with this file and this joint?"
+        )
+    unit = base_unit(records[0].displacement_unit)
+    if unit != ("rad" if it.hinge else "m"):
+        said.append(f"the recordings are in {unit}, MuJoCo counts in {'rad' if it.hinge else 'm'}: give --output-unit")
+    return said
+
+
+def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], list[NotWritten]]:
+    """Split off the changes whose attributes the installed MuJoCo does not know."""
+    mujoco = mujoco_package()
+    known, unknown = [], []
+    for change in changes:
+        tag = tag_of(it, change)
+        if _attribute_exists(mujoco, tag.name, change.attribute):
+            known.append(change)
+        elif change.text:
+            unknown.append(
+                NotWritten(change.text, change.new, f"MuJoCo {mujoco.__version__} has no {tag.name} {change.attribute}")
+            )
+    return known, unknown
+
+
+def _attribute_exists(mujoco: Any, element: str, attribute: str) -> bool:
+    """Ask the parser of the installed version: its message for an attribute that it does not know says so."""
+    body = f'<{element} joint="q" {attribute}="x"/>' if element != "joint" else f'<joint name="r" {attribute}="x"/>'
+    inside, driven = (body, "") if element == "joint" else ("", f"<actuator>{body}</actuator>")
+    text = f'<mujoco><worldbody><body><joint name="q"/>{inside}<geom size="1"/></body></worldbody>{driven}</mujoco>'
+    try:
+        mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        return "unrecognized attribute" not in str(error)
+    return True
+
+
+def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
+    """Write every file; MuJoCo compiles them first in a folder of their own, so that nothing half-right is left.
+
+    Raises:
+        BadInput: MuJoCo refuses what would be written.
+    """
+    main = document.main
+    target = out if out.suffix == ".xml" else out / identified_name(main)
+    folder = main.parent
+    with TemporaryDirectory() as kept:
+        for place in assets(document):
+            (Path(kept) / place).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(folder / place, Path(kept) / place)
+        for file, text in texts.items():
+            name = Path(target.name) if file == main else _within(file, folder)
+            (Path(kept) / name).parent.mkdir(parents=True, exist_ok=True)
+            (Path(kept) / name).write_bytes(text)
+        load_model(Path(kept) / target.name)
+        for source in sorted(p for p in Path(kept).rglob("*") if p.is_file()):
+            place = target.parent / source.relative_to(kept)
+            if place.resolve() in {file.resolve() for file in texts}:
+                raise BadInput(f"{cleaned(place)}: is a file of the model itself; choose another folder")
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes_atomic(place, source.read_bytes())
+    return target
+
+
+def identified_name(mjcf: str | Path) -> str:
+    """Name of the copy with the identified numbers: `arm.xml` and `arm_identified.xml` become `arm_identified.xml`."""
+    return f"{Path(mjcf).stem.removesuffix(_SUFFIX)}{_SUFFIX}.xml"
+
+
+def _within(file: Path, folder: Path) -> Path:
+    try:
+        return file.relative_to(folder)
+    except ValueError:
+        raise BadInput(
+            f"{cleaned(file)}: the include lies outside {cleaned(folder)}; put it into that folder"
+        ) from None

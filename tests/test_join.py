@@ -1,0 +1,105 @@
+"""Time, input and output in separate files: joined as asked, and the refusal of one of them says how."""
+
+import shlex
+
+import numpy as np
+import pytest
+from record_files import OUTPUT, TIME, VOLTAGE, T, refused, save_csv, save_npz
+
+from pitp_jax import BadInput, read, read_target
+from pitp_jax._commands.own_command import own_command
+
+
+def assert_whole(record):
+    np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+    np.testing.assert_array_equal(record.voltage, VOLTAGE)
+    np.testing.assert_allclose(record.displacement, OUTPUT * 1e-3, rtol=1e-12)
+
+
+def single_columns(folder):
+    for name, values in (("time_s", TIME), ("voltage_V", VOLTAGE), ("displacement_mm", OUTPUT)):
+        (folder / f"{name[:4]}.csv").write_text(f"{name}\n" + "\n".join(map(repr, values.tolist())) + "\n")
+
+
+def each_with_its_clock(folder):
+    save_csv(folder / "u.csv", {"time_s": TIME, "voltage_V": VOLTAGE})
+    save_npz(folder / "y.npz", {"t_ms": TIME * 1e3, "displacement_mm": OUTPUT})
+
+
+def one_without_clock(folder):
+    save_csv(folder / "u.csv", {"time_s": TIME, "voltage_V": VOLTAGE})
+    save_csv(folder / "y.csv", {"displacement_mm": OUTPUT, "temperature_degC": OUTPUT})
+
+
+@pytest.mark.parametrize("write", [single_columns, each_with_its_clock, one_without_clock])
+def test_the_refusal_proposes_the_command_that_joins(tmp_path, write):
+    write(tmp_path)
+    for asked in (tmp_path, sorted(tmp_path.iterdir())[0]):
+        file, join, *others = shlex.split(refused(asked).partition("; try: pitp check ")[2])
+        assert join == "--join"
+        assert_whole(read(file, join=others)[0])
+        # files that are joined to others are no recordings of their own
+        assert_whole(read(tmp_path, join=others)[0])
+
+
+def test_names_that_occur_twice_carry_their_file(tmp_path):
+    np.savetxt(tmp_path / "time.csv", TIME)
+    np.savetxt(tmp_path / "inputs.csv", np.stack([OUTPUT, VOLTAGE], 1), delimiter=",")
+    np.savetxt(tmp_path / "outputs.csv", np.stack([OUTPUT, VOLTAGE], 1), delimiter=",")
+    assert "--input-column inputs/1" in refused(tmp_path) and "--output-column outputs/1" in refused(tmp_path)
+    (tmp_path / "pitp.toml").write_text(
+        '["*"]\njoin = ["inputs.csv", "outputs.csv"]\ninput-column = "inputs/2"\ninput-unit = "V"\n'
+        'output-column = "outputs/1"\noutput-unit = "mm"\n'
+    )
+    (record,) = read(tmp_path)
+    assert record.name == "time"
+    assert_whole(record)
+    # as `pitp check --out` writes it into source.toml
+    assert record.recognised["options"]["join"] == ("inputs.csv", "outputs.csv")
+
+
+def test_rows_of_two_clocks_are_taken_in_turn(tmp_path):
+    """The input at 125 Hz, the output at 1 kHz: the input holds until it is written again."""
+    late = np.arange(0, T, 8)
+    save_csv(tmp_path / "u.csv", {"time_s": TIME[late], "voltage_V": VOLTAGE[late]})
+    save_csv(tmp_path / "y.csv", {"time_s": TIME + 2e-4, "displacement_mm": OUTPUT})
+    (record,) = read(tmp_path / "y.csv", join=tmp_path / "u.csv")
+    np.testing.assert_allclose(record.displacement, OUTPUT * 1e-3, rtol=1e-9)
+    held = VOLTAGE[8 * (np.arange(T) // 8)]
+    middle = np.arange(T) % 8 < 7  # the step before the next value holds a part of it
+    np.testing.assert_allclose(record.voltage[middle], held[middle])
+    assert "--join" in refused(tmp_path)
+
+
+def test_rows_that_do_not_belong_together_are_refused(tmp_path):
+    save_csv(tmp_path / "u.csv", {"time_s": TIME, "voltage_V": VOLTAGE})
+    save_csv(tmp_path / "y.csv", {"displacement_mm": OUTPUT[:90], "temperature_degC": OUTPUT[:90]})
+    message = refused(tmp_path / "u.csv", join=[tmp_path / "y.csv"])
+    assert "u.csv (100 rows), y.csv (90 rows)" in message and "one length" in message
+    assert "--join" not in refused(tmp_path)
+    with pytest.raises(BadInput, match=r"none\.csv"):
+        read(tmp_path / "u.csv", join=[tmp_path / "none.csv"])
+
+
+def test_recordings_of_one_length_are_not_joined(tmp_path):
+    """Two recordings without a clock: nothing is proposed but a rate."""
+    for name in ("a.csv", "b.csv"):
+        save_csv(tmp_path / name, {"voltage_V": VOLTAGE, "displacement_mm": OUTPUT})
+    assert "--join" not in refused(tmp_path) and "--rate" in refused(tmp_path)
+    # nor is a file joined to one that is complete, whatever else lies there
+    save_npz(tmp_path / "c.npz", {"note": np.array("x"), "time_s": TIME, "voltage_V": VOLTAGE})
+    save_csv(tmp_path / "d.csv", {"time_s": TIME, "voltage_V": VOLTAGE, "displacement_mm": OUTPUT})
+    assert "--join" not in refused(tmp_path / "c.npz")
+
+
+def test_a_target_of_two_files(tmp_path):
+    single_columns(tmp_path)
+    target = read_target(tmp_path / "time.csv", join=[tmp_path / "disp.csv"])
+    np.testing.assert_allclose(target.displacement, OUTPUT * 1e-3, rtol=1e-12)
+
+
+def test_a_proposed_join_in_the_own_command():
+    text = "pitp: error: u.csv: x; try: pitp check d/u.csv --join d/y.csv d/z.csv"
+    argv = ["identify", "d", "--join", "d/y.csv", "--out", "m"]
+    assert own_command(text, argv).endswith("try: pitp identify d --out m --join d/y.csv d/z.csv")
+    assert own_command(text, ["compare", "d", "e"]).endswith('join = ["y.csv", "z.csv"]')

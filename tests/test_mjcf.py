@@ -1,0 +1,298 @@
+"""MuJoCo files: the text keeps every byte but the changed attributes, MuJoCo compiles what is meant, and plays it."""
+
+import ast
+import json
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import pitp_jax as pitp
+from pitp_jax._against.parameters import Parameter
+from pitp_jax._mjcf.document import Edit, assets, edited, read_document
+from pitp_jax._mjcf.joint import joint_of
+from pitp_jax._mjcf.play import first_state, play
+from pitp_jax._mjcf.write import write_numbers
+from pitp_jax.cli import main
+
+ARM = """<mujoco model='two "links"'>
+  <!-- a comment with <joint name="elbow"/> in it -->
+  <compiler angle="degree"/>
+  <option timestep="0.0005" gravity="0 0 0" integrator="implicitfast"/>
+  <default>
+    <joint damping="9"/>
+    <default class="arm"><default class="elbow"><joint damping="0.3"   armature='0.02'/>
+      <position kp="20" kv="0.4"/></default></default>
+  </default>
+  <worldbody>
+    <body name="upper"><joint name="shoulder" axis="0 1 0"/><geom size="0.05" mass="1"/>
+      <include file="parts/lower.xml"/>
+    </body>
+  </worldbody>
+  <actuator><position name="a" class="elbow" joint="shoulder"/>
+    <position name="b" class="elbow" joint="elbow" ctrlrange='-2   2'/></actuator>
+</mujoco>
+"""
+LOWER = """<mujocoinclude>
+  <body pos="0 0 .3">\r
+\t<joint name="elbow" class="elbow"
+       axis="0 1 0" frictionloss="0.1" range="-90 90" />
+    <geom size="0.05" pos="0 0 0.1" mass="0.5"/>
+  </body>
+</mujocoinclude>
+"""
+
+
+@pytest.fixture
+def arm(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "arm.xml").write_bytes(ARM.encode())
+    (tmp_path / "parts" / "lower.xml").write_bytes(LOWER.encode())
+    return tmp_path / "arm.xml"
+
+
+def _tag(document, element, **attributes):
+    return next(t for t in document.tags if t.name == element and attributes.items() <= t.attributes.items())
+
+
+def test_every_other_byte_of_a_file_and_its_includes_is_kept(arm):
+    """Comments and new attributes taken out again, and old values put back, the files are what they were."""
+    document = read_document(arm)
+    elbow = _tag(document, "joint", name="elbow")
+    assert elbow.path == ("mujoco", "worldbody", "body", "body") and elbow.file.name == "lower.xml"
+    edits = [Edit(elbow, {"frictionloss": "0.25", "damping": "0.5"}, ["frictionloss: 0.1 -> 0.25"]),
+             Edit(_tag(document, "position", name="b"), {"ctrlrange": "-1 1"}, ["ctrlrange"])]  # fmt: skip
+    made = edited(document, edits, "where from")
+    lower = made[elbow.file].decode()
+    assert '<!-- frictionloss: 0.1 -> 0.25 -->\n\t<joint name="elbow"' in lower
+    undone = re.sub(r"<!-- frictionloss.*?-->\n\t", "", lower).replace('"0.25" range', '"0.1" range')
+    assert undone.replace(' damping="0.5"', "") == LOWER
+    main = made[arm].decode()
+    assert 'ctrlrange="-1 1"' in main and main.startswith("<mujoco model='two \"links\"'>\n<!-- where from -->")
+    undone = main.replace("\n<!-- where from -->", "", 1).replace("<!-- ctrlrange -->\n    ", "")
+    assert undone.replace('ctrlrange="-1 1"', "ctrlrange='-2   2'") == ARM
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("<mujoco><worldbody></mujoco>", "is no XML"), ("<robot/>", "is no MuJoCo model"),
+     ('<mujoco><include file="gone.xml"/></mujoco>', "No such file"),
+     ('<mujoco><include file="arm.xml"/></mujoco>', "twice")],
+)  # fmt: skip
+def test_a_file_that_cannot_be_read_is_refused_with_its_name(tmp_path, text, words):
+    (tmp_path / "arm.xml").write_text(text)
+    with pytest.raises(pitp.BadInput, match=words):
+        read_document(tmp_path / "arm.xml")
+
+
+def test_meshes_are_found_in_the_folders_that_the_compiler_names(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "link.stl").write_bytes(b"solid")
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><compiler meshdir="meshes"/><asset><mesh file="link.stl"/><mesh file="../out.stl"/></asset></mujoco>'
+    )
+    assert [p.as_posix() for p in assets(read_document(tmp_path / "arm.xml"))] == ["meshes/link.stl"]
+
+
+def _record(drive, angle, dt=0.005, unit="rad"):
+    return pitp.Record("r", np.arange(len(drive)) * dt, drive, angle, voltage_unit=unit, displacement_unit="rad")
+
+
+def _row(name, simulator, robot, stderr=None, unit=""):
+    return Parameter(name, name, simulator, robot, robot - simulator, stderr, unit, "-", "-", "-", True)
+
+
+def _written(arm, rows, joint="elbow"):
+    """The joint before, what was written, and the joint of the new file as MuJoCo compiles it."""
+    records = [_record(np.zeros(100), np.linspace(0, 1, 100))]
+    written = write_numbers(rows, records, np.array([1.0, 0.035, 0.0013]), arm, joint, arm.parent / "gap")
+    return joint_of(read_document(arm), joint), written, joint_of(read_document(written.file), joint)
+
+
+def test_differences_over_the_gain_become_numbers_of_the_joint(arm):
+    """F = kp: inertia, damping and friction over F in the table; what the class gives is overruled on the joint."""
+    mujoco = pytest.importorskip("mujoco")
+    rows = [_row("inertia", 0.001, 0.003), _row("damping", 0.035, 0.045), _row("coulomb_friction level", 0.005, 0.0125),
+            _row("delay time", 0.0, 0.012), _row("end_stop place, above", np.inf, 0.5, 0.001),
+            _row("backlash width", 0.0, 0.01)]  # fmt: skip
+    before, written, after = _written(arm, rows)
+    assert before.torque_per_command == 20 and before.damping == 0.3 and before.armature == 0.02
+    assert after.armature == pytest.approx(0.02 + 20 * 0.002)
+    assert after.damping == pytest.approx(0.3 + 20 * 0.01)
+    assert after.frictionloss == pytest.approx(0.1 + 20 * 0.0075)
+    assert after.limits == pytest.approx((-np.pi / 2, 0.5))  # written in degrees, the other side kept
+    assert after.delay == pytest.approx(0.012) if _knows_delay(mujoco) else "has no position delay" in str(written.left)
+    assert written.left[0].words == "backlash width" and "second hinge" in written.left[0].way
+
+
+def test_coefficients_that_moved_alike_are_the_gain(arm):
+    pytest.importorskip("mujoco")
+    rows = [
+        _row("inertia", 0.004, 0.002, 1e-5),
+        _row("damping", 0.035, 0.0175, 1e-4),
+        _row("coulomb_friction level", 0, 0.005),
+    ]
+    _, written, after = _written(arm, rows)
+    assert after.kp == pytest.approx(40.0) and "or inertia and damping x 0.5 each" in str(written.changes)
+    assert after.armature == 0.02 and after.damping == 0.3
+    assert after.frictionloss == pytest.approx(0.1 + 40 * 0.005)  # a torque of the robot's gain
+
+
+def test_a_motor_has_its_gain_in_the_gear(tmp_path):
+    pytest.importorskip("mujoco")
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        '<mujoco><worldbody><body><joint name="elbow" damping="0.1"/><geom size="0.1" mass="1"/></body></worldbody>'
+        '<actuator><motor joint="elbow" gear="5"/></actuator></mujoco>'
+    )
+    before, _, after = _written(file, [_row("inertia", 0.02, 0.016, 1e-5), _row("damping", 0.02, 0.016, 1e-5)])
+    assert not before.position and after.gear == pytest.approx(6.25) and after.damping == 0.1
+
+
+@pytest.mark.parametrize(
+    ("joint", "actuator", "words"),
+    [("wrist", None, "has no hinge or slide joint 'wrist'; it has shoulder, elbow"), ("elbow", "a", "it has b")],
+)
+def test_a_joint_that_is_not_there_is_refused_with_those_that_are(arm, joint, actuator, words):
+    pytest.importorskip("mujoco")
+    with pytest.raises(pitp.BadInput, match=re.escape(words)):
+        play(arm, joint, [], actuator)
+
+
+def test_two_actuators_or_none_on_a_joint_are_refused_with_their_names(arm):
+    pytest.importorskip("mujoco")
+    arm.write_text(ARM.replace('joint="shoulder"', 'joint="elbow"'))
+    with pytest.raises(pitp.BadInput, match="2 actuators drive joint 'elbow': a, b; choose with --actuator"):
+        play(arm, "elbow", [])
+    with pytest.raises(pitp.BadInput, match="no actuator drives joint 'shoulder' itself"):
+        play(arm, "shoulder", [])
+
+
+SERVO = """<mujoco><option timestep="0.0002" gravity="0 0 0"/><worldbody><body>
+  <joint name="q" axis="0 1 0" damping="0.4"/>
+  <inertial pos="0 0 0" mass="1" diaginertia="0.05 0.05 0.05"/></body></worldbody>
+  <actuator><position joint="q" kp="20" {}/></actuator></mujoco>"""
+
+
+def _knows_delay(mujoco):
+    return hasattr(mujoco.MjModel.from_xml_string("<mujoco/>"), "actuator_delay")
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_a_servo_plays_its_commands_as_scipy_does(tmp_path, late):
+    """J q'' + D q' + kp (q - c(t - late)) = 0, each command held for 5 ms."""
+    if late and not _knows_delay(pytest.importorskip("mujoco")):
+        pytest.skip("this version of MuJoCo has no delay")
+    pytest.importorskip("mujoco")
+    time = np.arange(400) * 0.005
+    drive = 0.4 * np.sin(2 * np.pi * 1.5 * time) + 0.2
+    (tmp_path / "q.xml").write_text(SERVO.format(f'delay="{late}" nsample="101"' if late else ""))
+
+    def pushed(_, y, command):
+        return [y[1], (20 * (command - y[0]) - 0.4 * y[1]) / 0.05]
+
+    state = np.array([0.2, 0.0])
+    exact = [0.2]
+    for k in range(len(time) - 1):  # late is a whole number of samples
+        command = drive[max(k - round(late / 0.005), 0)]
+        state = solve_ivp(pushed, (0.0, 0.005), state, args=(command,), rtol=1e-9).y[:, -1]
+        exact.append(state[0])
+    (angle,) = play(tmp_path / "q.xml", "q", [_record(drive, np.array(exact))])
+    assert np.max(np.abs(angle - exact)) < 2e-3  # of 0.8 rad; MuJoCo takes Euler steps of 0.2 ms
+
+
+def test_the_first_state_is_a_line_through_the_first_samples():
+    time = np.arange(100) * 0.005
+    assert first_state(_record(np.zeros(100), 0.3 + 2.0 * time)) == pytest.approx((0.3, 2.0))
+    still = 0.3 + 1e-4 * np.random.default_rng(0).standard_normal(100)
+    start, speed = first_state(_record(np.zeros(100), still))
+    assert speed == 0.0 and start == pytest.approx(0.3, abs=2e-4)
+
+
+def test_a_gap_that_shrinks_is_told_and_one_that_does_not(tmp_path):
+    """The robot is the second file itself: its gap is the noise, that of the first is not; the other way round.
+
+    The start is read from noisy samples too: the gap may be half as large again.
+    """
+    pytest.importorskip("mujoco")
+    files = tmp_path / "a.xml", tmp_path / "b.xml"
+    for file, kp in zip(files, (20, 24), strict=True):
+        file.write_text(SERVO.format("").replace('kp="20"', f'kp="{kp}"'))
+    time = np.arange(400) * 0.005
+    drive = 0.4 * np.sin(2 * np.pi * 2 * time) * np.minimum(time, 1)
+    (angle,) = play(files[1], "q", [_record(drive, np.zeros(400))])
+    robot = _record(drive, angle + 1e-4 * np.random.default_rng(0).standard_normal(400))
+    found = pitp.verify_mjcf([robot], files[1], "q", before=files[0])
+    gap, noise = found.gap(False), 1e-2 / np.ptp(robot.displacement)
+    assert found.better and gap is not None and 0.9 * noise < gap < 1.5 * noise
+    turned = pitp.verify_mjcf([robot], files[0], "q", before=files[1])
+    assert turned.better is False and "not better" in str(turned)
+    assert pitp.verify_mjcf([robot], files[1], "q").better is None
+
+
+def test_a_held_out_recording_that_the_diagnosis_used_is_refused(tmp_path):
+    pytest.importorskip("mujoco")
+    from pitp_jax._model_file.lineage import sums
+
+    record = _record(np.zeros(100), np.linspace(0, 1e-3, 100))
+    (tmp_path / "q.xml").write_text(f"<!-- {sums([record])[0]['sha256']} -->" + SERVO.format(""))
+    with pytest.raises(pitp.BadInput, match="the diagnosis used this recording"):
+        pitp.verify_mjcf([replace(record, name="other")], tmp_path / "q.xml", "q", held_out=[record])
+
+
+def test_a_written_file_lies_beside_what_it_includes_and_says_where_its_numbers_are_from(arm, tmp_path):
+    """Written into a folder of its own, with its include, MuJoCo loads it; the user's file stays as it is."""
+    mujoco = pytest.importorskip("mujoco")
+    rows = [_row("damping", 0.035, 0.045, 1e-4), _row("coulomb_friction level", 0.0, 0.035)]
+    _, written, _ = _written(arm, rows)
+    assert written.file == tmp_path / "gap" / "arm_identified.xml"
+    assert (tmp_path / "gap" / "parts" / "lower.xml").read_text().count("<!--") == 2  # friction, damping
+    model = mujoco.MjModel.from_xml_path(str(written.file))
+    assert model.dof_frictionloss[1] == pytest.approx(0.1 + 20 * 0.035)
+    assert model.dof_damping[1] == pytest.approx(0.3 + 20 * 0.01)
+    assert "held for 5 ms" in written.file.read_text() and arm.read_bytes() == ARM.encode()
+
+
+def test_the_command_prints_the_gap_and_ends_with_3_where_it_does_not_shrink(tmp_path, monkeypatch, capsys):
+    """The robot's file as the new one, then as the old one; the page and a table for each recording lie beside."""
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    for name, kp in (("sim", 20), ("robot", 24)):
+        (tmp_path / f"{name}.xml").write_text(SERVO.format("").replace('kp="20"', f'kp="{kp}"'))
+    time = np.arange(400) * 0.005
+    drive = 0.4 * np.sin(2 * np.pi * 2 * time) * np.minimum(time, 1)
+    (angle,) = play("robot.xml", "q", [_record(drive, np.zeros(400))])
+    rows = np.column_stack([time, np.degrees(drive), np.degrees(angle)])
+    np.savetxt("log.csv", rows, delimiter=",", header="time_s,input_deg,output_deg", comments="")
+    of = ["verify", "log.csv", "--joint", "q", "--force"]
+    assert main([*of, "--mjcf", "robot.xml", "--before", "sim.xml", "--out", "check"]) == 0
+    assert "on recordings of the diagnosis" in capsys.readouterr().out
+    assert {p.name for p in (tmp_path / "check").iterdir()} >= {"log.csv", "report.html"}
+    assert main([*of, "--mjcf", "sim.xml", "--before", "robot.xml"]) == 3
+    assert "not better than robot.xml" in capsys.readouterr().err
+
+
+def test_an_actuators_lag_is_written_where_its_element_has_one(arm):
+    """`position` has `timeconst`; `general` has `dynprm` and a type; a motor has none."""
+    pytest.importorskip("mujoco")
+    _, _, after = _written(arm, [_row("sensor_lag tau", 0.0, 0.02, 1e-4)])
+    assert after.lag == pytest.approx(0.02)
+
+
+def test_the_same_numbers_for_other_simulators(arm):
+    """Isaac Lab's call, read back as Python, and Newton's JSON hold what MuJoCo compiles."""
+    pytest.importorskip("mujoco")
+    rows = [_row("damping", 0.035, 0.045, 1e-4), _row("delay time", 0.0, 0.012)]
+    _, written, after = _written(arm, rows)
+    folder = written.file.parent
+    call: Any = ast.parse((folder / "isaac_actuator_cfg.py").read_text()).body[-1]
+    told = {k.arg: ast.literal_eval(k.value) for k in call.value.keywords}
+    assert told["joint_names_expr"] == ["elbow"] and told["stiffness"] == 20 and told["damping"] == 0.4
+    assert told["viscous_friction"] == pytest.approx(after.damping) and told["friction"] == after.frictionloss
+    assert told.get("max_delay", 0) == round(after.delay / 0.0005)
+    newton = json.loads((folder / "newton_actuator.json").read_text())
+    assert newton["damping"] == after.damping and newton["limit_upper"] == pytest.approx(np.pi / 2)
+    assert f'friction="{after.frictionloss:g}"' in (folder / "urdf_dynamics.xml").read_text()
