@@ -17,6 +17,7 @@ from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._model.substeps import substeps
 from pitp_jax._record.record import Record
 from pitp_jax._sharding import records_mesh
 from pitp_jax._simulate.prediction import at_rate, predict
@@ -246,11 +247,11 @@ def test_what_does_not_move_is_left_out_and_told(plant, first):
 
 @pytest.mark.slow
 def test_records_coarser_than_the_nominals_get_substeps(plant):
-    """Identified at a fine rate, trained on every fourth sample: one step between them would be four times as long."""
+    """Identified at a fine rate, trained on every fourth sample: as many steps as a model identified there would take."""
     nominal, records, _ = plant
     coarse = [Record(r.name, r.time[::4], r.voltage[::4], r.displacement[::4]) for r in records]
     found = train(nominal, coarse, settings=replace(TINY, epochs=1, stages=1), key=KEY).model
-    assert found.substeps == 4 * nominal.substeps and found.dt == pytest.approx(4 * DT)
+    assert found.substeps == substeps(nominal.physical_coefficients, 4 * DT) and found.dt == pytest.approx(4 * DT)
     assert at_rate(found.model, 4 * DT).substeps == found.substeps
 
 
