@@ -247,7 +247,7 @@ def test_what_does_not_move_is_left_out_and_told(plant, first):
 
 @pytest.mark.slow
 def test_records_coarser_than_the_nominals_get_substeps(plant):
-    """Identified at a fine rate, trained on every fourth sample: as many steps as a model identified there would take."""
+    """Identified at a fine rate, trained on every fourth sample: as many steps as a model identified there takes."""
     nominal, records, _ = plant
     coarse = [Record(r.name, r.time[::4], r.voltage[::4], r.displacement[::4]) for r in records]
     found = train(nominal, coarse, settings=replace(TINY, epochs=1, stages=1), key=KEY).model
