@@ -457,6 +457,10 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the simulator's controller: numbers in N m, not ratios",
     )
     parser.add_argument(
+        "--by-group", action="store_true",
+        help="with --against: diagnose the groups of recordings one by one that differ in a load or a gain",
+    )  # fmt: skip
+    parser.add_argument(
         "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
     )
     parser.add_argument(

@@ -14,6 +14,8 @@ from .._against import diagnose as run_diagnosis
 from .._against.entry import with_lineage
 from .._against.page import figures as figures_beside
 from .._against.page import page
+from .._compare import pair_records
+from .._compare.groups import groups_of
 from .._diagnose.diagnosis import Diagnosis
 from .._diagnose.report.answers import NEXT_CSV
 from .._diagnose.report.figures import FIGURES, figures
@@ -24,10 +26,12 @@ from .._mjcf.document import read_document
 from .._mjcf.joint import joint_of
 from .._model_file.lineage import descended
 from .._model_file.model_file import save
+from .._record.reading import read
 from .._record.writing import write_csv, write_text_atomic
 from .._report.drawn import write_figure
 from .._table.units import column_name, from_base
 from .console import StatusLine, number, print_table, say
+from .each import own_place
 from .ours import check_replaceable
 from .outputs import REPORT, check_outputs, staged, write_json
 from .recordings import open_both, read_records, warn
@@ -41,7 +45,7 @@ _ROWS = 8  # of the ranking on standard output
 
 def diagnose(
     records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None, mjcf=None,
-    joint=None, actuator=None,
+    joint=None, actuator=None, by_group=False,
 ) -> None:  # fmt: skip
     """Diagnose, write what was asked for, and print the finding.
 
@@ -59,6 +63,7 @@ def diagnose(
         mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's numbers goes into `out`.
         joint: list with the name of the joint in that file.
         actuator: its actuator, where there are several.
+        by_group: diagnose the groups into which the simulator's recordings fall one by one.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -67,6 +72,13 @@ def diagnose(
         raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
     if against is None and position_gain is not None:
         raise BadInput("--position-gain is for --against: it is the simulator's")
+    if by_group:
+        if against is None:
+            raise BadInput("--by-group is for --against: the groups are those of the simulator's recordings")
+        own = dict(refit_nominal=refit_nominal, seconds=seconds, reading=reading, position_gain=position_gain,
+                   mjcf=mjcf, joint=joint, actuator=actuator)  # fmt: skip
+        _by_group(records, against, out, json_file, reading, own)
+        return
     if mjcf is not None:
         if against is None or out is None:
             raise BadInput("--mjcf is for --against, and needs --out DIR: the changed file is written there")
@@ -89,6 +101,9 @@ def diagnose(
     else:
         read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
         warn(read_in)
+        groups = groups_of(simulated)
+        if groups is not None:
+            print(f"warning: {groups}", flush=True)
         diagnosis = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
         robot, augmented = diagnosis.robot, with_lineage(diagnosis)
     status.close()
@@ -118,6 +133,33 @@ def diagnose(
     if robot.interrupted:
         place = out or json_file
         raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
+
+
+def _by_group(records, against, out, json_file, reading, own: dict) -> None:
+    """Diagnose each group of the simulator's recordings beside the robot's recordings that are paired with it.
+
+    Raises:
+        BadInput: a file holds recordings of several groups.
+    """
+    robot, simulated = (read(*paths, **reading) for paths in (records, against))
+    groups = groups_of(simulated)
+    if groups is None:
+        say("one linear model fits the simulator's recordings as well as several: they are one group")
+        diagnose(records, None, out=out, json_file=json_file, against=against, **own)
+        return
+    print(groups)
+    partners = [(pair.first.source, pair.second) for pair in pair_records(robot, simulated, shared="second").pairs]
+    sources = [{s.source for s in simulated if s.name in members} for members in groups.members]
+    if sum(map(len, sources)) > len(set().union(*sources)):
+        raise BadInput("--by-group: a file holds recordings of several groups; give each recording a file of its own")
+    for k, (members, files) in enumerate(zip(groups.members, sources, strict=True), 1):
+        print(f"== group {k}: {', '.join(members)}")
+        mine = list(dict.fromkeys(source for source, other in partners if other.name in members))
+        if not mine:
+            say(f"warning: no recording of the robot has a partner in group {k}; it is left out")
+            continue
+        place, json_place = (None if path is None else own_place(path, f"group{k}") for path in (out, json_file))
+        diagnose(mine, None, out=place, json_file=json_place, against=sorted(files), **own)
 
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:

@@ -31,7 +31,7 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
         own = {**arguments, "reading": {**arguments["reading"], **columns}}
         for key in ("out", "report", "json_file"):
             if own.get(key):
-                own[key] = _own_place(own[key], name)
+                own[key] = own_place(own[key], name)
         if len(joints) == len(read_as):  # of a simulator's file, which holds all of them in the end
             own["joint"], own["mjcf"] = [joints[k]], before or arguments["mjcf"]
         print(f"== {name}")
@@ -65,7 +65,7 @@ def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
     return {name: {"joint": name} for path in paths if path.exists() for name in joints_in(path)}
 
 
-def _own_place(path: str, name: str) -> str:
+def own_place(path: str, name: str) -> str:
     """Where one joint is written: a file beside, or a folder below."""
     given = Path(path)
     return str(given.with_name(f"{given.stem}.{name}{given.suffix}") if given.suffix else given / name)
