@@ -169,6 +169,7 @@ def test_the_result_comes_before_the_verdict_under_every_verdict(explained, unkn
     assert "electrode_rc (one lag): tau 12.3 ms (11.9 to 12.8); 90 % of the reduction, P 0.97; certain" in part_lines(
         explained
     )
+    assert lines(explained)[-1].startswith("Next: predict and invert with model_augmented")
     assert len(repr(explained).splitlines()) <= 10 and "12.3 ms" in explained._repr_html_()
 
 

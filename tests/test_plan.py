@@ -352,3 +352,11 @@ def test_with_a_model_that_is_right_no_recording_is_forbidden(linear, bounded):
         for k, r in enumerate(found.recordings[1:], 1):
             allowed = max(reached[:k]) <= r.go_on
             assert allowed if softer == 1.0 else not allowed or reached[k] <= 2.2e-3
+
+
+def test_recordings_that_the_slew_limit_makes_long_are_reported():
+    """6 kV up and down at 500 V/s take 24 s, and a recording holds several swings; at 2e5 V/s none is long."""
+    slow, quick = (pitp.plan(max_voltage=6000.0, band=(0.5, 10.0), max_slew=slew) for slew in (500.0, 2e5))
+    assert max(r.seconds for r in slow.recordings) > 60 > max(r.seconds for r in quick.recordings)
+    (note,) = slow.notes
+    assert "--max-slew" in note and "takes 24 s" in note and quick.notes == ()

@@ -180,3 +180,13 @@ def test_ranges_that_hold_nothing_are_refused(tmp_path):
     assert "--from and --to in seconds after its first row" in refused(tmp_path, from_s=1e6)
     for said in ({"from_s": 2.0, "to_s": 1.0}, {"from_s": -1.0}, {"to_s": float("nan")}):
         assert "is not a range of time" in refused(tmp_path, **said)
+
+
+@pytest.mark.parametrize("line", ["Date: 24.11.2026 14:00:49", "# recorded 2026-11-24T14:00:49", "Datum;24/11/26"])
+def test_a_date_above_the_table_is_reported_as_ignored(tmp_path, line):
+    """The session's clock is the time column alone; a number such as a version is no date."""
+    (tmp_path / "a.csv").write_text(f"{line}\n{text(columns())}")
+    (tmp_path / "b.csv").write_text(f"# program 1.2.3, 24.5 kV\n{text(columns())}")
+    dated, plain = read(tmp_path)
+    assert "a date above the table ignored" in dated.recognised["file"] and "date" not in plain.recognised["file"]
+    assert dated.time[0] == TIME[0]

@@ -17,10 +17,11 @@ from pitp_jax._model.drive import DirectDrive, ElectrodeLag
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime
+from pitp_jax._model.substeps import substeps
 from pitp_jax._record.record import Record
 from pitp_jax._sharding import records_mesh
 from pitp_jax._simulate.prediction import at_rate, predict
-from pitp_jax._train import oversampling, training
+from pitp_jax._train import training
 from pitp_jax._train.cross_validation import cross_validate
 from pitp_jax._train.refine import refine
 from pitp_jax._train.settings import PRESETS, Settings, firmness_of
@@ -246,11 +247,11 @@ def test_what_does_not_move_is_left_out_and_told(plant, first):
 
 @pytest.mark.slow
 def test_records_coarser_than_the_nominals_get_substeps(plant):
-    """Identified at a fine rate, trained on every fourth sample: one step between them would be four times as long."""
+    """Identified at a fine rate, trained on every fourth sample: as many steps as a model identified there takes."""
     nominal, records, _ = plant
     coarse = [Record(r.name, r.time[::4], r.voltage[::4], r.displacement[::4]) for r in records]
     found = train(nominal, coarse, settings=replace(TINY, epochs=1, stages=1), key=KEY).model
-    assert found.substeps == 4 * nominal.substeps and found.dt == pytest.approx(4 * DT)
+    assert found.substeps == substeps(nominal.physical_coefficients, 4 * DT) and found.dt == pytest.approx(4 * DT)
     assert at_rate(found.model, 4 * DT).substeps == found.substeps
 
 
@@ -295,7 +296,7 @@ def test_a_start_that_diverges_costs_that_start_alone(plant, monkeypatch):
 def test_oversampled_records_train_on_block_means(plant, monkeypatch):
     """Beyond the budget: the model is as good, and is one for the records' own rate."""
     nominal, records, held_out = plant
-    monkeypatch.setattr(oversampling, "_PER_PERIOD", 30)
+    monkeypatch.setattr(training, "_PER_PERIOD", 30)
     monkeypatch.setattr(training, "BUDGET", 2 * SAMPLES)
     found = train(nominal, records, settings=replace(QUICK, refine_steps=15), key=KEY)
     assert found.notes["trained_at_hz"] == pytest.approx(1 / (2 * DT))

@@ -16,10 +16,10 @@ from .._identify.beginnings import find_beginnings
 from .._identify.linear_ode import coast, logs_from_roots, respond
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import project
-from .._record.averaged import averaged
 from .._record.initial_state import Beginning, is_still, rest_level, standing_drive, starts_at_rest
 from .._record.preprocess import force_band
 from .._record.record import Record
+from .._record.reduced import averaged, block_size
 
 _PER_PERIOD = 40  # samples of the force band's period that are kept of a record
 _MOST = 300_000  # samples in all
@@ -147,8 +147,9 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
     """Force and output as means over blocks: a linear system keeps their relation."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, total = records[0].dt, sum(r.samples for r in records)
-    fine = int(1 / (_PER_PERIOD * force_band(forces, dt) * dt))
-    step = max(1, min(max(fine, -(-total // _MOST)), min(r.samples for r in records) // 64))
+    shortest = min(r.samples for r in records)
+    fine = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
+    step = max(fine, min(-(-total // _MOST), shortest // 64), 1)
     small = [averaged(r, force, step) for r, force in zip(records, forces, strict=True)]
     # a drive that begins at 0 V is held there too, and at rest
     firsts = [np.append(force[:1], r.voltage[1:]) for r, force in zip(small, forces, strict=True)]

@@ -16,7 +16,12 @@ def keep_programs(shortest: float) -> None:
     A folder for each computer: a home folder may be shared by several, and programs are for one processor. Those that
     compile in less than `shortest` seconds are not kept.
     """
-    if "jax" in sys.modules or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    if "jax" in sys.modules:
+        return
+    # JAX 0.9 prints some kilobytes for every kept program that it loads: the compiler's own preferences
+    # (+prefer-no-gather) are no features of the processor. What fails is raised as an error all the same.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     folder = Path(user_cache_dir("pitp_jax", appauthor=False)) / "programs" / (platform.node() or "here")
     try:

@@ -16,8 +16,8 @@ import numpy as np
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.initial_state import aligned, noise_std
-from .._record.preprocess import force_band
 from .._record.record import Record
+from .._record.reduced import centred_means, fastest_hz, samples_before
 from .._record.sets import session_clock
 from .._simulate.prediction import at_rate, begin, predict, reaches
 from .library import CORE, INDEX, rates_of, slots_of
@@ -165,10 +165,10 @@ def build_case(
     far = reaches(model, turned) if known else [0.0] * len(turned)  # what was stretched before stays stretched
     for r, b, reached in zip(turned, begun, far, strict=True):
         rest, held = b.begins == "rest", model.hold == "zoh"
-        first_node = r.dt * (k // 2 - _before(k, rest))  # s after the first sample
+        first_node = r.dt * (k // 2 - samples_before(k, rest))  # s after the first sample
         film = _film(r.voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
         force = ramped(r.voltage, held) if square else r.voltage
-        x = averaged(model.output.to_model(r.displacement) / scale, k, rest)
+        x = centred_means(model.output.to_model(r.displacement) / scale, k, rest)
         if film is not None:
             force = film.force(np.arange(len(x)) * r.dt * k)
         volts = root(force) if square else force
@@ -187,11 +187,6 @@ def build_case(
     simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps, tuple(devices))
     case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
     return _beside(case, records) if foreign else case
-
-
-def _before(k: int, rest: bool) -> int:
-    """Samples of rest put before a record, so that its first average is of rest alone."""
-    return k + k // 2 if rest and k > 1 else 0
 
 
 def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
@@ -221,19 +216,6 @@ def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
     return np.sign(force) * np.maximum(size, 0.0)
 
 
-def averaged(series: np.ndarray, k: int, rest: bool) -> np.ndarray:
-    """Every k-th sample as the mean of the k around it, from the rest before a record on; nan is no part."""
-    if k == 1:
-        return series
-    # an even k has no middle: half of either end
-    weights = np.ones(k) if k % 2 else np.r_[0.5, np.ones(k - 1), 0.5]
-    whole = np.concatenate([np.full(_before(k, rest), np.nan), series])
-    there = np.isfinite(whole)
-    sums = np.convolve(np.where(there, whole, 0.0), weights, "valid")[::k]
-    share = np.convolve(there, weights, "valid")[::k] / k
-    return np.where(share > 0.5, sums / k / np.maximum(share, 0.5), np.nan)
-
-
 def _omega(slots: np.ndarray) -> float:
     """The frequency of an oscillating core, rad/s; 0 where it is damped or has no spring."""
     a0, a1, a2 = (slots[INDEX[k]] for k in CORE)
@@ -248,12 +230,8 @@ def steps_a_sample(nominal: np.ndarray, dt: float) -> int:
 def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most: float = THINNED_SAMPLES) -> int:
     """Samples to average: the fastest of mode and drive keeps `PERIOD` samples a period, fewer beyond `most` in all."""
     dt = records[0].dt
-    motion = [np.interp(np.arange(r.samples), np.flatnonzero(r.observed), r.displacement[r.observed]) for r in records]
-    drive = force_band([model.input_map.force(r.voltage) for r in records], dt, 0.98)
-    moved = force_band([m for m in motion if np.ptp(m) > 0], dt, 0.98)
-    mode = _omega(nominal) / (2 * np.pi)
-    # a drive that moves nothing counts no more than a motion that nothing drives
-    fastest = max(min(drive, moved), mode if mode < 3 * moved else 0.0, 1e-12)
+    forces = [model.input_map.force(r.voltage) for r in records]
+    fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
     wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / most
     k = min(max(wanted, min(total, wanted * PERIOD / COARSEST)), max(r.samples for r in records) / _FEWEST)
     return max(int(k), 1)
@@ -291,7 +269,7 @@ def _beside(case: Case, records) -> Case:
     series = []
     for s, run, p in zip(case.series, runs, predict(model, records), strict=True):
         own = p.direction * (p.displacement - p.zero) / scale
-        own = averaged(own, case.thinned, s.begins == "rest")
+        own = centred_means(own, case.thinned, s.begins == "rest")
         series.append(replace(s, output=s.output - np.nan_to_num(own - run), counts=s.counts & np.isfinite(own - run)))
     return replace(case, series=tuple(series))
 

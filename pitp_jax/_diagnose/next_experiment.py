@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .data import Case, averaged
+from .._record.reduced import centred_means
+from .data import Case
 from .search import Hypothesis, Scale
 from .simulator import Drive
 
@@ -76,7 +77,7 @@ def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tupl
     for size in _SIZES:
         tried = excitations(*limits, size)
         k = case.thinned
-        drives = tuple(Drive(averaged(u, k, False), dt * k, (0.0, 0.0)) for u in tried.values())
+        drives = tuple(Drive(centred_means(u, k, False), dt * k, (0.0, 0.0)) for u in tried.values())
         imagined = replace(case.simulator, drives=drives)
         places, starts = list(range(len(drives))), np.zeros((len(drives), 2))
         # both explanations under the same voltages, from rest

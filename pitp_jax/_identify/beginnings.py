@@ -16,7 +16,6 @@ from threadpoolctl import threadpool_limits
 
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import block_means, criterion, project, whitener
-from .._record.averaged import averaged
 from .._record.excitation_kind import spread_over_kinds
 from .._record.initial_state import (
     INITIAL_SAMPLES,
@@ -32,6 +31,7 @@ from .._record.initial_state import (
 )
 from .._record.preprocess import force_band
 from .._record.record import Record
+from .._record.reduced import averaged, block_size
 from .frequency_fit import linear_start
 from .frequency_response import frequency_response
 from .linear_ode import coast, logs_from_roots, no_faster, polynomial, respond
@@ -126,8 +126,8 @@ class _Columns:
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
     """Some records in means over blocks of a tenth of the band's period, and which they are."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
-    size = int(1 / (_PER_PERIOD * force_band(forces, records[0].dt) * records[0].dt))
-    size = max(1, min(size, min(r.samples for r in records) // 64))
+    dt, shortest = records[0].dt, min(r.samples for r in records)
+    size = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
     chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))
     return list(chosen), [averaged(records[k], forces[k], size) for k in chosen]
 

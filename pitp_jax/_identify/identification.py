@@ -26,10 +26,10 @@ from .._model.model import Hold, Output, linear_model
 from .._model.origin import Origin, OutOfFold
 from .._model.substeps import substeps
 from .._model_file.lineage import descended
-from .._record.averaged import averaged
 from .._record.initial_state import Beginning, aligned, noise_std, rest_level
 from .._record.long_record import thinned
 from .._record.record import Record
+from .._record.reduced import averaged, block_size
 from .._record.sets import check_set
 from .._shown import Shown
 from .beginnings import find_beginnings
@@ -219,10 +219,9 @@ def identify(
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
     """The problem on which candidates are compared: means over blocks where there are more samples than it takes."""
     whole = build_problem(records, input_map, begun)
-    fastest = finest * max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
-    size = min(
-        int(1 / (fastest * whole.dt)), int(np.ceil(whole.samples / _SAMPLES)), min(len(d) for d in whole.drive) // 64
-    )
+    fastest = max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
+    size = block_size(whole.dt, fastest, finest, min(len(d) for d in whole.drive))
+    size = min(size, int(np.ceil(whole.samples / _SAMPLES)))
     if size < 2:
         return whole
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]

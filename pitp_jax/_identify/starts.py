@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import lfilter
 
+from .._record.reduced import means
 from .linear_ode import logs_from_roots, no_faster, poles
 from .output_error import FASTEST, Problem, Structure, solve
 
@@ -76,11 +77,6 @@ def _arx(order: int, problem: Problem) -> Iterator[np.ndarray]:
                 yield roots
 
 
-def _blocks(values: np.ndarray, size: int) -> np.ndarray:
-    count = len(values) // size
-    return values[: count * size].reshape(count, size).mean(1)
-
-
 def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndarray | None:
     """Poles (rad/s) of the ARX model with instruments; None where there is none."""
     series = []
@@ -89,7 +85,7 @@ def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndar
         filled = np.interp(np.arange(len(output)), seen, output[seen])
         force = drive**2 if problem.square else drive
         force = np.append(np.full(late, force[0]), force)[: len(force)]
-        series.append((_blocks(force, size), _blocks(filled, size)))
+        series.append((means(force, size), means(filled, size)))
     if max(len(y) for _, y in series) < 8 * order + 16:
         return None
     theta, best = None, None

@@ -43,7 +43,7 @@ def discrete_inverse(
     first: Float[Array, ""] | None = None,
     sweeps: int = 20,
 ) -> Float[Array, " time-1"]:
-    """Solve for the voltage of every step from consecutive decoder states (scaled, S then memory), substeps = 1.
+    """Compute the voltage (V) of every step between the states of a free run, shape (time - 1,); one step a sample.
 
     Args:
         model: as rolled out.

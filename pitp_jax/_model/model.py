@@ -158,6 +158,12 @@ class Model(eqx.Module):
             factor = [last * a * (1 / b) for a, b in zip(moved, product(nominal), strict=True)]
         return [self.coefficients[i] * f for i, f in enumerate(factor)], offset
 
+    def sampled(self, dt: float, hold: Hold) -> "Model":
+        """Convert the model to records of another sampling interval (s) and hold; its coefficients stay."""
+        domain = replace(self.domain, dt=dt)
+        count = substeps_of(self.physical_coefficients, dt)
+        return replace(self, substeps=count, hold=hold, domain=domain)
+
     def changed(self, factors: np.ndarray) -> "Model":
         """Multiply the nominal coefficients by these factors, shape (n + 1,)."""
         coefficients = np.asarray(self.coefficients, np.float64) * factors  # rounded once, at the end

@@ -120,8 +120,9 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     hz, shown = points[:, 0], limits.units.input
     top = float(shown.shown(np.abs(voltage).max()))
     size = f"{top:.0f}" if top >= 100 else f"{top:.3g}"
-    spread = f"{hz.min():.3g} to {hz.max():.3g}" if len(points) > 1 else f"{hz[0]:.3g}"
-    text = f"motion at {spread} Hz, up to {size} {shown.unit}: one of a set that fills frequency, swing and bias"
+    spread = f", then {hz.min():.3g} to {hz.max():.3g} Hz" if len(points) > 1 else ""
+    what = f"motion at {hz[0]:.3g} Hz at first{spread}, up to {size} {shown.unit}"
+    text = f"{what}: one of a set that fills frequency, swing and bias"
     unit = shown.unit.replace(" ", "").replace("/", "_per_")
     return Planned(f"sine_{hz[0]:.3g}Hz_{size}{unit}", "sine", text, time, voltage, limits.rest)
 

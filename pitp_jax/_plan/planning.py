@@ -30,6 +30,7 @@ REACHED = (
     "left, identify a model on what was recorded and plan with it: it knows the stroke of every drive and proposes "
     "those that stay below the limit."
 )
+_LONG = 60.0  # s; a longer recording is reported where the slew limit stretches it
 _BAND = (0.05, 1.3)  # of a model's resonance, where no band is given
 
 
@@ -158,7 +159,24 @@ def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded
     # from 0 V up the input is squared; of either sign it is not, and a turned drive is another one
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits
+    remarks["notes"] = (*remarks.get("notes", ()), *_of_length(drives, limits))
     return Plan(in_order(drives, limits, alternate=alternate, recorded=recorded), kept, **remarks)
+
+
+def _of_length(drives: Sequence[Planned], limits: Limits) -> tuple[str, ...]:
+    """Report recordings that the slew limit makes long."""
+    low, high = limits.band
+    # a swing between the limits and back takes so long at the largest slew
+    stretched = 2 * (limits.high - limits.low) / limits.slew
+    long = [d for d in drives if d.seconds > max(_LONG, 1 / low)]
+    if not long or stretched < 1 / high:
+        return ()
+    longest, units = max(d.seconds for d in long), limits.units
+    return (
+        f"{len(long)} of {len(drives)} recordings last up to {longest:.0f} s: at {units.input.rate_text(limits.slew)} "
+        f"a swing of the whole range takes {stretched:.3g} s. To shorten them, raise {units.max_rate} or lower "
+        f"{units.max_input}",
+    )
 
 
 def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None, units: Units) -> Plan:

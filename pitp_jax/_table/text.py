@@ -40,6 +40,7 @@ _BROKEN = 50  # lines looked through for names that are broken within their quot
 _KEY = re.compile(r"(units?|columns?|names?|fields?|header)\s*[:=]\s*", re.IGNORECASE)
 _CUTS = tuple(map(re.compile, (r"\s{2,}|\t", r"[,;]", r"(?<=[\])}])\s+", r"\s+")))
 _DECIMAL = re.compile(rb"(?<!\d)0+,\d|\d,\d{1,2}(?!\d)|\d,\d{4}")  # no comma between thousands
+_DATE = re.compile(rb"(?<![\d.])\d{1,4}([-./])\d{1,2}\1\d{2,4}(?![\d.])")
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
@@ -125,6 +126,7 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
     parts = [f"text separated by {_SEPARATORS.get(layout.separator, repr(layout.separator))}"]
     parts += ["decimal comma"] if layout.decimal == "," else []
     parts += [encoding] if encoding not in ("utf-8", "ascii") else []
+    parts += ["a date above the table ignored"] if _DATE.search(data[:start]) else []
     blanks = data[start:].strip(b"\n").count(b"\n\n")
     form = ", ".join((*parts, *layout.notes))
     return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)

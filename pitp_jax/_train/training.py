@@ -23,13 +23,13 @@ from jax.sharding import Mesh
 from .._errors import BadInput, ComputationFailed
 from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
-from .._model.model import Hold, Model
+from .._model.model import Model
 from .._model.programs import jit
-from .._model.substeps import substeps
 from .._model_file.lineage import descended
 from .._record.initial_state import Beginning, aligned, in_motion
 from .._record.long_record import LongRecord
 from .._record.record import Record
+from .._record.reduced import reduce_rate
 from .._record.sets import check_set
 from .._shown import Shown
 from .._simulate.beginnings import with_zero_at_rest
@@ -38,12 +38,13 @@ from .creep_balance import OUTLASTS, SlowBalance, slow_balance
 from .dataset import Dataset, build_dataset, region_of
 from .equation_error import loss
 from .errors import Judge, RecordError, judge, kept
-from .oversampling import thinned
 from .parameters import trainable
 from .refine import BUDGET, refine, run_samples
 from .settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
 
 _OPTIMISER = optax.scale_by_adam()
+_PER_PERIOD = 40.0  # samples that a free run needs of a period (docs/decisions/training.md)
+_WORTH_REDUCING = 4  # samples a block: below, every sample of a set within the budget is kept
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,8 @@ def train(
     """Train an encoder on records, starting exactly at the nominal model.
 
     On no training record is the model worse than the nominal by more than a hundredth: where no start leads to such a
-    one, the nominal is handed back in the trained model's form, and `fallback` says so. More samples than the free runs
-    can hold are averaged over blocks first (`oversampling`).
+    one, the nominal is handed back in the trained model's form, and `fallback` says so. Records that are oversampled
+    are averaged over blocks first (`reduce_rate`); the model is one for their own rate.
 
     Args:
         nominal: an identified model (`Fitted`, or a bare `Model`); order, input map, hold and output are kept. Its
@@ -126,9 +127,9 @@ def train(
         raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
     seen, motionless = in_motion(records)
     parent = fitted_of(nominal)
-    nominal, records = parent.model, thinned(seen, parent.model, BUDGET)
-    # means stand at the middle of their blocks: held from there to the next they would lag by half a block
-    nominal = _at(nominal, records[0].dt, hold=nominal.hold if records is seen else "foh")
+    many = sum(r.samples for r in seen) > BUDGET
+    nominal = parent.model.sampled(seen[0].dt, parent.hold)
+    records, nominal = reduce_rate(seen, nominal, _PER_PERIOD, least=2 if many else _WORTH_REDUCING)
     compare = judge(nominal, records)
     # the equation error needs x itself: each record's own zero and direction are taken out first
     begun = with_zero_at_rest(records, begin(nominal, records)[2])
@@ -149,7 +150,7 @@ def train(
         raise BadInput("settings allow no training stage: set stages to 1 or more")
     chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
     if records[0].dt != seen[0].dt:  # trained on block means, but judged on the records as they were given
-        chosen = judge(parent, seen)(_at(chosen.model, seen[0].dt, hold=parent.hold))
+        chosen = judge(parent, seen)(chosen.model.sampled(seen[0].dt, parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": motionless, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
@@ -170,12 +171,6 @@ def _settings_for(encoder, settings: Settings) -> Settings:
     if settings.encoder == "own":
         raise BadInput("settings: encoder 'own' needs the encoder itself: give train(..., encoder=MODULE)")
     return settings
-
-
-def _at(model: Model, dt: float, hold: Hold) -> Model:
-    """Convert the model to records of this sampling interval."""
-    count = max(round(model.substeps * dt / model.dt), substeps(model.physical_coefficients, dt))
-    return replace(model, substeps=count, hold=hold, domain=replace(model.domain, dt=dt))
 
 
 def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginning]) -> Model:

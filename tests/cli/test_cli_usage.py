@@ -129,13 +129,15 @@ def test_standard_output_on_a_full_disk(bench):
 
 @pytest.mark.slow
 def test_compiled_programs_are_kept_unless_told_otherwise(bench, tmp_path):
-    """In the user's cache folder, by a process that starts without JAX; a second one adds nothing."""
-    home = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE"))}
+    """In the user's cache folder, by a process that starts without JAX; a second one adds nothing and says no more."""
+    ours = ("JAX_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE", "TF_CPP_MIN_LOG_LEVEL")
+    home = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
     home |= dict.fromkeys(("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"), str(tmp_path))
     command = [sys.executable, "-m", "pitp_jax", "predict", str(bench / "nominal"), str(bench / "records")]
 
     def kept(*options):
-        subprocess.run([*command, *options], env=home, check=True, capture_output=True)
+        done = subprocess.run([*command, *options], env=home, check=True, capture_output=True, text=True)
+        assert all(line.startswith("pitp: ") for line in done.stderr.splitlines()), done.stderr
         return {p.name for p in tmp_path.rglob("*-cache")}
 
     assert kept("--no-cache") == set()

@@ -7,11 +7,13 @@ from .formatting import named, parameter_between, plain_words
 
 def lines(d) -> list[str]:
     """For the terminal."""
+    from .answers import next_step  # the page's cards are made of these words
+
     told = [result_line(d), *(f"  {line}" for line in part_lines(d))]
     said = f"verdict: {d.verdict}" + (f" by {named(d.effects)}" if d.effects else "")
     told.append(f"{said}. {d.reason}" if d.reason else f"{said}.")
     if d.verdict == "no_gap":
-        return told
+        return [*told, next_step(d)]
     told += [f"{name}: {plain_words(name, units_of(d.model))}" for name in d.effects]
     if d.term is not None:
         told.append(f"{d.term.equation}: closes {100 * (d.term.closed_fraction or 0):.0f} %, -> {d.term.after:.3g} %")
@@ -23,7 +25,7 @@ def lines(d) -> list[str]:
             ("unexplainable", "cannot be predicted"),
         )
     ]
-    return [*told, "of the error's energy: " + ", ".join(rest), d.where["summary"]]
+    return [*told, "of the error's energy: " + ", ".join(rest), d.where["summary"], next_step(d)]
 
 
 def result_line(d) -> str:

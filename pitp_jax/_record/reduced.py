@@ -1,0 +1,121 @@
+"""Reduce the sampling rate of oversampled records: means over blocks, of which a linear system keeps the relation.
+
+    F_k = mean_{t in block k} F_t,    y_k = mean over the observed t of block k of y_t
+    size = floor(1 / (n f dt))        n: samples kept of a period,  f: the fastest motion that the records show
+
+A mean is the anti-alias filter. It belongs to the middle of its block, so a model of the means takes its input as
+linear between them. No other room averages samples.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .checks import MIN_SAMPLES
+from .preprocess import force_band
+from .record import Record
+
+if TYPE_CHECKING:
+    from .._model.model import Model
+
+_BAND = 0.98  # of the energy of force and motion
+_BEYOND = 3.0  # times the motion's band: a mode above moves nothing in these records
+
+
+def reduce_rate(
+    records: Sequence[Record], model: "Model", samples_per_period: float, *, least: int = 2
+) -> tuple[Sequence[Record], "Model"]:
+    """Return the records as means over blocks, and the model for their rate; both as they are where nothing is gained.
+
+    Args:
+        records: in base units, of one sampling rate.
+        model: its modes count among the fastest motion; its coefficients stay, and hold for the records' own rate.
+        samples_per_period: kept of the fastest motion, at least.
+        least: size of the blocks from which it is worthwhile.
+    """
+    dt, shortest = records[0].dt, min(r.samples for r in records)
+    forces = [model.input_map.force(r.voltage) for r in records]
+    poles = np.asarray(np.roots(model.physical_coefficients[::-1]), np.complex128)
+    ringing = np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)])  # a damped pole makes no fast motion
+    size = block_size(dt, fastest_hz(records, forces, ringing / (2 * np.pi)), samples_per_period, shortest)
+    if size < least:
+        return records, model
+    small = [_with_voltage(r, f, size, model) for r, f in zip(records, forces, strict=True)]
+    return small, model.sampled(small[0].dt, "foh")
+
+
+def fastest_hz(records: Sequence[Record], forces: Sequence[np.ndarray], modes: np.ndarray) -> float:
+    """Return the highest frequency that matters, Hz: of what moves under the force, and of modes that oscillate there.
+
+    A force that moves nothing counts no more than a motion that nothing drives, a mode far above the motion not at all.
+    """
+    dt = records[0].dt
+    motion = [np.interp(np.arange(r.samples), np.flatnonzero(r.observed), r.displacement[r.observed]) for r in records]
+    moved = force_band([m for m in motion if np.ptp(m) > 0], dt, _BAND)
+    return max(min(force_band(forces, dt, _BAND), moved), *modes[modes < _BEYOND * moved], 1e-12)
+
+
+def block_size(dt: float, hertz: float, samples_per_period: float, shortest: int) -> int:
+    """Return how many samples make a block, so that a period keeps so many and the shortest record 64.
+
+    Args:
+        dt: sampling interval, s.
+        hertz: of the period.
+        samples_per_period: to keep.
+        shortest: samples of the shortest record.
+    """
+    return max(1, min(int(1 / (samples_per_period * hertz * dt)), shortest // MIN_SAMPLES))
+
+
+def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Record:
+    """Return the record in means over blocks of `size` samples, with the force (V^2 or V) in the voltage's place.
+
+    Not the voltage: the mean of a square is not the square of the mean. A block of which less than half was observed
+    is missing.
+    """
+    count = record.samples // size
+    seen = record.observed[: count * size].reshape(count, size)
+    y = np.where(seen, record.displacement[: count * size].reshape(count, size), 0.0).sum(1)
+    observed = seen.sum(1)
+    # a half or more of the block was observed
+    y = np.where(2 * observed >= size, y / np.maximum(observed, 1), np.nan)
+    # a mean belongs to the middle of its block
+    middle = record.time[0] + record.dt * ((size - 1) / 2 + size * np.arange(count))
+    return Record(record.name, middle, means(force, size), y, source=record.source)
+
+
+def means(values: np.ndarray, size: int) -> np.ndarray:
+    """Return the means over whole blocks of `size` samples, shape (len(values) // size,)."""
+    count = len(values) // size
+    return values[: count * size].reshape(count, size).mean(1)
+
+
+def samples_before(k: int, rest: bool) -> int:
+    """Samples of rest put before a record, so that its first average is of rest alone."""
+    return k + k // 2 if rest and k > 1 else 0
+
+
+def centred_means(series: np.ndarray, size: int, rest: bool) -> np.ndarray:
+    """Return every size-th sample as the mean of those around it, from the rest before a record on; nan is no part."""
+    if size == 1:
+        return series
+    # an even size has no middle: half of either end
+    weights = np.ones(size) if size % 2 else np.r_[0.5, np.ones(size - 1), 0.5]
+    whole = np.concatenate([np.full(samples_before(size, rest), np.nan), series])
+    there = np.isfinite(whole)
+    sums = np.convolve(np.where(there, whole, 0.0), weights, "valid")[::size]
+    share = np.convolve(there, weights, "valid")[::size] / size
+    return np.where(share > 0.5, sums / size / np.maximum(share, 0.5), np.nan)
+
+
+def _with_voltage(record: Record, force: np.ndarray, size: int, model: "Model") -> Record:
+    """Turn the force's block means into a voltage again, of the sign of the mean voltage."""
+    mean, voltage = averaged(record, force, size), averaged(record, record.voltage, size).voltage
+    back = np.asarray(model.input_map.voltage(jnp.asarray(mean.voltage)), np.float64)
+    sign = np.where(voltage < 0, -1.0, 1.0) if model.input_map.one_sided else 1.0  # the square has lost it
+    units = {"voltage_unit": record.voltage_unit, "displacement_unit": record.displacement_unit}
+    return replace(mean, voltage=sign * back, **units)
