@@ -119,3 +119,11 @@ def test_seconds_since_1970_need_no_unit(tmp_path):
     (tmp_path / "a.csv").write_text(names[8:] + "\n".join(row.split(",", 1)[1] for row in rows))
     with pytest.raises(BadInput, match="--time-unit"):
         read(tmp_path / "a.csv")
+
+
+def test_clocks_of_infinite_values_are_refused_without_a_warning_of_numpy(tmp_path):
+    rows = [f"{t},{row}" for t, row in zip(TIME, ROWS, strict=True)]
+    rows[5] = f"inf,inf,{ROWS[5].split(',', 1)[1]}"
+    (tmp_path / "a.csv").write_text("time,elapsed,voltage_V,displacement_mm\n" + "\n".join(rows))
+    with pytest.raises(BadInput):
+        read(tmp_path / "a.csv", input_unit="V")

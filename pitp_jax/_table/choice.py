@@ -286,7 +286,7 @@ def _ticks(values: np.ndarray) -> bool:
 
 def _agree(first: np.ndarray, other: np.ndarray) -> bool:
     """Return whether two clocks differ by a constant, to half a step."""
-    if len(first) != len(other) or not np.isfinite(first).any():
+    if len(first) != len(other) or not np.isfinite(first).any() or np.isinf(first).any() or np.isinf(other).any():
         return False
     return float(np.nanmax(first - other) - np.nanmin(first - other)) <= 0.5 * float(np.nanmedian(np.diff(first)))
 

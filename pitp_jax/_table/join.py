@@ -93,7 +93,7 @@ def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
 
 def _agree(first: np.ndarray, other: np.ndarray) -> bool:
     """Return whether two clocks are the same, to a tenth of a step."""
-    if len(first) != len(other):
+    if len(first) != len(other) or np.isinf(first).any() or np.isinf(other).any():
         return False
     return len(first) < 2 or float(np.nanmax(np.abs(first - other))) <= 0.1 * float(np.nanmedian(np.diff(first)))
 
