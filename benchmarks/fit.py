@@ -44,7 +44,7 @@ def step_ways(nominal, train, settings) -> tuple[dict, str]:
     settings = replace(settings, few=0)  # the whole network, however few the records
     memory = partial(memory_of, settings, nominal, None)
     data = build_dataset(nominal, train, scaling=settings.scaling, difference=settings.difference, memory=memory)
-    model = with_encoder(data, settings, jax.random.key(0))
+    model = with_encoder(data, settings, None, jax.random.key(0))
     params, static = eqx.partition(model.encoder, trainable(model).encoder)
     state = training._OPTIMISER.init(params)
     box_rate = jnp.asarray([0.6, 1.5]), jnp.asarray(1e-3)

@@ -219,9 +219,10 @@ def _units_row(
     names = [k for k in fits[::-1] if k not in united and not _numeric(rows.cells[k])]
     if not united:
         return [], names
-    # units stand below the names, or in a row above them
+    # units stand below the names, or in a row above them; channels may be counted (`X,1,2`)
     above = [k for k in names if k < united[0]][:1]
-    return rows.cells[united[0]], above or names or united
+    counted = [k for k in fits[::-1] if k < united[0]][:1]
+    return rows.cells[united[0]], above or names or counted or united
 
 
 def _fits(rows: Rows, k: int, widths: range) -> bool:

@@ -251,8 +251,9 @@ def _recut(
 
     Names between blanks may hold single blanks. A comment may have separators of its own, or none behind brackets.
     """
+    filled = [trimmed(row) for row in cells]  # a separator may end each row of numbers
     widths = Counter(
-        len(row) for row in cells if len(row) > 1 and all(is_number(c, decimal) or is_stamp(c) for c in row)
+        len(row) for row in filled if len(row) > 1 and all(is_number(c, decimal) or is_stamp(c) for c in row)
     )
     # as many cells as most rows of numbers have
     usual = widths.most_common(1)[0][0] if widths else 0
