@@ -140,11 +140,14 @@ def test_a_first_state_out_of_the_amplifiers_reach_is_told(actuator):
 
 
 def test_a_single_time_constant_is_led_in_along_a_few_of_it(linear, bounded):
-    """It has no resonance to be rocked at: five periods of 1 / (2 pi tau) would take 31 tau."""
+    """It has no resonance to be rocked at: five periods of 1 / (2 pi tau) would take 31 tau.
+
+    Three time constants, or twice that where no more force is to be used than the first sample needs.
+    """
     tau = 1 / (2 * np.pi * 2.5)
     model = bounded(linear(1, 5.0), 0.0, 1800.0, slew=1e5)
     found = feedforward(model, Target(TIME, swing(1e-3, 2e-4, 1.0)))
-    assert 2 * tau < TIME[0] - found.time[0] < 4 * tau
+    assert 2 * tau < TIME[0] - found.time[0] < 7 * tau
     a0, a1 = model.physical_coefficients
     force = found.voltage[: int(np.argmax(found.target)) + 1] ** 2
     x = lsim(([1.0], [a1, a0]), force, DT * np.arange(len(force)))[1][-1]
@@ -183,7 +186,8 @@ def test_a_coarser_target_warns_and_is_still_inverted(actuator):
     found = feedforward(actuator, target)
     (line,) = others(found)
     assert "coarser" in line
-    x = respond(actuator, found.voltage, dt=2e-3)[found.target, 0]
+    assert found.time[1] - found.time[0] == pytest.approx(DT)  # along a spline, on the model's step
+    x = respond(actuator, found.voltage)[found.target, 0][::2]
     assert e_rms_percent(x, target.displacement) < 0.01
 
 

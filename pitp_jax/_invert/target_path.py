@@ -29,6 +29,7 @@ from .limits import Limits
 MOST = 20_000_000  # samples of a plan
 _CLOSE = 0.01  # relative, between the step of a target and that of a model
 _NEAR, _MET = 0.02, 1e-5  # of the target's size: a first state that is reached, also within the narrower bounds
+_SPARE = 0.95  # of the slew limit: the plan differentiates the path anew, and near 0 V a root makes steps of errors
 _BEYOND = 1.02  # of the force at the first sample: what is damped arrives there late otherwise
 _RINGS = 0.7  # damping below which a pole rings
 _IN, _OUT, _SMOOTH = 5.0, 3.0, 0.5  # periods: lead-in and lead-out of what rings, both of what does not
@@ -137,9 +138,10 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
     for bounds, stretch, near in [*tried, *((wide, stretch, _NEAR) for stretch in (1, 2, 4))]:
         count = max(int(np.ceil(stretch * lead_in / dt)), 64)
         lead, force, end = swing_in(model.physical_coefficients, states[0], count, dt, *bounds)
+        force[:1] = 0.0  # the first sample stays at the voltage of the ends
         slew = np.abs(np.diff(np.asarray(model.input_map.voltage(still + force)))).max() / dt
         off = np.abs(end - states[0])[:order] / (span * model.natural_frequency ** np.arange(order))
-        kept, reached = bool(slew <= limits.slew), bool((off <= near).all())
+        kept, reached = bool(slew <= _SPARE * limits.slew), bool((off <= near).all())
         if kept and reached:
             break
     path = stands + np.concatenate([lead, wanted])

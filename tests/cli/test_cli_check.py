@@ -36,7 +36,7 @@ def test_check_writes_records_as_understood_a_page_and_json(call, bench, tmp_pat
     code, text, err = call("check", bench / "records", broken, "--out", out, "--json", file)
     assert code == 0, err
     told = strict(file)
-    assert list(told) == ["records", "advice"] and set(told["records"]) == {*DRIVES, "broken"}
+    assert list(told) == ["written_by", "records", "advice"] and set(told["records"]) == {*DRIVES, "broken"}
     for name in DRIVES:
         row = told["records"][name]
         assert set(row) >= KEYS

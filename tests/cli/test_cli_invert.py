@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from cli_cases import columns_of, refused, tree
 
+import pitp_jax
+
 
 def test_invert_writes_the_voltage_and_counts(call, bench, tmp_path, quick_inverse):
     out, file = tmp_path / "v.csv", tmp_path / "j"
@@ -21,6 +23,7 @@ def test_invert_writes_the_voltage_and_counts(call, bench, tmp_path, quick_inver
     np.testing.assert_array_equal(np.isfinite(values[:, 2]), (np.arange(2200) >= 100) & (np.arange(2200) < 2100))
     assert values[100, 2] == 1.0
     assert json.loads(file.read_text(), parse_constant=pytest.fail) == {
+        "written_by": f"pitp_jax {pitp_jax.__version__}",
         "samples": 2200, "infeasible": 7, "saturated": 3, "outside_training_share": 0.25,
         "self_check_e_rms_percent": None, "target_start_s": pytest.approx(0.2), "target_end_s": pytest.approx(4.198),
     }  # fmt: skip

@@ -18,7 +18,7 @@ def test_predict_writes_scores_and_records_in_their_own_units(call, bench, tmp_p
     code, text, err = call("predict", bench / "nominal", bench / "records", "--out", out, "--json", file)
     assert code == 0 and err.startswith("pitp: read 3 records") and err.count("\n") == 1
     result = json.loads(file.read_text())
-    assert list(result) == ["records", "median_e_rms_percent"]
+    assert list(result) == ["written_by", "records", "median_e_rms_percent"]
     assert set(result["records"]) == set(DRIVES)
     for name, row in result["records"].items():
         assert set(row) == SCORE_KEYS
