@@ -9,7 +9,7 @@ linear between them. No other room averages samples.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,16 +19,27 @@ from .checks import MIN_SAMPLES
 from .preprocess import force_band
 from .record import Record
 
-if TYPE_CHECKING:
-    from .._model.model import Model
-
 _BAND = 0.98  # of the energy of force and motion
 _BEYOND = 3.0  # times the motion's band: a mode above moves nothing in these records
 
 
+@runtime_checkable
+class Sampled(Protocol):
+    """A model, as far as a sampling rate concerns it: its force, its coefficients, itself at another rate."""
+
+    @property
+    def input_map(self) -> Any: ...
+    @property
+    def physical_coefficients(self) -> np.ndarray: ...
+    def sampled(self, dt: float, hold: Any) -> Any: ...
+
+
+M = TypeVar("M", bound=Sampled)
+
+
 def reduce_rate(
-    records: Sequence[Record], model: "Model", samples_per_period: float, *, least: int = 2
-) -> tuple[Sequence[Record], "Model"]:
+    records: Sequence[Record], model: M, samples_per_period: float, *, least: int = 2
+) -> tuple[Sequence[Record], M]:
     """Return the records as means over blocks, and the model for their rate; both as they are where nothing is gained.
 
     Args:
@@ -112,7 +123,7 @@ def centred_means(series: np.ndarray, size: int, rest: bool) -> np.ndarray:
     return np.where(share > 0.5, sums / size / np.maximum(share, 0.5), np.nan)
 
 
-def _with_voltage(record: Record, force: np.ndarray, size: int, model: "Model") -> Record:
+def _with_voltage(record: Record, force: np.ndarray, size: int, model: Sampled) -> Record:
     """Turn the force's block means into a voltage again, of the sign of the mean voltage."""
     mean, voltage = averaged(record, force, size), averaged(record, record.voltage, size).voltage
     back = np.asarray(model.input_map.voltage(jnp.asarray(mean.voltage)), np.float64)
