@@ -120,7 +120,8 @@ def test_parameters_of_an_own_encoder_are_its_arrays(known):
     assert len(jax.tree.leaves(params)) == 1 + 4 + 1  # coefficients, two layers, factor
     assert "Net" in repr(model)
     half = replace(hardening(known, 0.4), encoder=model.encoder.scaled(0.5))
-    np.testing.assert_array_equal(pitp.free_run(half, volts(2.0)), pitp.free_run(known, volts(2.0)))
+    run, other = (np.asarray(pitp.free_run(m, volts(2.0))) for m in (half, known))
+    np.testing.assert_allclose(run, other, rtol=0, atol=1e-6 * np.ptp(other))  # programs of their own: they round apart
 
 
 def test_an_own_encoder_is_saved_and_restored_by_a_template(known, tmp_path):

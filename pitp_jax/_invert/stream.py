@@ -64,7 +64,7 @@ def invert_stream(
         >>> sum(len(piece.voltage) for piece in pieces) == len(target.displacement)
         True
     """
-    refuse_traced("invert_stream", "inverse", model, blocks)
+    refuse_traced("invert_stream", "inverse", model, None if isinstance(blocks, Iterator) else blocks)
     model = model_of(model)
     if model.effects:
         raise BadInput("streaming inverts eq. 13 alone, without the model's effects: use `feedforward`")
