@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from .._identify.linear_ode import respond
 from .._record.record import Record
+from .._record.reduced import means
 
 _AS_WELL = 2.0  # times what one model a group leaves
 _MATTERS = 0.02  # of the outputs' rms: what one model for all leaves that is worth several
@@ -109,10 +110,7 @@ def groups_of(records: Sequence[Record]) -> Groups | None:
 
 def _thinned(record: Record) -> _Thin:
     step = -(-record.samples // _SAMPLES)
-    count = record.samples // step * step
-    drive = record.voltage[:count].reshape(-1, step).mean(axis=1)
-    with np.errstate(invalid="ignore"):
-        output = record.displacement[:count].reshape(-1, step).mean(axis=1)
+    drive, output = means(record.voltage, step), means(record.displacement, step)
     seen = np.isfinite(output)
     mean = output[seen].mean() if seen.any() else 0.0
     return _Thin(record.name, record.dt * step, drive, np.where(seen, output - mean, 0.0), seen)

@@ -16,8 +16,6 @@ import numpy as np
 from .._errors import BadInput, cleaned
 from .document import Document, Tag
 
-_SERVOS = ("position", "general", "intvelocity", "pid")
-
 
 def mujoco_package() -> Any:
     """Import MuJoCo.
