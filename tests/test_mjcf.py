@@ -296,3 +296,74 @@ def test_the_same_numbers_for_other_simulators(arm):
     newton = json.loads((folder / "newton_actuator.json").read_text())
     assert newton["damping"] == after.damping and newton["limit_upper"] == pytest.approx(np.pi / 2)
     assert f'friction="{after.frictionloss:g}"' in (folder / "urdf_dynamics.xml").read_text()
+
+
+def test_a_gear_counts_once_in_the_torque_of_a_command(tmp_path):
+    """torque = g kp (c - g q): under gravity's torque tau the servo of gear 2 stands at c / g - tau / (kp g^2)."""
+    pytest.importorskip("mujoco")
+    file = tmp_path / "arm.xml"
+    file.write_text(SERVO.format('gear="2"').replace('damping="0.4"', 'damping="4" stiffness="10"'))
+    before, _, after = _written(file, [_row("damping", 0.1, 0.2)], "q")
+    assert before.torque_per_command == 40 and after.damping == pytest.approx(4 + 40 * 0.1)
+    (angle,) = play(file, "q", [_record(np.full(2000, 0.5), np.full(2000, 0.1))])
+    assert angle[-1] == pytest.approx(40 * 0.5 / (80 + 10), rel=1e-3)
+    text = (file.parent / "gap" / "isaac_actuator_cfg.py").read_text()
+    assert "stiffness=80," in text
+
+
+def test_an_inertia_below_that_of_the_links_is_a_larger_gain(arm):
+    """The armature of 0.02 cannot fall by 0.06: the gain is twice as large, damping and stiffness follow it."""
+    pytest.importorskip("mujoco")
+    rows = [_row("inertia", 0.006, 0.003, 1e-5), _row("damping", 0.035, 0.03, 1e-5), _row("stiffness", 0.0, 0.01, 1e-4)]
+    _, written, after = _written(arm, rows)
+    assert after.kp == pytest.approx(40) and after.armature == 0.02 and "each" not in str(written.changes)
+    assert after.damping == pytest.approx(0.3 + 20 * (2 * 0.03 - 0.035))
+    assert after.stiffness == pytest.approx(2 * 20 * 0.01)
+
+
+def test_limits_are_written_about_zero_in_the_actuators_own_unit(arm):
+    """forcerange is before the gear, ctrlrange in the command's unit; a stop below may be told by its distance."""
+    pytest.importorskip("mujoco")
+    arm.write_text(ARM.replace('joint="elbow" ctrlrange', 'joint="elbow" gear="2" ctrlrange'))
+    inf = np.inf
+    rows = [_row("force_limit inverse", inf, 0.1), _row("voltage_clip inverse", inf, 0.6),
+            _row("end_stop place, below", inf, -0.4)]  # fmt: skip
+    _, written, after = _written(arm, rows)
+    assert after.effort == pytest.approx(40 * 0.1)
+    assert "0.1" in (arm.parent / "gap" / "isaac_actuator_cfg.py").read_text()
+    assert 'ctrlrange="-0.6 0.6"' in written.file.read_text()
+    assert after.limits == pytest.approx((-0.4, np.pi / 2))
+
+
+def test_a_number_within_its_error_is_left_alone_and_an_interval_is_two_sided(arm):
+    pytest.importorskip("mujoco")
+    rows = [_row("inertia", 0.001, 0.003, 5e-4), _row("stiffness", 0.0, 0.01, 6e-3)]
+    _, written, after = _written(arm, rows)
+    assert after.stiffness == 0.0 and len(written.changes) == 1
+    new, error = 0.02 + 20 * 0.002, 20 * 5e-4
+    assert f"({new - 1.96 * error:.4g} to {new + 1.96 * error:.4g})" in written.changes[0].text
+
+
+def test_a_general_servo_keeps_gain_and_bias_alike(tmp_path):
+    """Its lag stands in dynprm; gain and bias change together, or MuJoCo would make it no servo."""
+    pytest.importorskip("mujoco")
+    file = tmp_path / "arm.xml"
+    servo = '<general joint="q" gainprm="20" biastype="affine" biasprm="0 -20 -0.4"/>'
+    file.write_text(SERVO.format("").replace('<position joint="q" kp="20" />', servo))
+    rows = [
+        _row("inertia", 0.0025, 0.00125, 1e-6),
+        _row("damping", 0.04, 0.02, 1e-5),
+        _row("electrode_rc tau", 0, 0.03),
+    ]
+    _, written, after = _written(file, rows, "q")
+    assert after.kp == pytest.approx(40) and after.position and after.lag == pytest.approx(0.03)
+    assert 'dyntype="filterexact"' in written.file.read_text()
+    assert any("inertia of 0.026, the file 0.05" in line for line in written.remarks)  # 20 times 0.0013
+
+
+def test_another_actuators_lag_and_other_servos_stay_where_they_are(arm):
+    """The shoulder is lagged and held at its reference; the elbow has no lag of its own to set."""
+    pytest.importorskip("mujoco")
+    arm.write_text(ARM.replace('joint="shoulder"/>', 'joint="shoulder" timeconst="0.05"/>'))
+    (still,) = play(arm, "elbow", [_record(np.full(400, 0.3), np.full(400, 0.3))])
+    assert np.max(np.abs(still - 0.3)) < 1e-6

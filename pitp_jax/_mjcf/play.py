@@ -44,8 +44,8 @@ def _played(mujoco: Any, model: Any, joint: int, actuator: int, record: Record) 
     _hold_the_others(mujoco, model, data, actuator)
     data.qpos[place], data.qvel[dof] = first_state(record)
     data.ctrl[actuator] = record.voltage[0]
-    if model.na:
-        data.act[int(model.actuator_actadr[actuator])] = record.voltage[0]
+    if (place_of_lag := int(model.actuator_actadr[actuator])) >= 0:  # the lag has settled on the first command
+        data.act[place_of_lag] = record.voltage[0]
     late = float(model.actuator_delay[actuator]) if hasattr(model, "actuator_delay") else 0.0
     position, speed = np.array(data.qpos), np.array(data.qvel)
     for _ in range(math.ceil(late / step) + 1 if late else 0):  # the first command fills the actuator's history
