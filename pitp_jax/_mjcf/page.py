@@ -25,15 +25,17 @@ def page(found: Verification) -> str:
         ))
         for p in found.played
     ]  # fmt: skip
+    bold = " Bold: not used by the diagnosis." if any(p.held_out for p in found.played) else ""
     header = ("recording", "used by the diagnosis", "gap before", "gap after")
     pictures = [
-        html.picture(f"recording_{k}", _drawn(p), f"{p.record.name}: the same command")
+        html.picture(f"recording_{k}", _drawn(p), f"{p.record.name}: robot and MuJoCo under the same command")
         for k, p in enumerate(found.played[:_DRAWN])
     ]
     return html.page(headline, [
         tag("p", f"Joint {found.joint} of {found.mjcf}, MuJoCo {found.version}", "soft"),
-        tag("h1", headline), html.bullets(found.lines()), html.table(header, rows, {0: "long", 1: "left"}),
-        tag("p", "Gap: rms of the difference, % of the recording's range. Bold: not used by the diagnosis.", "soft"),
+        tag("h1", headline), html.bullets([text.replace("->", "→") for text in found.lines()]),
+        html.table(header, rows, {0: "long", 1: "left"}),
+        tag("p", f"Gap: rms of the difference, % of the recording's range.{bold}", "soft"),
         tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>',
     ])  # fmt: skip
 
@@ -42,12 +44,12 @@ def _drawn(played: Played) -> Figure:
     record, unit = played.record, played.record.displacement_unit
     axes = own_axes(None, 1, (5.6, 2.6))
     time = record.time - record.time[0]
-    for values, color, label in (
-        (record.displacement, MEASURED, "robot"), (played.before, ERROR, "before"), (played.after, PREDICTED, "after"),
+    for values, color, width, label in (  # the robot broad and below: it shows beside a line that lies on it
+        (record.displacement, MEASURED, 2.6, "robot"), (played.before, ERROR, 0.8, "before"),
+        (played.after, PREDICTED, 0.8, "after"),
     ):  # fmt: skip
         if values is not None:
-            line(axes[0], time, np.asarray(from_base(values, unit)), color=color, lw=0.9, label=label)
-    axes[0].legend(loc="upper right")
+            line(axes[0], time, np.asarray(from_base(values, unit)), color=color, lw=width, label=label)
     finish(np.array([axes[0]]), "time (s)", [f"position ({shown_unit(unit)})"])
     assert isinstance(axes[0].figure, Figure)
     return axes[0].figure
