@@ -51,7 +51,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
 
 
 def one_joint(joint: list[str] | None) -> str:
-    """The joint's name.
+    """Return the one joint that was named.
 
     Raises:
         BadInput: none or several.

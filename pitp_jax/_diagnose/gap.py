@@ -179,7 +179,7 @@ def _noise(case: Case) -> float:
 
 
 def beside_noise(case: Case, lacking: float, averaged: int) -> float:
-    """An error beside the noise, as records show it of which so many samples are averaged to one.
+    """Return the error that counts beside the noise, for records whose samples are averaged in blocks.
 
     (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples takes the white part off on
     either side of the comparison, which stays that of the full rate.

@@ -66,7 +66,7 @@ def _error(h: Hypothesis) -> float:
 
 
 def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
-    """The model with as many steps a sample as its effects need, and its error: their poles are in no coefficient.
+    """Return the model with as many integration steps a sample as its effects need, and its error.
 
     Where it leaves `most` or more its steps are doubled until that gains nothing.
     """
@@ -83,7 +83,7 @@ def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, 
 
 
 def is_bounded(made: Model, records: Sequence[Record]) -> bool:
-    """Whether no drive of the records runs away at the widest of their voltages, from rest."""
+    """Return whether the model stays bounded, from rest, under every recorded drive scaled to the largest voltage."""
     top = max(float(np.abs(r.voltage).max()) for r in records)
     played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
     return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)

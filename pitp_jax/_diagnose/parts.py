@@ -170,7 +170,7 @@ class _Numbers:
         self.longest, self.session = longest / 3, max(search.scale.session, longest) / 3
 
     def of(self, effects: Sequence[tuple[Effect, Sequence[str]]]) -> dict[str, dict]:
-        """Of the effects of one part; a second one of two time constants has a 2 behind its names."""
+        """Return the numbers of the effects of one part; a second effect of the part has a 2 behind its names."""
         told: dict[str, dict] = {}
         for effect, slots in effects:
             rows = in_units(self.model, effect, slots, self.h.fit, {})
@@ -184,7 +184,7 @@ class _Numbers:
         return told
 
     def coefficients(self, slots: Sequence[str]) -> dict[str, dict]:
-        """Of the linear model, over those given."""
+        """Return the coefficients of the linear model, as factors on those given."""
         rows, names = factors_of(self.search, self.h.fit, {}), {factor_name(k): k for k in slots}
         return {name: self._with_interval(row, names[name]) for name, row in rows.items() if name in names}
 
@@ -195,7 +195,7 @@ class _Numbers:
 
 
 def _interval_factors(search: Search, h: Hypothesis) -> Factors:
-    """The ends of every free number's interval over its value; None where these recordings do not determine it."""
+    """Return the ends of each fitted number's interval over its value; None where the records do not determine it."""
     errors, places = errors_of(search, h.fit), [INDEX[k] for k in h.fit.free]
     folds = _coordinates(h.without, places) if len(h.without) else np.zeros((1, len(places)))
     jackknife = np.sqrt((len(folds) - 1) * np.var(folds, 0))
@@ -217,7 +217,7 @@ def _interval_factors(search: Search, h: Hypothesis) -> Factors:
 
 
 def _coordinates(slots: np.ndarray, places: Sequence[int]) -> np.ndarray:
-    """Numbers as they are fitted: positive ones as logarithms."""
+    """Return numbers as they are fitted: the logarithm of each positive one."""
     values = slots[..., list(places)]
     return np.where(LOGARITHM[list(places)], np.log(np.maximum(values, 1e-300)), values)
 

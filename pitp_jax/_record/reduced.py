@@ -106,7 +106,7 @@ def means(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def samples_before(k: int, rest: bool) -> int:
-    """Samples of rest put before a record, so that its first average is of rest alone."""
+    """Return how many samples of rest are put before a record, so that its first mean is of rest alone."""
     return k + k // 2 if rest and k > 1 else 0
 
 

@@ -28,7 +28,7 @@ _TOGETHER = 6  # files that hold one record
 
 
 def joined_parts(path: Path, options: ReadOptions) -> Parts:
-    """Every part of a file with the columns of the files that `join` names beside its own.
+    """Return every part of a file, with the columns of the files that `join` names beside its own.
 
     Raises:
         BadInput: a file cannot be read, or rows do not belong together.
@@ -81,7 +81,7 @@ def _rows(table: Table) -> int:
 
 
 def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
-    """The place and the values in s of a table's clock, or None."""
+    """Return the place of a table's clock and its values in s, or None."""
     try:
         choice = choose_columns(table, options, ("time",))["time"]
     except BadInput:
