@@ -43,3 +43,14 @@ def test_a_line_every_few_seconds_says_what_is_left(monkeypatch):
         "sets of 1: 6 s so far, at most 14 s left",
         "sets of 1: 12 s so far, at most 8 s left",
     ]
+
+
+def test_the_option_is_proposed_only_where_the_counted_work_is_the_bound(monkeypatch):
+    """Few recordings end by themselves: their deepest search is shorter than what may be counted."""
+    now, lines = [0.0], []
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    for run_steps in (1, 10_000):
+        budget = Budget(most=1e7, run_steps=run_steps, progress=lines.append, began=now[0])
+        now[0] += 6.0
+        budget.count(1_000)
+    assert ["--seconds" in line for line in lines] == [False, True]

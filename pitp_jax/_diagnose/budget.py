@@ -51,7 +51,9 @@ class Budget:
             most = min(self.most, _RUNS * self.run_steps or np.inf)
             left = max(min((most - self.lane_steps) / rate, self.remaining), 0.0)
             self._reported = elapsed, self.lane_steps
-            self.progress(f"{self.stage}: {elapsed:.0f} s so far, at most {left:.0f} s left (--seconds limits them)")
+            # a hint where the records are so many that the count is the bound
+            hint = " (--seconds limits them)" if most == self.most else ""
+            self.progress(f"{self.stage}: {elapsed:.0f} s so far, at most {left:.0f} s left{hint}")
 
     def begin(self, stage: str) -> None:
         """Report the beginning of a stage."""
