@@ -367,3 +367,16 @@ def test_another_actuators_lag_and_other_servos_stay_where_they_are(arm):
     arm.write_text(ARM.replace('joint="shoulder"/>', 'joint="shoulder" timeconst="0.05"/>'))
     (still,) = play(arm, "elbow", [_record(np.full(400, 0.3), np.full(400, 0.3))])
     assert np.max(np.abs(still - 0.3)) < 1e-6
+
+
+def test_a_written_delay_shifts_the_motion_by_itself(tmp_path):
+    """12 ms are 24 steps of 0.5 ms; MuJoCo keeps so many commands only where nsample asks for them."""
+    if not _knows_delay(pytest.importorskip("mujoco")):
+        pytest.skip("this version of MuJoCo has no delay")
+    file = tmp_path / "arm.xml"
+    file.write_text(SERVO.format("").replace("0.0002", "0.0005"))
+    _, written, _ = _written(file, [_row("delay time", 0.0, 0.012, 1e-5)], "q")
+    step = _record(0.1 * (np.arange(400) >= 100), np.zeros(400), dt=0.0005)
+    (early,), (late,) = play(file, "q", [step]), play(written.file, "q", [step])
+    np.testing.assert_allclose(late[24:], early[:-24], rtol=0, atol=1e-9)
+    assert np.ptp(early) > 0.05
