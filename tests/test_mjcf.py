@@ -322,12 +322,12 @@ def test_an_inertia_below_that_of_the_links_is_a_larger_gain(arm):
 
 
 def test_limits_are_written_about_zero_in_the_actuators_own_unit(arm):
-    """forcerange is before the gear, ctrlrange in the command's unit; a stop below may be told by its distance."""
+    """forcerange is before the gear, ctrlrange in the command's unit; a stop below is told by its distance."""
     pytest.importorskip("mujoco")
     arm.write_text(ARM.replace('joint="elbow" ctrlrange', 'joint="elbow" gear="2" ctrlrange'))
     inf = np.inf
     rows = [_row("force_limit inverse", inf, 0.1), _row("voltage_clip inverse", inf, 0.6),
-            _row("end_stop place, below", inf, -0.4)]  # fmt: skip
+            _row("end_stop place, below", inf, 0.4)]  # fmt: skip
     _, written, after = _written(arm, rows)
     assert after.effort == pytest.approx(40 * 0.1)
     assert "0.1" in (arm.parent / "gap" / "isaac_actuator_cfg.py").read_text()
