@@ -47,7 +47,7 @@ def _first(found: SimToReal) -> list[str]:
         tag("p", "Robot beside simulator", "soft"),
         tag("h1", _headline(found), "explained" if found.effects else "unknown"),
         *(tag("p", text) for text in lines),
-        html.bullets(found.pairs.remarks("robot", "simulator")),
+        html.bullets(found.remarks()),
         tag("h2", "Numbers to type into the simulator"),
         _table(found),
         *_budget(found),

@@ -75,8 +75,7 @@ class SimToReal:
 
     def lines(self) -> list[str]:
         """The table of parameters that differ, and what a user should know, in sentences."""
-        gain = next((p for p in self.parameters if p.name == "position gain"), None)
-        found = [] if gain is None else [self._gain_line(gain.robot / gain.simulator)]
+        found = []
         for p in self.parameters:
             if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
                 error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
@@ -85,6 +84,12 @@ class SimToReal:
                     f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
                     f"{f' ({names})' if names else ''}"
                 )
+        gain, notes = _gain_lines(self.parameters), SimToReal.remarks(self)
+        return [*gain, *found, *notes[len(gain) :]]
+
+    def remarks(self) -> list[str]:
+        """What a user should know beside the table of parameters, in sentences."""
+        found = _gain_lines(self.parameters)
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
             found.append(
@@ -96,12 +101,6 @@ class SimToReal:
                 f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the model of the simulator itself."
             )
         return [*found, *self.pairs.remarks("robot", "simulator")]
-
-    def _gain_line(self, factor: float) -> str:
-        """State that a position gain explains all changed coefficients, with its twin."""
-        names = [p.name for p in self.parameters if p.name in ("damping", "inertia")]
-        twin = " and ".join(f"{name} x {number(1 / factor, 3)}" for name in names)
-        return f"position gain x {number(factor, 3)} (or {twin}): these recordings do not separate the two"
 
     def __repr__(self) -> str:
         """Verdict and parameters, at most ten lines."""
@@ -139,3 +138,14 @@ class SimToReal:
         told = {"budget": self.budget, "simulator": None if self.simulator is None else self.simulator.as_json(),
                 "parameters": as_rows(self.parameters), "pairs": pairs, "unmatched": unmatched}  # fmt: skip
         return self.robot.as_json(csv) | told
+
+
+def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:
+    """State that a position gain explains all changed coefficients, with its twin; empty where it does not."""
+    gain = next((p for p in parameters if p.name == "position gain"), None)
+    if gain is None:
+        return []
+    factor = gain.robot / gain.simulator
+    names = [p.name for p in parameters if p.name in ("damping", "inertia")]
+    twin = " and ".join(f"{name} x {number(1 / factor, 3)}" for name in names)
+    return [f"position gain x {number(factor, 3)} (or {twin}): these recordings do not separate the two"]

@@ -245,7 +245,7 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
         for p in diagnosis.parameters
     ]
     print_table(("quantity", "simulator", "robot", "difference", "+-", "unit", "MuJoCo"), rows)
-    for line in diagnosis.pairs.remarks("robot", "simulator"):
+    for line in diagnosis.remarks():
         print(line)
 
 
