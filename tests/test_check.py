@@ -206,3 +206,16 @@ def test_one_line_for_every_kind_of_what_was_mended():
         "2 records: 1 to 3 output samples each, masked as spikes or dropouts (a, b)",
         "a: 2 lost samples filled in, the output there missing",
     ]
+
+
+def test_a_motor_without_a_resonance_is_not_to_be_sampled_faster():
+    """y' = (u - y) / tau under steps of half a second; a mode of 8 Hz that rings, sampled as coarsely, is."""
+    time = np.arange(800) / 100
+    drive = np.array([0.0, 1.0, -0.5, 0.8, 0.2, -1.0, 0.6, 0.0])[(time / 0.5).astype(int) % 8]
+    told = []
+    for denominator in ([0.15, 1.0], [1 / (16 * np.pi) ** 2, 0.2 / (16 * np.pi), 1.0]):
+        y = lsim(([1.0], denominator), drive, time, interp=False)[1]
+        y += 1e-5 * np.random.default_rng(0).standard_normal(len(y))
+        record = pitp.Record("steps", time, drive, y, voltage_unit="V", displacement_unit="rad")
+        told.append(any("samples a period" in line for line in pitp.check([record]).advice))
+    assert told == [False, True]

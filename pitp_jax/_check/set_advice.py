@@ -11,6 +11,7 @@ from .repeats import Repeat
 from .set_fit import SetFit
 from .with_model import Explained
 
+_PEAKS = 0.5**0.5  # damping below which a mode has a resonance peak
 _PER_PERIOD = 20.0  # samples of the resonance's period for RK4 and a readable second derivative
 _STDERRS = 4.0  # from which two zeros differ, and 0.2 % of range
 _SMALL = 0.002
@@ -53,7 +54,8 @@ def set_advice(
     if cover is not None:
         lines += cover.advice()
         per = 1 / (cover.resonance * used[0].dt)
-        if per < _PER_PERIOD:
+        # without a peak there is no period to sample
+        if per < _PER_PERIOD and (fitted is None or fitted.damping < _PEAKS):
             lines.append(
                 f"{per:.1f} samples a period of the resonance at {cover.resonance:.3g} Hz are few: sample at "
                 f"{_PER_PERIOD * cover.resonance:.0f} Hz or more"

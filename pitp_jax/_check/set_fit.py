@@ -60,9 +60,10 @@ class Beside:
 
 @dataclass(frozen=True)
 class SetFit:
-    """The common model: natural frequency in Hz, median fraction unexplained, input map, every record beside it."""
+    """The common model: frequency in Hz and damping, median fraction unexplained, input map, every record beside it."""
 
     natural_hz: float
+    damping: float
     unexplained: float
     input_map: str
     records: dict[str, Beside]
@@ -104,8 +105,9 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
             kept, best = belong, _beside_poles_of(belong, records, small, step) or best
     except (BadInput, ComputationFailed, np.linalg.LinAlgError):
         return None
-    natural, rows = float(np.exp(best[0][1] / 2) / (2 * np.pi)), best[1]
-    return SetFit(natural, _usual(rows), input_map, dict(zip([r.name for r in records], rows, strict=True)))
+    (first, second), rows = best[0][:2], best[1]
+    natural, damping = float(np.exp(second / 2) / (2 * np.pi)), float(np.exp(first - second / 2) / 2)
+    return SetFit(natural, damping, _usual(rows), input_map, dict(zip([r.name for r in records], rows, strict=True)))
 
 
 def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
