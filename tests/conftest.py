@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 with install_import_hook("pitp_jax", "typecheck.check"):
@@ -31,6 +32,12 @@ with install_import_hook("pitp_jax", "typecheck.check"):
     for _module in pkgutil.walk_packages(pitp_jax.__path__, "pitp_jax."):
         if not _module.name.endswith("__main__"):
             import_module(_module.name)
+
+
+# Two runs of the suite draw the same examples; HYPOTHESIS_DRAWS=fresh looks for new ones.
+settings.register_profile("same", derandomize=True)
+settings.register_profile("fresh", print_blob=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_DRAWS", "same"))
 
 
 def pytest_configure(config):

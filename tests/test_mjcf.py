@@ -4,6 +4,7 @@ import ast
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,11 @@ from scipy.integrate import solve_ivp
 
 import pitp_jax as pitp
 from pitp_jax._against.parameters import Parameter
+from pitp_jax._commands.each import once_per_joint
 from pitp_jax._mjcf.document import Edit, assets, edited, read_document
 from pitp_jax._mjcf.joint import joint_of
 from pitp_jax._mjcf.play import first_state, play
+from pitp_jax._mjcf.verify import Played, Verification
 from pitp_jax._mjcf.write import write_numbers
 from pitp_jax.cli import main
 
@@ -89,12 +92,15 @@ def test_a_file_that_cannot_be_read_is_refused_with_its_name(tmp_path, text, wor
 
 
 def test_meshes_are_found_in_the_folders_that_the_compiler_names(tmp_path):
-    (tmp_path / "meshes").mkdir()
-    (tmp_path / "meshes" / "link.stl").write_bytes(b"solid")
-    (tmp_path / "arm.xml").write_text(
+    """Those inside the model's folder: what lies outside it stays where it is."""
+    home = tmp_path / "robot"
+    (home / "meshes").mkdir(parents=True)
+    for place in (home / "meshes" / "link.stl", home / "out.stl"):
+        place.write_bytes(b"solid")
+    (home / "arm.xml").write_text(
         '<mujoco><compiler meshdir="meshes"/><asset><mesh file="link.stl"/><mesh file="../out.stl"/></asset></mujoco>'
     )
-    assert [p.as_posix() for p in assets(read_document(tmp_path / "arm.xml"))] == ["meshes/link.stl"]
+    assert [p.as_posix() for p in assets(read_document(home / "arm.xml"))] == ["meshes/link.stl"]
 
 
 def _record(drive, angle, dt=0.005, unit="rad"):
@@ -207,6 +213,8 @@ def test_a_servo_plays_its_commands_as_scipy_does(tmp_path, late):
 def test_the_first_state_is_a_line_through_the_first_samples():
     time = np.arange(100) * 0.005
     assert first_state(_record(np.zeros(100), 0.3 + 2.0 * time)) == pytest.approx((0.3, 2.0))
+    noisy = 0.3 + 2.0 * time + 1e-4 * np.random.default_rng(1).standard_normal(100)
+    assert first_state(_record(np.zeros(100), noisy)) == pytest.approx((0.3, 2.0), abs=0.03)
     still = 0.3 + 1e-4 * np.random.default_rng(0).standard_normal(100)
     start, speed = first_state(_record(np.zeros(100), still))
     assert speed == 0.0 and start == pytest.approx(0.3, abs=2e-4)
@@ -330,7 +338,7 @@ def test_limits_are_written_about_zero_in_the_actuators_own_unit(arm):
             _row("end_stop place, below", inf, 0.4)]  # fmt: skip
     _, written, after = _written(arm, rows)
     assert after.effort == pytest.approx(40 * 0.1)
-    assert "0.1" in (arm.parent / "gap" / "isaac_actuator_cfg.py").read_text()
+    assert "joint_effort_limit=4," in (arm.parent / "gap" / "isaac_actuator_cfg.py").read_text()
     assert 'ctrlrange="-0.6 0.6"' in written.file.read_text()
     assert after.limits == pytest.approx((-0.4, np.pi / 2))
 
@@ -380,3 +388,34 @@ def test_a_written_delay_shifts_the_motion_by_itself(tmp_path):
     (early,), (late,) = play(file, "q", [step]), play(written.file, "q", [step])
     np.testing.assert_allclose(late[24:], early[:-24], rtol=0, atol=1e-9)
     assert np.ptp(early) > 0.05
+
+
+def test_a_gap_is_pooled_over_recordings_each_in_its_own_range():
+    """Errors of 0.1 in a range of 4 and of 0.3 in a range of 2: sqrt((2.5^2 + 15^2) / 2) %."""
+    played = []
+    for size, error in ((2.0, 0.1), (1.0, 0.3)):
+        y = size * np.sin(2 * np.pi * np.arange(400) / 400)
+        played.append(Played(_record(np.zeros(400), y), False, None, y + error))
+    found = Verification("arm.xml", "q", "", tuple(played))
+    assert found.gap(False) == pytest.approx(np.sqrt((2.5**2 + 15**2) / 2)) and found.gap(True) is None
+
+
+def test_a_gain_within_the_noise_is_no_gain():
+    """Better in every second eighth and worse by nearly as much in the others: on average a hair better."""
+    y = np.sin(2 * np.pi * np.arange(800) / 400)
+    odd = np.repeat(np.arange(8) % 2 == 1, 100)
+    before, after = y + np.where(odd, 0.10, 0.20), y + np.where(odd, 0.199, 0.10)
+    assert Verification("a", "q", "", (Played(_record(y, y), False, before, after),)).better is False
+    assert Verification("a", "q", "", (Played(_record(y, y), False, y + 0.2, after),)).better is True
+
+
+def test_the_file_of_several_joints_holds_all_of_them_in_the_end(tmp_path):
+    """Each joint of a log has its own folder; its file goes on from that of the joint before."""
+    told = {"each": ["a=u1,y1", "b=u2,y2"], "reading": {}, "joint": ["shoulder", "elbow"], "mjcf": "arm.xml",
+            "out": str(tmp_path), "report": None, "json_file": None}  # fmt: skip
+    seen = []
+    for own in once_per_joint(told):
+        seen.append((own["joint"], own["mjcf"]))
+        Path(own["out"]).mkdir()
+        (Path(own["out"]) / "arm_identified.xml").write_text("<mujoco/>")
+    assert seen == [(["shoulder"], "arm.xml"), (["elbow"], str(tmp_path / "a" / "arm_identified.xml"))]

@@ -90,3 +90,11 @@ def test_no_other_room_averages_samples():
     root, ways = Path(pitp_jax.__file__).parent, r"resample_poly|decimate\(|\.reshape\([^()]*\)\.(nan)?mean\(1\)"
     found = {p.relative_to(root).parts[0] for p in root.rglob("*.py") if re.search(ways, p.read_text(encoding="utf-8"))}
     assert found == {"_record"}
+
+
+def test_a_mean_stands_in_the_middle_of_its_block():
+    """Of a line the mean of a block is its value there."""
+    time = np.arange(1000) * 1e-3
+    mean = averaged(Record("r", time, time, 2.0 * time), 3.0 * time, 10)
+    np.testing.assert_allclose(mean.displacement, 2.0 * mean.time, rtol=1e-12)
+    np.testing.assert_allclose(mean.voltage, 3.0 * mean.time, rtol=1e-12)

@@ -94,6 +94,12 @@ def same(record, drive, motion, rtol=1e-6):
     np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-8)
 
 
+def test_a_column_called_elapsed_that_is_in_grams_is_no_clock(tmp_path):
+    values = [TIME, VOLTAGE, OUTPUT / 50, TIME + 20]
+    path = csv_of(tmp_path / "a.csv", ["drive 0", "drive 1", "drive 2", "elapsed"], values, below=["s,V,m,g"])
+    same(read(path)[0], VOLTAGE, OUTPUT / 50)
+
+
 @pytest.mark.slow
 @QUIET
 @given(data=st.data())

@@ -138,7 +138,6 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
     for bounds, stretch, near in [*tried, *((wide, stretch, _NEAR) for stretch in (1, 2, 4))]:
         count = max(int(np.ceil(stretch * lead_in / dt)), 64)
         lead, force, end = swing_in(model.physical_coefficients, states[0], count, dt, *bounds)
-        force[:1] = 0.0  # the first sample stays at the voltage of the ends
         slew = np.abs(np.diff(np.asarray(model.input_map.voltage(still + force)))).max() / dt
         off = np.abs(end - states[0])[:order] / (span * model.natural_frequency ** np.arange(order))
         kept, reached = bool(slew <= _SPARE * limits.slew), bool((off <= near).all())

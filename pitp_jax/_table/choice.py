@@ -261,11 +261,11 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
     values = {s.place: _values(table, s.place) for s in clocks}
     rules = (
         lambda s: s.column.form == "stamp" or _ticks(values[s.place]),
+        lambda s: s.unknown is None,  # what is measured in g is no time, whatever it is called
         lambda s: s.header.clock_only,
         # beside dates, which are often coarser
         lambda s: s.role == "time" and s.kind == "time" and s.column.form != "stamp",
         lambda s: s.role == "time" and (s.kind == "time" or s.column.form == "stamp"),
-        lambda s: s.unknown is None,
     )
     for rule in rules:
         clocks = [s for s in clocks if rule(s)] or clocks
