@@ -4,7 +4,8 @@ The count makes the answer the same on every machine. What is not reached is rep
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,6 +65,18 @@ class Budget:
     def elapsed(self) -> float:
         """Seconds since the beginning."""
         return time.monotonic() - self.began
+
+    @contextmanager
+    def keeping(self, lane_steps: int) -> Iterator[None]:
+        """Keep the time and the count that so many steps take for what follows."""
+        seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
+        before = self.reserve, self.most
+        self.reserve += seconds if np.isfinite(self.seconds) else 0.0
+        self.most -= lane_steps
+        try:
+            yield
+        finally:
+            self.reserve, self.most = before
 
     def stop(self, what: str) -> None:
         """Allow nothing any more, and note what was not tried."""

@@ -33,6 +33,7 @@ class Parameter:
         linear: the effect is proportional to it (asked of the first parameter only).
         least, most: bounds of a fit, in the model's scaled coordinates.
         slow: a time constant that is fitted no shorter than the plant's own.
+        resonance: a frequency that is fitted inside the band that was excited, where both its sides show.
         fixed: never fitted: a unit decides it.
     """
 
@@ -48,6 +49,7 @@ class Parameter:
     least: float = -np.inf
     most: float = np.inf
     slow: bool = False
+    resonance: bool = False
     fixed: bool = False
 
 
@@ -82,6 +84,7 @@ class EffectSpec:
         second: name and form of the row that is the same law once more, for a second time constant beside it.
         reported: fn(p, k, plant), name, form and numbers of the row that it is reported as: signs and sizes decide
             between those that share a law. k is the plant's stiffness, `plant` has its tau, area, bottom and top.
+        squares: it differs from a lag of the drive only where the force is the square of the voltage.
         needs_mass: it means nothing for a nominal of order one.
     """
 
@@ -108,6 +111,7 @@ class EffectSpec:
     second: tuple[str, str] | None = field(default=None, compare=False)
     reported: Callable[..., Any] | None = field(default=None, compare=False)
     needs_mass: bool = field(default=False, compare=False)
+    squares: bool = field(default=False, compare=False)
 
     @property
     def key(self) -> str:
