@@ -128,6 +128,14 @@ def test_of_sets_as_good_the_one_with_fewer_numbers_is_taken():
     )
 
 
+def test_steps_are_kept_for_judging_what_was_fitted():
+    budget = Budget(most=100)
+    budget.lane_steps = 60
+    with budget.keeping(50):
+        assert budget.spent
+    assert not budget.spent and budget.allows("out of fold") and (budget.most, budget.reserve) == (100, 0.0)
+
+
 @pytest.mark.parametrize(("misfit", "numbers"), [(0.0, 3), (0.02, 1)])
 def test_below_the_nominals_own_error_no_form_wins_by_more_numbers(misfit, numbers):
     """Dry friction was reported by half its level and a rise beside it, for a fifth of the nominal's own error."""

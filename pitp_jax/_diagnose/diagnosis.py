@@ -35,7 +35,7 @@ from .gap import (
     spans,
 )
 from .handing_back import hand_back, package_error
-from .library import CHANGED, CORE, FREE, INDEX, SHIFT
+from .library import CHANGED, CORE, EARLY, FREE, INDEX, SHIFT
 from .next_experiment import Experiment, separate
 from .parts import Parts, parts_of
 from .pieces import Piece, cut
@@ -45,7 +45,7 @@ from .select_records import usable
 from .shares import budget as budget_of
 from .term import Term, term_of
 from .traces import Trace, traces_of
-from .verdict import Decision, decide
+from .verdict import Decision, decide, needed, rival_without
 from .where import locate, motions, nowhere
 
 T = TypeVar("T")
@@ -217,11 +217,12 @@ def diagnose(
     limit = Budget(seconds, progress=progress)
     devices = tuple(mesh.devices.flat) if mesh is not None else ()
     found = _searched(model, records, refit_nominal, exclude, limit, devices)
-    early = 0.0 if found.interrupted else found.search.early_s()
-    if early:
-        notes = (remark(early, records[0].dt), *notes)
-        records, exclude = put_back(records, early), (*exclude, SHIFT.name)
-        limit.most += limit.lane_steps
+    early, best = 0.0, found.search.best()
+    if SHIFT.name in best.names and not found.interrupted:
+        if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
+            early = best.fit.value(EARLY)
+            notes, records = (remark(early, records[0].dt), *notes), put_back(records, early)
+        exclude, limit.most = (*exclude, SHIFT.name), limit.most + limit.lane_steps
         found = _searched(model, records, refit_nominal, exclude, limit, devices)
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source

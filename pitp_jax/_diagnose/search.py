@@ -23,7 +23,6 @@ from .library import (
     CORE,
     DELAY,
     DOUBLED,
-    EARLY,
     FILTER,
     FILTER_ZETA,
     INDEX,
@@ -553,11 +552,6 @@ class Search:
             return best
         doubts = (h for h in level if plain(h))
         return next((h for h in doubts if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE), best)
-
-    def early_s(self) -> float:
-        """Return by how much the output is early in the best set, s; 0 where that is not sure."""
-        best = self.best()
-        return best.fit.value(EARLY) if SHIFT.name in best.names else 0.0
 
     def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
         """Sets from the base to the chosen one, the best step first."""
