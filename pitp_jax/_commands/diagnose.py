@@ -24,6 +24,7 @@ from .._errors import BadInput
 from .._mjcf import write_mjcf
 from .._mjcf.document import read_document
 from .._mjcf.joint import joint_of
+from .._mjcf.write import identified_name
 from .._model_file.lineage import descended
 from .._model_file.model_file import save
 from .._record.reading import read
@@ -68,28 +69,17 @@ def diagnose(
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    if against is not None and refit_nominal:
-        raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
-    if against is None and position_gain is not None:
-        raise BadInput("--position-gain is for --against: it is the simulator's")
+    _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out)
     if by_group:
-        if against is None:
-            raise BadInput("--by-group is for --against: the groups are those of the simulator's recordings")
         own = dict(refit_nominal=refit_nominal, seconds=seconds, reading=reading, position_gain=position_gain,
                    mjcf=mjcf, joint=joint, actuator=actuator)  # fmt: skip
         _by_group(records, against, out, json_file, reading, own)
         return
     if mjcf is not None:
-        if against is None or out is None:
-            raise BadInput("--mjcf is for --against, and needs --out DIR: the changed file is written there")
         given = joint_of(read_document(mjcf), one_joint(joint), actuator)
         if given.position and position_gain is None:
             position_gain = given.torque_per_command
-    elif joint or actuator:
-        raise BadInput("--joint and --actuator are for --mjcf XML")
-    check_outputs(json_file, folder=out, names=FILES, inputs=[nominal, *records, *(against or ())])
-    if out is not None and not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the drive's name
-        check_replaceable(csv, csv)
+    _check_places(out, json_file, mjcf, [nominal, *records, *(against or ())])
     status = StatusLine()
     options = {"seconds": np.inf if seconds is None else seconds, "progress": status.update}
     if against is None:
@@ -108,31 +98,77 @@ def diagnose(
         robot, augmented = diagnosis.robot, with_lineage(diagnosis)
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
+    written = _write(diagnosis, augmented, read_in[0].voltage_unit, out, json_file, csv)
+    _attempt("the printed result", lambda: _print(diagnosis))
+    if mjcf is not None and isinstance(diagnosis, SimToReal):
+        _write_mjcf(diagnosis, records, mjcf, one_joint(joint), str(out), actuator)
+    if out is not None:
+        _say_written(robot, Path(out), written, csv)
+    if robot.interrupted:
+        place = out or json_file
+        raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
+
+
+def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out) -> None:
+    """Refuse options that do not belong together."""
+    if against is not None and refit_nominal:
+        raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
+    if against is None and position_gain is not None:
+        raise BadInput("--position-gain is for --against: it is the simulator's")
+    if against is None and by_group:
+        raise BadInput("--by-group is for --against: the groups are those of the simulator's recordings")
+    if mjcf is not None and (against is None or out is None):
+        raise BadInput("--mjcf is for --against, and needs --out DIR: the changed file is written there")
+    if mjcf is None and (joint or actuator):
+        raise BadInput("--joint and --actuator are for --mjcf XML")
+
+
+def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inputs: list) -> None:
+    """Refuse outputs that could not be written, or would replace what is not ours."""
+    made = [] if mjcf is None else [identified_name(mjcf)]
+    check_outputs(json_file, folder=out, names=[*FILES, *made], inputs=[*inputs, mjcf])
+    if out is None:
+        return
+    for name in made:
+        check_replaceable(Path(out) / name, Path(out) / name)
+    if not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the drive's name
+        check_replaceable(csv, csv)
+
+
+def _write(
+    diagnosis: Diagnosis | SimToReal, augmented, input_unit: str, out: str | None, json_file: str | None,
+    csv: str | None,
+) -> set[str]:  # fmt: skip
+    """Write the result, then its pages; return the names of the files in the folder.
+
+    The result comes first: a failure in a figure or a sentence, or an interrupt there, loses nothing of it.
+    """
     written: set[str] = set()
-    # the result first: a failure in a figure or a sentence, or an interrupt there, loses nothing of it
     with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
         if out is not None:
             write_json(stage / JSON, diagnosis.as_json(csv))
             save(stage / MODEL, augmented)
-            _write_next(robot, stage, read_in[0].voltage_unit)
+            _write_next(_robot_of(diagnosis), stage, input_unit)
             written |= _files_in(stage)
     if out is not None:
         with staged(folder=out) as stage:
             _write_pages(diagnosis, stage)
             written |= _files_in(stage)
-    _attempt("the printed result", lambda: _print(diagnosis))
-    if mjcf is not None and isinstance(diagnosis, SimToReal):
-        _write_mjcf(diagnosis, records, mjcf, one_joint(joint), str(out), actuator)
-    if out is not None:
-        _tidy(Path(out), written)
-        added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
-        page_words = f"{Path(out) / REPORT}, its figures, and " if REPORT in written else ""
-        print(f"wrote {page_words}{Path(out) / MODEL} ({added})")
-        if csv is not None and robot.next_experiment is not None:
-            print(f"next experiment, to tell {' from '.join(robot.next_experiment.separates)}: {csv}")
-    if robot.interrupted:
-        place = out or json_file
-        raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
+    return written
+
+
+def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None) -> None:
+    """Remove what an earlier diagnosis left, and print what was written."""
+    _tidy(out, written)
+    added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
+    page_words = f"{out / REPORT}, its figures, and " if REPORT in written else ""
+    print(f"wrote {page_words}{out / MODEL} ({added})")
+    if csv is not None and robot.next_experiment is not None:
+        print(f"next experiment, to tell {' from '.join(robot.next_experiment.separates)}: {csv}")
+
+
+def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
+    return diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
 
 
 def _by_group(records, against, out, json_file, reading, own: dict) -> None:
@@ -208,7 +244,7 @@ def _tidy(folder: Path, written: set[str]) -> None:
 
 def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
     """Write the pages and their figures into an existing folder, each without those that fail."""
-    robot = diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
+    robot = _robot_of(diagnosis)
 
     def write(name, drawing, columns=None):
         _attempt(f"the figure {name}", lambda: write_figure(folder, name, drawing, columns))

@@ -1,6 +1,7 @@
 """Which files an output may replace: what pitp wrote, and nothing of the user's.
 
-ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    what lies beside a page of ours
+ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    a MuJoCo file with our comment,
+         what lies beside a page of ours
 """
 
 import re
@@ -13,6 +14,7 @@ from .._errors import BadInput
 _FORCED: ContextVar[bool] = ContextVar("forced", default=False)
 _HEAD = 4096  # bytes
 _BEGINS = (b"pitp_jax model ", b'{\n  "written_by": "pitp_jax ')
+_IDENTIFIED = b"<!-- pitp: numbers identified"  # in a MuJoCo file
 _RESULT = re.compile(rb"time_s,.*(predicted|target|infeasible|added_input)_?")
 
 
@@ -35,7 +37,8 @@ def check_replaceable(file: Path, shown: object) -> None:
         return
     with open(file, "rb") as stream:
         head = stream.read(_HEAD)
-    if head and not head.startswith(_BEGINS) and not _RESULT.match(head.partition(b"\n")[0]):
+    ours = head.startswith(_BEGINS) or _RESULT.match(head.partition(b"\n")[0]) or _IDENTIFIED in head
+    if head and not ours:
         raise BadInput(f"{shown}: exists and was not written by pitp; choose another name, or --force replaces it")
 
 

@@ -10,42 +10,18 @@ have to fall below that of the links, which no armature can.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from .._against.parameters import Parameter
 from .._report.numbers import number
+from .change import Change, NotWritten
 from .document import Tag
 from .joint import Joint
+from .weight import add_weight
 
 _ALIKE = 0.1  # of their logarithm, beside two standard errors: two factors that differ by less are one
+_WEIGHT = "softening weight"
 _TURN = 2 * math.pi  # rad; the far side of a stop that was found on one side alone
-
-
-@dataclass(frozen=True)
-class Change:
-    """One attribute.
-
-    Attributes:
-        element: `joint` or `actuator`.
-        attribute: its name.
-        old, new: values as the file spells them; old empty where the file's own element has none.
-        text: the comment: from, to, interval, unit.
-    """
-
-    element: str
-    attribute: str
-    old: str
-    new: str
-    text: str
-
-
-@dataclass(frozen=True)
-class NotWritten:
-    """A number that a MuJoCo file cannot hold as an attribute: what, its value, and the nearest way with its cost."""
-
-    words: str
-    value: str
-    way: str
 
 
 _WAYS = {
@@ -56,7 +32,7 @@ _WAYS = {
     "second_mode damper": "damping of that second hinge",
     "slew_limit inverse": "limit the rate of ctrl in your control loop; or actuator <pid> slewmax",
     "dead_zone level": "subtract it from ctrl in your control loop",
-    "softening weight": "mass of the body, or pos of its inertial: m g l must rise by the difference",
+    _WEIGHT: "mass of the body, or pos of its inertial: m g l must rise by the difference",
     "coulomb_friction rise": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction speed": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction give": "actuator <dcmotor> with a friction model, or solreffriction",
@@ -65,7 +41,7 @@ _WAYS = {
 }
 
 
-def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten]]:
+def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
     """List what is written into the file, and what cannot be.
 
     Args:
@@ -73,7 +49,7 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         told: the table of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
 
     Returns:
-        changes of attributes, and the numbers that no attribute holds.
+        changes, the numbers that the file cannot hold, and the element to insert before the joint, or "".
     """
     rows = {p.name: p for p in told if _is_known(p)}
     f = joint.torque_per_command
@@ -98,11 +74,14 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         found.append(
             _moved(joint, attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit))
         )
+    found, element = _with_weight(joint, found, rows.get(_WEIGHT), f, k)
     found += _of_actuator(joint, rows, f * k)
     found += _stops(joint, rows)
     written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time",
                "electrode_rc tau", "voltage_clip inverse", "force_limit inverse", "end_stop place",
                "end_stop place, above", "end_stop place, below"}  # fmt: skip
+    if element:
+        written.add(_WEIGHT)
     if _lag_attribute(joint) is None:
         written.discard("electrode_rc tau")
     elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:
@@ -113,7 +92,25 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
             replace(n, way="write the motor as <general> with dyntype and dynprm") if n.way == "none" else n
             for n in left
         ]
-    return found, left
+    return found, left, element
+
+
+def _with_weight(
+    joint: Joint, found: list[Change], row: Parameter | None, f: float, k: float
+) -> tuple[list[Change], str]:
+    """Add a weight on the arm, whose inertia is taken off the armature."""
+    if row is None or not joint.hinge:
+        return found, ""
+    changed = next((c for c in found if c.attribute == "armature"), None)
+    armature = joint.armature if changed is None else float(changed.new)
+    error = None if row.stderr is None else f * k * row.stderr
+    hung = add_weight(joint, f * (k * row.robot - row.simulator), error, armature)
+    if hung is None:
+        return found, ""
+    weight, element, rest = hung
+    new = _moved(joint, "armature", joint.armature, rest, None, "kg m^2")
+    new = replace(new, text=f"{new.text}, less the inertia of the weight below")
+    return [*(c for c in found if c is not changed), new, weight], element
 
 
 def _is_known(p: Parameter) -> bool:
@@ -226,5 +223,5 @@ def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
 
 
 def tag_of(joint: Joint, change: Change) -> Tag:
-    """The start tag that a change belongs to."""
-    return joint.joint_tag if change.element == "joint" else joint.actuator_tag
+    """Return the start tag that a change belongs to."""
+    return joint.actuator_tag if change.element == "actuator" else joint.joint_tag

@@ -117,11 +117,12 @@ def _tag_end(text: bytes, start: int) -> int:
 
 @dataclass(frozen=True)
 class Edit:
-    """New values of one tag's attributes, each with what a comment says of it."""
+    """New values of one tag's attributes, each with what a comment says of it, and an element to stand before it."""
 
     tag: Tag
     attributes: Mapping[str, str]
     comments: Sequence[str] = ()
+    element: str = ""
 
 
 def edited(document: Document, edits: Sequence[Edit], heading: str) -> dict[Path, bytes]:
@@ -137,7 +138,8 @@ def edited(document: Document, edits: Sequence[Edit], heading: str) -> dict[Path
         line = text.rfind(b"\n", 0, start) + 1
         before = bytes(text[line:start])
         between = b"\n" + before if not before.strip() else b" "
-        said = b"".join(_comment(comment) + between for comment in edit.comments)
+        new = [*map(_comment, edit.comments), *([edit.element.encode()] if edit.element else [])]
+        said = b"".join(part + between for part in new)
         text[start:end] = said + _with_attributes(bytes(text[start:end]), edit.attributes)
     return {file: bytes(text) for file, text in texts.items()}
 

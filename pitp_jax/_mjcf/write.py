@@ -23,7 +23,8 @@ from .._record.writing import write_bytes_atomic, write_text_atomic
 from .._report.numbers import number
 from .._table.units import base_unit
 from . import elsewhere
-from .changes import Change, NotWritten, changes_of, tag_of
+from .change import Change, NotWritten
+from .changes import changes_of, tag_of
 from .document import Document, Edit, assets, edited, read_document
 from .joint import Joint, joint_of, load_model, mujoco_package
 
@@ -52,7 +53,7 @@ class Written:
 
     def lines(self) -> list[str]:
         """Sentences for the terminal."""
-        said = [f"{c.element} {self.joint if c.element == 'joint' else self.actuator or 'on it'}: {c.text}"
+        said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
         left = [f"not written: {n.words}, {n.value}; nearest way: {n.way}" for n in self.left]
         return [*said, *left, *self.remarks]
@@ -111,13 +112,15 @@ def write_numbers(
     """
     document = read_document(mjcf)
     it = joint_of(document, joint, actuator)
-    changes, left = changes_of(it, told)
+    changes, left, element = changes_of(it, told)
     changes, unknown = _known_to_mujoco(it, changes)
     remarks = _remarks(records, simulator, it)
-    edits = [
-        Edit(tag_of(it, group[0]), {c.attribute: c.new for c in group}, [c.text for c in group if c.text])
-        for element in ("joint", "actuator") if (group := [c for c in changes if c.element == element])
-    ]  # fmt: skip
+    edits = []
+    for of, inserted in (("joint", element), ("actuator", "")):
+        group = [c for c in changes if c.element == of or (inserted and c.element == "body")]
+        if group:
+            attributes = {c.attribute: c.new for c in group if c.element == of}
+            edits.append(Edit(tag_of(it, group[0]), attributes, [c.text for c in group if c.text], inserted))
     texts = edited(document, edits, _heading(records, document))
     target = _write_all(document, texts, Path(out))
     after = joint_of(read_document(target), joint, actuator)
@@ -159,7 +162,7 @@ def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], li
     known, unknown = [], []
     for change in changes:
         tag = tag_of(it, change)
-        if _attribute_exists(mujoco, tag.name, change.attribute):
+        if change.element == "body" or _attribute_exists(mujoco, tag.name, change.attribute):
             known.append(change)
         elif change.text:
             unknown.append(
