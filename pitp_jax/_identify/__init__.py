@@ -1,4 +1,4 @@
-"""Identification: records in, a linear model of the smallest sufficient order out.
+"""Identification: fits a linear model of the smallest sufficient order to recordings.
 
     sum_i a_i x^(i) = u^2 (or u),    min over a, zeros and starts of  sum (y - x)^2     (output error; paper: tfest)
 
