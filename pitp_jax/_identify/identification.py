@@ -163,16 +163,7 @@ def identify(
         >>> found.model.order, found.beginnings["sweep"].begins
         (2, 'rest')
     """
-    if input_map not in INPUT_MAPS:
-        raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
-    if order != "auto" and order not in ORDERS:
-        raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
-    if hold is not None and hold not in (*_HOLDS, "bandlimited"):
-        raise BadInput(f"unknown hold {hold!r}: use one of {', '.join(_HOLDS)}, bandlimited, or None")
-    if unknown := sorted({*learn, *leave_out} - {"delay"}):
-        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
-    if "delay" in learn and "delay" in leave_out:
-        raise BadInput("a delay cannot be both learned and left out: choose one")
+    _check_options(order, input_map, hold, learn, leave_out)
     check_set(records)
     check_motion(records)
     begun, roots, misfit = find_beginnings(records, input_map)
@@ -180,21 +171,7 @@ def identify(
     whole = build_problem(records, input_map, begun)
     small = _averaged(records, input_map, begun, roots, finest)
     response = frequency_response(whole)
-    asked = {
-        "orders": ORDERS if order == "auto" else (int(order),),
-        "holds": _HOLDS if hold is None else (hold,),
-        "delays": [False] if "delay" in leave_out else [False, True],
-    }
-    candidates = search(small, response, roots, **asked, progress=progress)
-    if not candidates:
-        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
-    if order != "auto" and response.rich and not any(c.known for c in candidates):
-        # a sharp resonance has a minimum every period of the record: before a refusal, use the other starts
-        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
-    if "delay" in learn:  # as one more parameter it would only cost held-out scores
-        # orders whose delay did not vanish
-        late = {c.structure.order for c in candidates if c.structure.delayed}
-        candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
+    candidates = _candidates(small, response, roots, order, hold, learn, leave_out, progress)
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
     if not fit.poles_known:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
@@ -214,6 +191,49 @@ def identify(
     names = [r.name for r in records]
     beginnings = dict(zip(names, begun, strict=True))
     return Identification(model, fit, orders, beginnings, response, own, tested, said, explained, warning)
+
+
+def _check_options(
+    order: int | str, input_map: str, hold: str | None, learn: Sequence[str], leave_out: Sequence[str]
+) -> None:
+    """Refuse options of `identify` that do not exist or exclude each other."""
+    if input_map not in INPUT_MAPS:
+        raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
+    if order != "auto" and order not in ORDERS:
+        raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
+    if hold is not None and hold not in (*_HOLDS, "bandlimited"):
+        raise BadInput(f"unknown hold {hold!r}: use one of {', '.join(_HOLDS)}, bandlimited, or None")
+    if unknown := sorted({*learn, *leave_out} - {"delay"}):
+        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
+    if "delay" in learn and "delay" in leave_out:
+        raise BadInput("a delay cannot be both learned and left out: choose one")
+
+
+def _candidates(
+    small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
+    leave_out: Sequence[str], progress: Callable[[str], None],
+) -> list[Candidate]:  # fmt: skip
+    """List the candidates of the orders, holds and delays that were asked for, in ascending order.
+
+    Raises:
+        ComputationFailed: none of them could be simulated.
+    """
+    asked = {
+        "orders": ORDERS if order == "auto" else (int(order),),
+        "holds": _HOLDS if hold is None else (hold,),
+        "delays": [False] if "delay" in leave_out else [False, True],
+    }
+    candidates = search(small, response, roots, **asked, progress=progress)
+    if not candidates:
+        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
+    if order != "auto" and response.rich and not any(c.known for c in candidates):
+        # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
+        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
+    if "delay" in learn:  # in any case, but where it vanishes: as one more number it would only cost held-out scores
+        # orders whose delay did not vanish
+        late = {c.structure.order for c in candidates if c.structure.delayed}
+        candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
+    return candidates
 
 
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
