@@ -227,9 +227,9 @@ def _candidates(
     if not candidates:
         raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
     if order != "auto" and response.rich and not any(c.known for c in candidates):
-        # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
+        # A sharp resonance has a minimum every period of the record: before a refusal, use the other starts.
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
-    if "delay" in learn:  # in any case, but where it vanishes: as one more number it would only cost held-out scores
+    if "delay" in learn:  # prefer the delay wherever it does not vanish
         # orders whose delay did not vanish
         late = {c.structure.order for c in candidates if c.structure.delayed}
         candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
