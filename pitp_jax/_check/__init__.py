@@ -1,4 +1,4 @@
-"""Check: what was read, how each record begins, and whether the set is enough to identify and train on.
+"""Check: what was read, how each record starts, and whether the set is sufficient to identify and train on.
 
     records (+ model) -> per record: beginning, zero, direction, noise, faults, drive
                       -> over the set: coverage beside the resonance, repeats, records that do not belong, advice

@@ -1,4 +1,4 @@
-"""Plan: what is known of a rig and its actuator in, the recordings to take out.
+"""Plan: proposes the recordings to take, from the limits of the rig and what is known of the actuator.
 
     limits (voltage, slew, displacement, band) -> drives      growth, sweep, a space-filling set, repeats
     trained model + its records -> Fisher information of free runs -> those that lower the expected error most
