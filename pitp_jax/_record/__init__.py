@@ -1,4 +1,4 @@
-"""Recordings: files in, `Record`s out, checked, in V, m and s (or V and V), NumPy and float64 throughout.
+"""Recordings: reads files into checked `Record`s in V, m and s (or V and V), as NumPy float64.
 
 Verbs: `read` (files and folders to records), `read_target` (a wanted motion), `read_voltage` (a drive alone). A record
 is one excitation of one actuator, sampled uniformly; missing output samples are nan. `preprocess` filters and

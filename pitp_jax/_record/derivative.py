@@ -1,4 +1,4 @@
-"""Numerical differentiation of a stretch of samples.
+"""Numerical differentiation of a series of samples.
 
     central   (d x)_t = (x_{t+1} - x_{t-1}) / (2 dt), one-sided at both ends   (paper, eq. 8)
     stencil   (d x)_t = sum_{k=1..4} c_k (x_{t+k} - x_{t-k}) / dt   (8th order)
@@ -22,7 +22,7 @@ MIN_LENGTH = 9
 
 
 def central(values: np.ndarray, dt: float) -> np.ndarray:
-    """First derivative by eq. 8, to the letter.
+    """Return the first derivative exactly by eq. 8.
 
     Args:
         values: shape (T,), T >= 2.
@@ -39,7 +39,7 @@ def central(values: np.ndarray, dt: float) -> np.ndarray:
 
 
 def stencil(values: np.ndarray, dt: float) -> np.ndarray:
-    """First derivative by the 8th-order central difference.
+    """Return the first derivative by the 8th-order central difference.
 
     Args:
         values: shape (T,), T >= 9.
@@ -54,7 +54,7 @@ def stencil(values: np.ndarray, dt: float) -> np.ndarray:
     inside = slice(4, count - 4)
     for k, weight in enumerate(_STENCILS[3], start=1):
         slope[inside] += weight * (values[4 + k : count - 4 + k] - values[4 - k : count - 4 - k])
-    # towards the ends ever shorter stencils, which still are central
+    # towards the ends shorter stencils, which are still central
     for reach in (1, 2, 3):
         for at in (reach, count - 1 - reach):
             slope[at] = sum(
