@@ -1,4 +1,4 @@
-"""Files to columns: every format becomes names, units and numbers, and the columns that are wanted are chosen.
+"""Tables: turns files of every format into columns with names, units and numbers, and chooses the columns.
 
     file -> guard (size, links, archives) -> tables that its bytes may mean -> choice of time, input and output
 
