@@ -129,9 +129,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     if len(set(places)) < len(places):
         problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
     elif len(ports) == 2 and all(_port(s) for s in ports) and not _stated_ports(options):
-        ports.sort(
-            key=lambda s: _roughness(_values(table, s.place))
-        )  # the input is smoother than the measured output
+        ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
         problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
