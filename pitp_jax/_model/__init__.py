@@ -1,4 +1,4 @@
-"""The one kind of model that is identified, trained, rolled out, inverted, diagnosed, saved: frozen pytrees.
+"""The model: one frozen pytree that is identified, trained, simulated, inverted, diagnosed and saved.
 
     F = sigma_off + sum_i sigma_i(S, m) x^(i),    F = map(V),  V = drive(u),    S = [x, ..., x^(n-1)]  (paper, eqs. 2-7)
 
