@@ -1,4 +1,4 @@
-"""Export: a model and its inverse as C99, as an FMU and as MATLAB functions.
+"""Export: writes a model and its inverse as C99, as an FMU and as MATLAB functions.
 
     make_jaxpr(one step, the model's numbers in it) -> scalar expressions -> text; templates around it
 
