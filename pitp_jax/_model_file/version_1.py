@@ -1,4 +1,4 @@
-"""Read headers of version 1 (until 0.2), in which domain and origin were one `provenance` and a text of notes.
+"""Read headers of version 1 (until 0.2), in which domain and origin were one `provenance` and notes in a text.
 
 upgraded(header of version 1)  ->  header of version 2
 """
@@ -13,7 +13,7 @@ from .parts import decode, unpacked
 
 
 def upgraded(header: dict) -> dict:
-    """Move what provenance and notes held to where version 2 has it.
+    """Return the header with provenance and notes moved to their places in version 2.
 
     Raises:
         KeyError, TypeError, ValueError: entries are missing or of another kind.
@@ -49,7 +49,7 @@ def upgraded(header: dict) -> dict:
 
 
 def _values(notes) -> dict[str, Any]:
-    """Read the notes as values; they may be any text."""
+    """Return the notes as values; they may be any text."""
     if isinstance(notes, str):
         try:
             notes = decode(json.loads(notes))
@@ -59,7 +59,7 @@ def _values(notes) -> dict[str, Any]:
 
 
 def _uncertainty(row: dict, identified: dict, training: dict | None) -> dict:
-    """Compute covariance and misfit of files that were written when they stood in the notes alone."""
+    """Return covariance and misfit of files that stored them only in the notes."""
     covariance, noise = np.zeros((0, 0)), identified.get("noise_std")
     if training is not None:
         return {"covariance": [], "misfit": math.inf}
@@ -70,7 +70,7 @@ def _uncertainty(row: dict, identified: dict, training: dict | None) -> dict:
 
 
 def _level(header: dict, row: dict, training: dict | None) -> float:
-    """Compute what free runs of the model's own records missed, % of range; nan where the notes do not tell."""
+    """Return the error of free runs on the model's own records, % of range; nan if the notes do not state it."""
     errors = [e["error"] for e in (training or {}).get("history", []) if e.get("stage") == "free runs"]
     if training is not None:
         return math.sqrt(min(errors)) if errors else math.nan

@@ -1,4 +1,4 @@
-"""Numerical methods that know nothing of actuators.
+"""Numerical methods that are independent of actuators.
 
 minimise             min |r(p)|^2 by damped normal equations: straight steps within bounds, or steps that bend with r
 linear_recurrence    lags and oscillators, exact for an input linear between samples
