@@ -1,4 +1,4 @@
-"""`pitp check`: what was read, how each record begins, and whether the set is enough."""
+"""`pitp check`: reports what was read, how each record starts, and whether the set is sufficient."""
 
 import os
 from pathlib import Path
@@ -18,7 +18,7 @@ PAGE, SOURCE = "check.html", "source.toml"
 
 
 def check(records, model, out, json_file, reading) -> None:
-    """Check, write what was asked for, and print the finding.
+    """Check the records, write the requested files, and print the result.
 
     Args:
         records: files and folders.

@@ -1,4 +1,4 @@
-"""`pitp diagnose`: where recordings and a model, or a simulator, disagree, which missing effect causes it, how far."""
+"""`pitp diagnose`: reports where recordings and a model (or simulator) disagree, and which missing effect causes it."""
 
 import os
 import shlex
@@ -48,7 +48,7 @@ def diagnose(
     records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None, mjcf=None,
     joint=None, actuator=None, by_group=False,
 ) -> None:  # fmt: skip
-    """Diagnose, write what was asked for, and print the finding.
+    """Diagnose the recordings, write the requested files, and print the result.
 
     Args:
         records: files and folders.
@@ -110,7 +110,7 @@ def diagnose(
 
 
 def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out) -> None:
-    """Refuse options that do not belong together."""
+    """Refuse options that contradict each other."""
     if against is not None and refit_nominal:
         raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
     if against is None and position_gain is not None:
@@ -124,14 +124,14 @@ def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator,
 
 
 def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inputs: list) -> None:
-    """Refuse outputs that could not be written, or would replace what is not ours."""
+    """Refuse outputs that cannot be written, or that would replace files of others."""
     made = [] if mjcf is None else [identified_name(mjcf)]
     check_outputs(json_file, folder=out, names=[*FILES, *made], inputs=[*inputs, mjcf])
     if out is None:
         return
     for name in made:
         check_replaceable(Path(out) / name, Path(out) / name)
-    if not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the drive's name
+    if not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the name of the input file
         check_replaceable(csv, csv)
 
 
@@ -141,7 +141,7 @@ def _write(
 ) -> set[str]:  # fmt: skip
     """Write the result, then its pages; return the names of the files in the folder.
 
-    The result comes first: a failure in a figure or a sentence, or an interrupt there, loses nothing of it.
+    The result comes first, so that a failure or an interrupt in a figure or a sentence loses nothing of it.
     """
     written: set[str] = set()
     with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
@@ -158,7 +158,7 @@ def _write(
 
 
 def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None) -> None:
-    """Remove what an earlier diagnosis left, and print what was written."""
+    """Remove files of an earlier diagnosis, and print what was written."""
     _tidy(out, written)
     added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
     page_words = f"{out / REPORT}, its figures, and " if REPORT in written else ""
@@ -172,7 +172,7 @@ def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
 
 
 def _by_group(records, against, out, json_file, reading, own: dict) -> None:
-    """Diagnose each group of the simulator's recordings beside the robot's recordings that are paired with it.
+    """Diagnose each group of the simulator's recordings with the robot's recordings paired with it.
 
     Raises:
         BadInput: a file holds recordings of several groups.
@@ -199,7 +199,7 @@ def _by_group(records, against, out, json_file, reading, own: dict) -> None:
 
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:
-    """Write the changed MuJoCo file into the folder, and say what was changed and what could not be."""
+    """Write the changed MuJoCo file into the folder, and print the changes and the effects it cannot hold."""
     found = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
     if found is not None:
         write_json(Path(out) / MJCF_JSON, found.as_json())
@@ -214,7 +214,7 @@ def _files_in(stage: Path) -> set[str]:
 
 
 def _attempt(what: str, make: Callable[[], T]) -> T | None:
-    """Make a part that only shows the result; report its failure, and go on without it."""
+    """Call `make` for a part that only shows the result; report a failure and continue without it."""
     try:
         return make()
     except Exception as error:
@@ -226,7 +226,7 @@ def _attempt(what: str, make: Callable[[], T]) -> T | None:
 
 
 def _is_drive(file: Path) -> bool:
-    """Whether a file is missing or a drive to play, which has a time and an input and nothing measured."""
+    """Return whether a file is missing or an input to play, which has a time and an input but no measurement."""
     if not file.is_file():
         return True
     with open(file, encoding="utf-8", errors="replace") as stream:
@@ -234,7 +234,7 @@ def _is_drive(file: Path) -> bool:
 
 
 def _tidy(folder: Path, written: set[str]) -> None:
-    """Remove what an earlier diagnosis has left and this one does not have, and say so."""
+    """Remove files of an earlier diagnosis that this one did not write, and report it."""
     old = sorted(name for name in {*FILES} - written if (folder / name).is_file())
     for name in old:
         (folder / name).unlink()
@@ -262,7 +262,7 @@ def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
 
 
 def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
-    """Write the next experiment's input, where there is one."""
+    """Write the next experiment's input, if there is one."""
     if robot.next_experiment is not None:
         unit = "V" if input_unit.endswith("V") else input_unit
         drive = from_base(robot.next_experiment.voltage, unit)
@@ -270,7 +270,7 @@ def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
 
 
 def _print(diagnosis: Diagnosis | SimToReal) -> None:
-    """The verdict, then the candidates, or the numbers to type into a simulator, clocks and partners."""
+    """Print the verdict, then the candidates, or the simulator's parameters, clocks and paired recordings."""
     if not isinstance(diagnosis, SimToReal):
         print(diagnosis)
         _print_ranking(diagnosis)
@@ -286,7 +286,7 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
 
 
 def _print_ranking(diagnosis: Diagnosis) -> None:
-    """The best candidates, the effects named marked *, those tied with the first =."""
+    """Print the best candidates; the reported effects are marked *, those tied with the first =."""
     rows = []
     for r in diagnosis.ranking[:_ROWS]:
         mark = " *" if r.effect in diagnosis.effects else " =" if r.effect in diagnosis.equivalent else ""

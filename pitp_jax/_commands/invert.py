@@ -1,4 +1,4 @@
-"""`pitp invert`: a wanted trajectory to the voltage that makes it, as the rig's DAQ plays it."""
+"""`pitp invert`: computes the voltage for a wanted trajectory, at the rate of the rig's DAQ."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from .compatibility import check_kind
 from .console import number, say
 from .outputs import check_outputs, staged
 
-_ROUNDING = 0.01  # % of range: what a rollout in single precision and a plan by the same model agree to
+_ROUNDING = 0.01  # % of range: agreement of a single-precision rollout with a plan by the same model
 
 
 def invert(
@@ -89,7 +89,7 @@ def invert(
 
 
 def _unit_to_write(unit: str | None, units: Units) -> Quantity:
-    """Return the input in the unit that is asked for.
+    """Return the input in the requested unit.
 
     Raises:
         BadInput: a unit of another kind.
@@ -110,7 +110,7 @@ def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: fl
     own = float(planned.time[np.argmax(planned.target)])
     print(f"its clock starts at 0; the target begins at {own - planned.time[0]:.6g} s there, at {own:.6g} s of its own")
     print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
-    # a smaller error only shows that the inversion inverts, not how well the rig will track
+    # a smaller error only shows that the inversion is correct, not how well the rig will track
     if planned.self_check_e_rms_percent >= _ROUNDING:
         print(
             f"self-check (the model's own rollout, not a prediction of tracking): error "

@@ -1,4 +1,4 @@
-"""Which files an output may replace: what pitp wrote, and nothing of the user's.
+"""Decide which files an output may replace: only those that pitp wrote.
 
 ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    a MuJoCo file with our comment,
          what lies beside a page of ours
@@ -19,12 +19,12 @@ _RESULT = re.compile(rb"time_s,.*(predicted|target|infeasible|added_input)_?")
 
 
 def allow_overwriting(forced: bool) -> None:
-    """Say whether `--force` was given."""
+    """Store whether `--force` was given."""
     _FORCED.set(forced)
 
 
 def check_replaceable(file: Path, shown: object) -> None:
-    """Refuse to replace a file that is not ours.
+    """Refuse to replace a file that pitp did not write.
 
     Args:
         file: what would be replaced, if it exists.
@@ -43,7 +43,7 @@ def check_replaceable(file: Path, shown: object) -> None:
 
 
 def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) -> None:
-    """Refuse to write records and a page over somebody's files of the same names, where no page of ours lies beside.
+    """Refuse to replace a user's files of the same names in a folder without a page of pitp.
 
     Args:
         folder: to be written to.
@@ -63,5 +63,5 @@ def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) 
 
 
 def is_page(file: Path) -> bool:
-    """Whether a file is a page that pitp wrote."""
+    """Return whether a file is a page that pitp wrote."""
     return file.is_file() and b"--ink" in file.read_bytes()[:_HEAD]

@@ -1,4 +1,4 @@
-"""`pitp simulate`: what a model does under voltages that nobody has measured."""
+"""`pitp simulate`: computes the displacement of a model under given voltages."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from .outputs import check_outputs, staged
 
 
 def simulate(model, voltages, out, zero, json_file, reading) -> None:
-    """Simulate, write what was asked for, and print the ranges.
+    """Simulate, write the requested files, and print the ranges.
 
     Args:
         model: model file.
@@ -60,7 +60,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
-    """What was recognised, and what of it the model was not made for."""
+    """Print what was recognised, and which voltages lie outside the model's range."""
     for drive in drives:
         for line in drive.remarks:
             say(line)

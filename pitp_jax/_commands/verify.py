@@ -1,4 +1,4 @@
-"""`pitp verify`: the gap between a robot and its MuJoCo model, before and after the file was changed."""
+"""`pitp verify`: compares a robot with its MuJoCo model before and after a change of the file."""
 
 from .._errors import BadInput, ComputationFailed
 from .._mjcf import Verification, verify_mjcf
@@ -11,7 +11,7 @@ from .recordings import read_records
 
 
 def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, reading) -> None:
-    """Play the recordings' commands in MuJoCo, write what was asked for, and print the gaps.
+    """Play the recordings' commands in MuJoCo, write the requested files, and print the gaps.
 
     Args:
         records: files and folders: recordings that the diagnosis used.
@@ -51,7 +51,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
 
 
 def one_joint(joint: list[str] | None) -> str:
-    """Return the one joint that was named.
+    """Return the only joint named.
 
     Raises:
         BadInput: none or several.

@@ -87,9 +87,8 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
         angles[k] = q
         for c in held[k * substeps : (k + 1) * substeps]:
             free = v + h * (kp * (c - q) - d * v)
-            v = (
-                max(free - slip, 0.0) if free > 0 else min(free + slip, 0.0)
-            )  # friction stops a joint, never reverses it
+            # friction stops a joint but never reverses it
+            v = max(free - slip, 0.0) if free > 0 else min(free + slip, 0.0)
             q += h * v
     return _play(angles, joint.backlash / 2)
 

@@ -269,9 +269,8 @@ def _prediction(
     """Return one record's prediction; `states`, `seen`: scaled states and readings, longer than the record."""
     states = states[: record.samples]
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
-    first = (
-        int(np.argmax(lost)) if lost.any() else record.samples
-    )  # after divergence nothing counts, even if it returns
+    # after divergence nothing counts, even if the run returns
+    first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
     # the record's own offset and direction, because a session may have remounted the sensor
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
