@@ -1,4 +1,4 @@
-"""Diagnosis: a model and real records in; where they disagree, which effect is missing, how far it closes the gap.
+"""Diagnosis: finds where a model and recordings disagree, which effect is missing, and how much of the gap it closes.
 
     sum_i a_i x^(i) = coupling(V, x) - f_effect(x, x', states),   every set of effects judged out of fold
 
