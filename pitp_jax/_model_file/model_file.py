@@ -1,6 +1,6 @@
 """Save and load model files: one format for identified, trained and augmented models, and nothing in it is ever run.
 
-    line 1    pitp_jax model 2                  magic and version; 1 is read as well (`version_1`)
+    line 1    pitp_jax model 2                  magic and version
     line 2    sha256 <digest of all that follows>
     then      {                                 readable JSON, one part per line: what every part is, its
               }                                 sizes, domain and origin, shape and dtype of every leaf
@@ -30,7 +30,6 @@ from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
 from .parts import build, decode, describe, encode, origin_of
 from .plausible import LARGEST_FILE, check_header, check_leaves, header_problems, leaf_problems
-from .version_1 import upgraded
 
 VERSION = 2
 _MAGIC = b"pitp_jax model "
@@ -112,12 +111,12 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
         >>> pitp.load(folder / "model.pitp").order
         2
     """
-    version, body = _checked_bytes(path)
+    body = _checked_bytes(path)
     path = cleaned(path)
     try:
         # latin-1 has a character for every byte, so `end` is also a place in the bytes; the JSON itself is ASCII
         text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
-        header = decode(text) if version > 1 else upgraded(decode(text))
+        header = decode(text)
         check_header(header)
         model = _filled(_skeleton(header, encoder), header["leaves"], memoryview(body)[end + 1 :])
         return Fitted(model, origin_of(header))
@@ -137,8 +136,8 @@ def is_model_file(path: str | os.PathLike) -> bool:
         return file.read(len(_MAGIC)) == _MAGIC
 
 
-def _checked_bytes(path) -> tuple[int, bytes]:
-    """Return the version and everything after the digest, once the digest matches."""
+def _checked_bytes(path) -> bytes:
+    """Return everything after the digest, once the digest matches."""
     name, path = path, cleaned(path)
     try:
         # a pipe or a device could block forever, or never end
@@ -146,7 +145,7 @@ def _checked_bytes(path) -> tuple[int, bytes]:
             raise BadInput(f"{path}: is not a regular file; give a model file")
         with open(name, "rb") as file:
             magic = file.readline(64)  # bounded, because another kind of file may have no line end
-            version = _version(path, magic)
+            _check_version(path, magic)
             if os.fstat(file.fileno()).st_size > LARGEST_FILE:
                 raise BadInput(f"{path}: more than {LARGEST_FILE >> 20} MiB; no model is as large, write it again")
             known, body = file.readline(80), file.read()
@@ -162,19 +161,18 @@ def _checked_bytes(path) -> tuple[int, bytes]:
         raise BadInput(
             f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
         )
-    return version, body
+    return body
 
 
-def _version(path, line: bytes) -> int:
+def _check_version(path, line: bytes) -> None:
     version = line.removeprefix(_MAGIC).removesuffix(b"\n")
     if not line.startswith(_MAGIC) or not line.endswith(b"\n") or not version.isdigit():
         raise BadInput(f"{path}: is not a pitp_jax model file; write one with `pitp identify` or `pitp fit`")
-    if not 1 <= int(version[:12]) <= VERSION:
+    if int(version[:12]) != VERSION:
         raise BadInput(
-            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads versions 1 to {VERSION}; "
+            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads version {VERSION}; "
             "update pitp_jax or write the model again"
         )
-    return int(version)
 
 
 def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
