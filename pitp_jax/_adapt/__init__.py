@@ -1,4 +1,4 @@
-"""Adapt: a model of an actuator and a short recording of it on another day -> the same model, a few numbers moved.
+"""Adapt: updates a few parameters of a model from a short recording of the same actuator on another day.
 
     measured = direction x(t; factors) + zero + noise,    factors on stiffness, damping, inertia, gain, electrode, creep
 

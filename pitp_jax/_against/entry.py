@@ -23,7 +23,7 @@ from .correction import corrections
 from .parameters import parameters
 from .result import SimToReal
 
-_PART = 0.1  # of the gap's rms, below which the model of the simulator is not at fault: 1 % of the energy
+_PART = 0.1  # of the gap's rms, below which the simulator's model is not the cause: 1 % of the energy
 
 
 @overload
@@ -44,7 +44,7 @@ def diagnose(
     model, records=None, *, against=None, position_gain=None, refit_nominal=None, exclude=(), seconds=np.inf,
     progress=lambda line: None, mesh=None,
 ):  # fmt: skip
-    """Find what is missing between a model, or a simulator, and real recordings.
+    """Find the effects that a model, or a simulator, lacks compared with real recordings.
 
     `diagnose(model, records)`: the unmodelled effect behind the gap of a nominal model. `diagnose(records,
     against=simulated)`: the same with a simulator in the place of the model, known by its recordings alone; what is
@@ -102,7 +102,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     if own > _PART * gap:
         say("diagnosing the simulator's own recordings")
         simulator = diagnose_model(nominal, simulated, refit_nominal=False, **options)
-        if simulator.interrupted:  # there is no result about the robot yet
+        if simulator.interrupted:  # there is no result on the robot yet
             raise KeyboardInterrupt
         nominal = simulator.model
         own = simulator.gap.after
@@ -120,9 +120,10 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
 
 
 def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple[Identification, float, float]:
-    """Identify the simulator with the lowest order that leaves a tenth of the gap; a simulator has no noise to stop at.
+    """Identify the simulator with the lowest order whose error is at most a tenth of the gap.
 
-    Without it an integrator's step and its hold became a third pole, beside which no number was that of the joint.
+    A simulator has no noise that would limit the order. Without this rule, an integrator's step and its hold became a
+    third pole, and no parameter was that of the joint.
 
     Returns:
         the identification, and what its free runs leave of the simulator's and of the robot's records, % of range.
@@ -138,7 +139,7 @@ def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple
 
 
 def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
-    """Free-run error pooled over records, % of range; infinite where one diverges."""
+    """Return the free-run error pooled over records, % of range; infinite if one diverges."""
     squares = []
     for record, run in zip(records, predict(model, records), strict=True):
         squares.append(
@@ -148,5 +149,5 @@ def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
 
 
 def with_lineage(found: SimToReal) -> Fitted:
-    """The model handed back, with the robot's recordings in its line of descent."""
+    """Return the returned model with the robot's recordings in its lineage."""
     return descended(found.model, "diagnose against a simulator", found.records, found.nominal)

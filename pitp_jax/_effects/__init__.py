@@ -1,4 +1,4 @@
-"""The catalogue: every effect a diagnosis may name, as rows of one table, in the order their forces act.
+"""The catalogue: every effect a diagnosis may report, as rows of one table, in the order in which their forces act.
 
 A new effect is one row in the file of its port; one whose memory is new is one kernel besides. Velocity and friction
 see all the forces that come before them.
@@ -21,7 +21,7 @@ CATALOGUE: tuple[EffectSpec, ...] = (
 
 
 def lookup(name: str, form: str | None = None) -> EffectSpec:
-    """Look up the row of that name and form (the name's first form without one).
+    """Return the row of that name and form (the name's first form without one).
 
     Raises:
         BadInput: there is none; the message lists those that there are.
@@ -37,7 +37,7 @@ def lookup(name: str, form: str | None = None) -> EffectSpec:
 
 
 def effect(name: str, *, form: str | None = None, **numbers) -> Effect:
-    """Make an effect by name and form from its numbers, in the model's scaled coordinates.
+    """Return an effect with its parameters in the model's scaled coordinates.
 
     Args:
         name, form: as in the catalogue; without a form the name's first.

@@ -1,4 +1,4 @@
-"""Define a row of the catalogue: what an effect is called, where it enters, its numbers, its law and its memory.
+"""Rows of the catalogue: the name of an effect, its port, its parameters, its law and its memory.
 
     sum_i sigma_i x^(i) + sigma_off + f(x, x', z) = coupling(V, x),    V = drive(u),    y = sensor(x)
 
@@ -21,7 +21,7 @@ from .kernels import NOTHING, Kernel
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """One parameter of an effect.
 
     Attributes:
         name: how the law reads it.
@@ -111,28 +111,26 @@ class EffectSpec:
 
     @property
     def key(self) -> str:
-        """How it is named in files and tables: name, then form."""
+        """Return its name in files and tables: name, then form."""
         return f"{self.name}: {self.form}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its numbers."""
+        """Return the names of its parameters."""
         return tuple(p.name for p in self.parameters)
 
     @property
     def off(self) -> tuple[float, ...]:
-        """Numbers at which it does nothing."""
-        return tuple(
-            1.0 if p.off is None else p.off for p in self.parameters
-        )  # 1: any width or time, beside strength 0
+        """Return the parameters for which the effect vanishes."""
+        return tuple(1.0 if p.off is None else p.off for p in self.parameters)  # 1: any width or time, with strength 0
 
     def __call__(self, *values) -> Effect:
-        """Make the effect with these numbers, in the order of `parameters`."""
+        """Return the effect with these parameters, in the order of `parameters`."""
         if len(values) != len(self.parameters):
             raise TypeError(f"{self.key} has {len(self.parameters)} numbers, not {len(values)}")
-        # an array keeps its precision, a plain number has that of training and rollout
+        # an array keeps its precision, a plain number gets that of training and rollout
         return Effect(self, tuple(v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values))
 
     def neutral(self) -> Effect:
-        """Make the effect that is not there."""
+        """Return the effect with no influence."""
         return self(*self.off)

@@ -1,4 +1,4 @@
-"""Write identified numbers into a MuJoCo file, and play the recordings' commands in MuJoCo to verify them.
+"""Write identified parameters into a MuJoCo file, and play the recordings' commands in MuJoCo to verify them.
 
     SimToReal + arm.xml -> changes of attributes -> arm_identified.xml -> the commands in MuJoCo -> gap before, after
 

@@ -1,11 +1,11 @@
-"""What changes in a MuJoCo file, and what it cannot hold."""
+"""Changes of a MuJoCo file, and parameters that it cannot hold."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Change:
-    """One attribute.
+    """One changed attribute.
 
     Attributes:
         element: `joint`, `actuator`, or `body` for one that is inserted.
@@ -23,7 +23,7 @@ class Change:
 
 @dataclass(frozen=True)
 class NotWritten:
-    """A number that a MuJoCo file cannot hold as an attribute: what, its value, and the nearest way with its cost."""
+    """A parameter that a MuJoCo file cannot hold: its name, its value, and the nearest way with its cost."""
 
     words: str
     value: str

@@ -1,4 +1,4 @@
-"""From the numbers of a simulator and a robot to attributes of a MuJoCo file.
+"""Convert the parameters of a simulator and a robot to attributes of a MuJoCo file.
 
     F: torque per unit of the command,   k: how much larger the robot's F is
     J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients moved alike
@@ -19,9 +19,9 @@ from .document import Tag
 from .joint import Joint
 from .weight import add_weight
 
-_ALIKE = 0.1  # of their logarithm, beside two standard errors: two factors that differ by less are one
+_ALIKE = 0.1  # of their logarithm, plus two standard errors: two factors that differ by less are one
 _WEIGHT = "softening weight"
-_TURN = 2 * math.pi  # rad; the far side of a stop that was found on one side alone
+_TURN = 2 * math.pi  # rad; the far side of a stop that was found only on one side
 
 
 _WAYS = {
@@ -42,7 +42,7 @@ _WAYS = {
 
 
 def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
-    """List what is written into the file, and what cannot be.
+    """Return the changes to write into the file, and the parameters that it cannot hold.
 
     Args:
         joint: as it is in the file.
@@ -98,7 +98,7 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
 def _with_weight(
     joint: Joint, found: list[Change], row: Parameter | None, f: float, k: float
 ) -> tuple[list[Change], str]:
-    """Add a weight on the arm, whose inertia is taken off the armature."""
+    """Add a weight on the arm, and subtract its inertia from the armature."""
     if row is None or not joint.hinge:
         return found, ""
     changed = next((c for c in found if c.attribute == "armature"), None)
@@ -114,7 +114,7 @@ def _with_weight(
 
 
 def _is_known(p: Parameter) -> bool:
-    """Whether a number belongs to what the diagnosis hands back, and its difference is more than its error."""
+    """Return whether a parameter has a known difference, larger than two standard errors."""
     return bool(p.difference) and (p.stderr is None or abs(p.difference) > 2 * p.stderr)
 
 
@@ -124,7 +124,7 @@ def _value(p: Parameter) -> str:
 
 
 def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
-    """Return the factor on the gain, and the other reading of the same numbers."""
+    """Return the factor on the gain, and the alternative interpretation of the same parameters."""
     inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
     if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
         return 1.0, ""
@@ -172,12 +172,12 @@ def _moved(joint: Joint, attribute: str, old: float, new: float, error: float | 
 
 
 def _lag_attribute(joint: Joint) -> str | None:
-    """The attribute of this actuator that holds a lag: position has one, motor none."""
+    """Return the attribute of this actuator that holds a lag: position has one, motor none."""
     return {"position": "timeconst", "general": "dynprm"}.get(joint.actuator_tag.name)
 
 
 def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> list[Change]:
-    """Delay, lag and limits of the actuator."""
+    """Return the changes of the actuator's delay, lag and limits."""
     found = []
     if (row := rows.get("delay time")) is not None:
         new = max(joint.delay + row.difference, 0.0)

@@ -82,7 +82,7 @@ class Joint:
 
     @property
     def torque_per_command(self) -> float:
-        """F, N m (or N) per unit of the command."""
+        """Return F, N m (or N) per unit of the command."""
         return self.kp * self.gear if self.position else self.gear
 
 
@@ -160,7 +160,7 @@ def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
 
 
 def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
-    """Refuse a joint whose motion changes the length of a tendon: its numbers are not those of the joint."""
+    """Refuse a joint whose motion changes the length of a tendon, because its parameters are not the joint's alone."""
     if not model.ntendon:
         return
     data = mujoco.MjData(model)
@@ -184,7 +184,7 @@ def _effort(model: Any, a: int) -> float | None:
 
 
 def _driving(mujoco: Any, model: Any, joint: int) -> list[int]:
-    """List the actuators that act on a joint itself, by number."""
+    """Return the indices of the actuators that act on a joint itself."""
     of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     return [
         k for k in range(model.nu) if int(model.actuator_trntype[k]) in of_joint and model.actuator_trnid[k][0] == joint
@@ -192,7 +192,7 @@ def _driving(mujoco: Any, model: Any, joint: int) -> list[int]:
 
 
 def _one_actuator(file: str, joint: str, names: Sequence[str], wanted: str | None) -> int:
-    """Return which of the joint's actuators is meant."""
+    """Return the index of the requested actuator of the joint."""
     if wanted is not None:
         if wanted not in names:
             raise BadInput(f"{file}: no actuator {wanted!r} drives joint {joint!r}; it has {_listed(names)}")

@@ -1,4 +1,4 @@
-"""The page of a verification: the gap before and after, and every recording beside MuJoCo."""
+"""The page of a verification: the gap before and after, and every recording with MuJoCo's response."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +14,7 @@ _DRAWN = 12  # recordings
 
 
 def page(found: Verification) -> str:
-    """Write a self-contained HTML page."""
+    """Return the verification as a self-contained HTML page."""
     headline = "The changed file is closer to the robot" if found.better else "The gap in MuJoCo"
     if found.better is False:
         headline = "The changed file is not closer to the robot"
@@ -44,7 +44,7 @@ def _drawn(played: Played) -> Figure:
     record, unit = played.record, played.record.displacement_unit
     axes = own_axes(None, 1, (5.6, 2.6))
     time = record.time - record.time[0]
-    for values, color, width, label in (  # the robot broad and below: it shows beside a line that lies on it
+    for values, color, width, label in (  # the robot's line is wide and below, so that it stays visible
         (record.displacement, MEASURED, 2.6, "robot"), (played.before, ERROR, 0.8, "before"),
         (played.after, PREDICTED, 0.8, "after"),
     ):  # fmt: skip

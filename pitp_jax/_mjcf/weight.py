@@ -15,11 +15,11 @@ from .._report.numbers import number
 from .change import Change
 from .joint import Joint
 
-_DISTANCE = 0.1  # m; shorter where the armature is smaller than the inertia that would come with it
+_DISTANCE = 0.1  # m; shorter if the armature is smaller than the added inertia
 
 
 def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> tuple[Change, str, float] | None:
-    """Return the change, the element to insert and the armature that remains; None where nothing can hang.
+    """Return the change, the element to insert and the remaining armature; None if gravity does not act on the joint.
 
     Args:
         joint: as it is in the file.
