@@ -1,6 +1,6 @@
 """Errors for a request that cannot be served; the command line turns them into exit codes 2 and 3.
 
-A message may quote a name from outside: `cleaned` takes out of it what a terminal would obey.
+A message may quote text from a file: `cleaned` removes the control characters that a terminal would execute.
 """
 
 import sys

@@ -1,10 +1,10 @@
 """Distribute records over devices: every device runs its own records with the same code.
 
-    out_r = f(model, record_r)        nothing crosses between devices
+    out_r = f(model, record_r)        without communication between devices
 
-The model is copied to every device. One device is a mesh of one, several processes
-(`jax.distributed`) a mesh over all their devices, to which each brings its own records. Equal to rounding whatever the
-mesh. See benchmarks/CLUSTER.md.
+The model is copied to every device. One device is a mesh of one, several processes (`jax.distributed`) a mesh over all
+their devices, to which each brings its own records. The result is the same on every mesh, to rounding. See
+benchmarks/CLUSTER.md.
 """
 
 from collections.abc import Callable, Sequence

@@ -2,8 +2,8 @@
 
     0 done      2 bad input or usage      3 the computation failed      130 interrupted
 
-Results go to standard output, progress, warnings and errors to standard error. JAX is imported by the
-commands that compute, so that `pitp --help` and a mistyped option answer at once.
+Results go to standard output, progress, warnings and errors to standard error. JAX is imported by the commands that
+compute, so `pitp --help` and a mistyped option respond at once.
 """
 
 import argparse

@@ -1,10 +1,10 @@
 """Adapt a model: find which parameters a short recording of another day has changed, if any.
 
-    session's numbers (zero, direction, first state) -> all factors by least squares -> which of them by evidence
-    -> those alone, on the first half of the recording: kept if the second half, which they never saw, says so too
+    offset, direction, initial state -> all factors by least squares -> a subset of them by evidence
+    -> those alone, on the first half of the recording: kept if the held-out second half confirms them
 
-`unchanged`: the recording is explained as well as those the model was made from, or no number earns its place.
-`retrain`: what is left stands far above that level, so something changed that no factor on a part can say.
+`unchanged`: the model explains the recording as well as its training records, or no factor improves the fit
+significantly. `retrain`: the residual is far above that level, so something changed that no factor describes.
 """
 
 from collections.abc import Sequence

@@ -3,9 +3,9 @@
     z_hat ~ N(A q, C),   q ~ N(0, P):    ln p(z_hat, subset) = ln N(z_hat; 0, C + A P A') + ln p(subset)
     C = H^-1 M H^-1 + s^2 / N (J'J / T)^-1,      M = sum_f |e_f|^2 J_f* J_f' / T^2,   H = J'J
 
-M is the covariance of J'e for an error of e's own spectrum: noise averages out over the samples, a model's error comes
-again in every period and rests on few lines. The part of that error which the fit has absorbed is in no residual: it is
-taken to be as large as what is left, s (noise subtracted), with N independent values.
+M is the covariance of J'e for an error with the spectrum of e. Noise averages out over the samples; a model's error
+repeats in every period and lies at few frequencies. The residual does not contain the part of that error which the fit
+absorbed. That part is taken to be as large as the residual, s (noise subtracted), with N independent values.
 """
 
 from collections.abc import Iterator

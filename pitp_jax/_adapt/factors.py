@@ -1,12 +1,12 @@
 """Change a model by factors: the few parameters by which one actuator differs from itself on another day.
 
     stiffness on sigma_0 and the restoring sigma_off,   damping on sigma_1,   inertia on sigma_2,   a3, ... on the rest
-    creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus what they became longer
+    creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus their increase
 
-z holds logarithms of the factors, then the lengthened times in units of 0.1 / omega_0 (a lag that was not there has no
-factor), then of a trained encoder the two tilts over its stroke, which have no names: what is named is the mean. All
-are relative to the force of the drive, which nothing here weighs; so `gain` is no coordinate but the one direction
-(-1, ..., -1, 0, 0, 0) in which all coefficients move alike.
+z holds the logarithms of the factors, then the increases of the times in units of 0.1 / omega_0 (a lag that did not
+exist has no factor). For a trained encoder two slopes over its stroke follow; only the mean is reported. All factors
+are relative to the force of the input, which is unknown; so `gain` is no coordinate of its own but the direction (-1,
+..., -1, 0, 0, 0) in which all coefficients change alike.
 """
 
 from dataclasses import replace

@@ -1,10 +1,10 @@
 """Fit free runs of a model to recordings, with many sets of its factors at once.
 
-    e = 100 (d (y - zero) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
+    e = 100 (d (y - offset) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
 
-One batch holds every record under z and under z with each number moved a little: rows of one scan, which share the
-encoder's weights. A record that begins held starts from the equilibrium of its own factors; one in motion has its first
-state among the numbers.
+One batch holds every record under z and under z with each parameter changed a little: rows of one scan, which share the
+encoder's weights. A record that starts settled starts from the equilibrium of its own factors; one that starts in
+motion has its initial state among the parameters.
 """
 
 from collections.abc import Sequence

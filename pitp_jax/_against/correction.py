@@ -3,8 +3,8 @@
     f_{k+1} = f_k + G+ (y - y_sim(F + f_k)),    G+ = conj(G) / (|G|^2 + eps |G(0)|^2),    G(s) = e^{-s T} / sum a_i s^i
 
 Iterative learning on whole recordings: G is the linear part of the simulator's model, y_sim its free run with all its
-effects. `eps` bounds the noise that passes: above the frequency where |G| is a tenth of its static value hardly
-anything is corrected.
+effects. `eps` bounds the noise that passes: almost nothing is corrected above the frequency where |G| is a tenth of its
+static value.
 """
 
 from collections.abc import Sequence

@@ -2,13 +2,13 @@
 
     a_0 q + a_1 q' + a_2 q'' = c        c: position command, same unit as q
     J = Kp a_2,  D = Kp a_1,  spring = Kp (a_0 - 1),  frictionloss = Kp Fc      Kp: of the position controller
-    weight on an arm   m g l = K c^2 where the spring is K sin(c q) / c, and the spring that is left K - m g l
+    weight on an arm   m g l = K c^2 where the spring is K sin(c q) / c, and the remaining spring K - m g l
     second body        spring kappa K,  inertia kappa K / omega^2,  damper 2 zeta kappa K / omega
 
-A command is held from its time stamp to the next: where the model takes it as a line between samples, half a sample
-of each log is taken off its delay. From position commands alone only these ratios to Kp are known; with a torque or
-force as input the a_i are J, D, K themselves. D holds the controller's own damping, J the link's inertia: it is the
-difference that is to be added.
+A command is held from its time stamp to the next: if the model interpolates it linearly, half a sample of each log is
+subtracted from the delay. From position commands alone only these ratios to Kp are known; with a torque or force as
+input the a_i are J, D, K themselves. D holds the controller's own damping, J the link's inertia: only their difference
+is added to the simulator.
 
 Names: MuJoCo XML reference (joint, actuator); PhysxJointAxisAPI; Isaac Lab's actuator configurations; URDF <joint>.
 """

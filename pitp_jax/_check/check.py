@@ -1,9 +1,9 @@
 """The check of every record and of the set, with advice.
 
-    faults, drive, noise (one_record) -> beginning, zero, direction, strangers (set_fit, or the model given)
+    faults, input, noise (one_record) -> initial state, offset, direction, membership (set_fit or given model)
                                       -> coverage, repeats -> advice
 
-A record that cannot be used is told and left out of what concerns the set: its problem never hides the others.
+A record that cannot be used is reported and left out of the checks of the set, so its problem does not hide the others.
 """
 
 from collections import Counter

@@ -1,9 +1,9 @@
-"""Force frequencies and amplitudes that were excited, and gaps beside the resonance.
+"""Force frequencies and amplitudes that were excited, and gaps near the resonance.
 
     windows of 16 periods of the resonance:  lines that hold 80 % of the force's energy,  amplitude sqrt(2) std(u)
 
-A point is (frequency of the force, amplitude of the voltage). A gap is an interval beside the resonance (f0/3 to
-1.5 f0) that is more than half as wide as its lower end and holds no point above half the largest amplitude.
+A point is (frequency of the force, amplitude of the voltage). A gap is an interval near the resonance (f0/3 to 1.5 f0)
+that is more than half as wide as its lower end and holds no point above half the largest amplitude.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """One record by itself: its input, the faults of its sensor and clock, its noise, and its problems.
 
-band     frequencies between which 98 % of the drive's energy about its mean lies
-noise    white: 5th difference (`noise_std`);  coloured: what the residual holds far above drive and resonance,
-P(lowest quarter of those bands) > 4 P(highest quarter), goes on below them at that density
+band     frequencies between which 98 % of the input's energy about its mean lies
+noise    white: 5th difference (`noise_std`);  coloured: the residual's density far above input and resonance,
+P(lowest quarter of those bands) > 4 P(highest quarter), is extended to lower frequencies
 """
 
 from collections.abc import Sequence

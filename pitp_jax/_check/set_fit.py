@@ -1,9 +1,10 @@
 """All records compared with one linear model of order 2: initial state, offset, direction, and membership in the set.
 
-    F = map(u),   y_r = g_r x(t) + zero_r (+ a free response where it starts moving),    x: unit static gain
+    F = map(u),   y_r = g_r x(t) + offset_r (+ a free response where it starts moving),    x: unit static gain
 
-The poles are common, the gain g_r a record's own. A record does not belong where |log g_r| is far from the others' or
-where the common poles leave far more of it than of the others; it is then left out and the rest fitted again.
+The poles are common to all records; each record has its own gain g_r. A record does not belong to the set if |log g_r|
+is far from the others', or if its residual with the common poles is much larger than the others'. It is then left out,
+and the others are fitted again.
 """
 
 from collections.abc import Sequence

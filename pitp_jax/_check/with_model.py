@@ -1,9 +1,9 @@
 """Records compared with a given model: how each starts, and which of them it does not explain.
 
-    e_rms > 3 max(what the model left of its own records, median of these)  and > 1 % of range,   or > 20 % of range
+    e_rms > 3 max(error on the model's own records, median of these)  and > 1 % of range,   or > 20 % of range
 
-What it left of its own records is known of an identified model (`misfit` noise deviations). Noise of a record is no
-fault of the model: twice the noise is always allowed.
+The error on its own records is known for an identified model (`misfit` noise deviations). A record's noise is no fault
+of the model, so twice the noise is always allowed.
 """
 
 from collections.abc import Sequence

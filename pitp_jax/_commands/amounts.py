@@ -1,6 +1,6 @@
 """Numbers of the command line that may carry a unit: `3kV`, `20deg`, `5e4 V/s`.
 
-Without a unit a voltage is in V and a length in mm, any other quantity is in the unit of the model's records.
+Without a unit a voltage is in V and a length in mm, and any other quantity in the unit of the model's records.
 """
 
 import math

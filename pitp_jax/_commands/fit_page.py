@@ -1,6 +1,6 @@
 """The page of a fit: free runs with their records, errors, tokens and spectra.
 
-e_rms by drive frequency and stroke,   tokens sigma_i(x) / a_i at standstill over the stroke,
+e_rms by input frequency and stroke,   tokens sigma_i(x) / a_i at standstill over the stroke,
 time constants of the memory,   spectrum of predicted - measured beside the measured one
 """
 

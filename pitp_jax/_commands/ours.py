@@ -1,7 +1,7 @@
 """Decide which files an output may replace: only those that pitp wrote.
 
 ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    a MuJoCo file with our comment,
-         what lies beside a page of ours
+         files beside a page of ours
 """
 
 import re

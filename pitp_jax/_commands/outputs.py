@@ -1,6 +1,6 @@
 """Output files: checked before the computation, written completely or not at all after it.
 
-check_outputs   before hours of work: is there a place to write to, and does it replace nothing that is read?
+check_outputs   before the computation: the place can be written to, and no input file is replaced
 staged          hidden files beside the wanted ones -> renamed once every one is written; a page gets its index.html
 write_json      never NaN or Infinity: null
 """

@@ -1,7 +1,7 @@
 """Convert the command that a refusal proposes into the command that was run.
 
 ...; try: pitp check FILE --option VALUE        ->  try: pitp identify FILE --out M --option VALUE
-of two sets of files                            ->  put into FOLDER/pitp.toml: ["*"] option = "VALUE"
+for two sets of files                            ->  put into FOLDER/pitp.toml: ["*"] option = "VALUE"
 """
 
 import json

@@ -3,8 +3,8 @@
     rho(k) = sum_i (a_i - mean a) (b_{i+k} - mean b) / (T_k std a std b)      over the T_k samples that overlap at lag k
     offset = argmin_d sum_t (a(t) - s b(t - d))^2                             Gauss-Newton on interpolated samples
 
-Of several lags that fit alike (a sine repeats every period) the one with the longest overlap is taken. The sign s is -1
-for a mirrored axis: there the smallest rho counts in place of the largest.
+Of several lags that fit equally well (a sine repeats every period) the one with the longest overlap is taken. The sign
+s is -1 for a mirrored axis: there the smallest rho counts in place of the largest.
 """
 
 from dataclasses import dataclass

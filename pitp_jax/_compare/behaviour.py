@@ -5,9 +5,10 @@
     s_{t+1} = A s_t + B dV,  dx = C s      the decoder step, linearised at the settled state
     z = eig(A),  p = ln(z) / dt            resonance |p| and damping -Re p / |p| of the mode with the largest residue
 
-Each model misses its own recordings by e (rms, % of range). A change of a coefficient by the fraction h moves the free
-run by d(h) % of range; so a coefficient is known to e h / d(h) at best. The two models differ where they differ by more
-than 1.96 times both of these together. Two free runs of one sweep differ where their rms difference exceeds both e.
+Each model has an error e on its own recordings (rms, % of range). Changing a coefficient by the fraction h changes the
+free run by d(h) % of range, so a coefficient is known to e h / d(h) at best. The two models differ where their
+difference exceeds 1.96 times both of these combined. Two free runs of one sweep differ where their rms difference
+exceeds both e.
 """
 
 from dataclasses import dataclass, replace

@@ -1,11 +1,12 @@
 """Group a simulator's recordings by plant, for example several loads or gains in one folder.
 
-The same command with another response shows it. Every such response seeds a group; a group's linear model is
+Several plants are present if the same command gives different responses. Each such response starts a group; a group's
+linear model is
 
     y = g R(p) u + c,   R: order 2, unit gain        p, g common to a group, c of every recording, by least squares
 
-A recording belongs to the group whose model leaves the least of it. Two groups are one where their common model leaves
-at most twice as much as one model each.
+A recording belongs to the group whose model has the smallest residual on it. Two groups are merged if the residual of
+their common model is at most twice that of separate models.
 """
 
 from collections.abc import Sequence

@@ -3,9 +3,9 @@
     distance^2 = mean over the overlap of (y_a(t) - s y_b(t - offset))^2, means and both sensors' noise removed
 
 An assignment problem finds the pairs: a better command counts before a nearer response, a nearer response before an
-equal name. The sum of squares does not change if one machine differs from the other alike in all recordings. A
-recording that is left over is a repeat where it lies nearer to a paired recording of its own set than that one lies to
-its partner: it gets the same partner.
+equal name. A difference between the machines that is the same in all recordings does not change the pairs. An unpaired
+recording is a repeat if it lies nearer to a paired recording of its own set than that one lies to its partner. It then
+gets the same partner.
 """
 
 from collections.abc import Sequence

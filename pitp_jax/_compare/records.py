@@ -2,7 +2,8 @@
 
     y_b(t) = s y_a(t - d) + c + e        least squares over 8 blocks of a recording; s, d: mean and standard error
 
-A sensor's zero c belongs to a recording and is no difference. Where no command is common, both sets are identified.
+The sensor offset c belongs to a recording and is not counted as a difference. If no command is common, both sets are
+identified.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """The result of a comparison: quantities of two objects, and which differ by more than their intervals.
 
 difference = b - a,    95 % interval:  difference +- 1.96 sqrt(s_a^2 + s_b^2)
-a number differs where that interval leaves out 0; where a standard error is not known, neither is this (None)
+a quantity differs if that interval excludes 0; None if a standard error is unknown
 """
 
 import math

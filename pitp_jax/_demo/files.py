@@ -1,7 +1,7 @@
 """Write the folder of `pitp demo`: the recordings, the model files, the tables as CSV, and the paper's figures.
 
-records/   the sweep and the training sines: what `pitp identify`, `fit` and `diagnose` take
-held_out/  recordings that trained nothing, for `pitp predict`
+records/   the sweep and the training sines: for `pitp identify`, `fit` and `diagnose`
+held_out/  held-out recordings, for `pitp predict`
 target.csv a wanted motion, for `pitp invert`
 figures/   the paper's figures, each with its numbers as CSV
 """

@@ -2,8 +2,8 @@
 
     J q'' + D q' + Kp (q - c(t - T)) + Fc sgn(q') = 0,    angle read = play(q, w), rounded to the encoder's steps
 
-The simulator lacks Fc, T and w. Each writes files as its program would: the simulator radians at 200 Hz, the robot
-degrees at 500 Hz by a clock of its own. Solved by semi-implicit Euler steps; dry friction acts implicitly:
+The simulator lacks Fc, T and w. Each writes its own file format: the simulator radians at 200 Hz, the robot degrees at
+500 Hz with its own clock. Solved by semi-implicit Euler steps; dry friction acts implicitly:
 
     v* = v + h a(q, v),    v = sgn(v*) max(|v*| - h Fc / J, 0),    q = q + h v
 """

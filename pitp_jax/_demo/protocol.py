@@ -4,8 +4,8 @@
     sines ──────────────────────────┴▶ train ──▶ model ─┬▶ predict in-sample and held-out records  (Table I)
                                                         └▶ voltage for sines ──▶ plant ──▶ error   (Table II)
 
-The paper's figures are of its own four actuators and stand beside ours for their size, not for a contest;
-every cell of its Table I lies on the training grid, so held-out records are a table of their own.
+The paper's figures come from its own four actuators; they show the order of magnitude and are no benchmark. Every cell
+of its Table I lies on the training grid, so held-out records have their own table.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,6 +1,7 @@
 """The computing budget of a diagnosis: counted simulation steps, and wall time if the user limits it.
 
-The count makes the answer the same on every machine. What is not reached is reported, with the best answer so far.
+Counting makes the answer the same on every computer. If the budget ends early, this is reported with the best answer so
+far.
 """
 
 import time

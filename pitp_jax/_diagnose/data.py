@@ -3,9 +3,10 @@
     a_0 X + a_1 X' + a_2 X'' = F,   y = lag or filter of X        (orders three and four: the slower two poles, then a
                                                                    lag or a filter of the output for the others)
 
-Every k-th sample is kept, drive (as a force) and motion averaged over the k samples around it by the same weights, so
-that a linear plant's run on the averaged drive is the averaged run. k leaves the fastest mode or drive that matters
-some 50 samples a period; below 10 the simulator's own error earns names. Zero and direction of a record are taken out.
+Every k-th sample is kept. Input (as a force) and motion are averaged over the k samples around it with the same
+weights, so a linear plant's response to the averaged input is its averaged response. k leaves the fastest relevant mode
+or input some 50 samples a period; below 10 the simulator's own error would be reported as effects. Offset and direction
+of each record are removed.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """The diagnosis: where the gap lies, which effect causes it, and by how much it shrinks (docs/contract.md).
 
-records -> thinned case -> sets of effects searched out of fold -> verdict, budget, and the best model that beats the
+records -> thinned case -> candidate sets searched out of fold -> verdict, budget, and the best model that beats the
 nominal
 """
 

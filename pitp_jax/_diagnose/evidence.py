@@ -1,11 +1,11 @@
 """Evidence: by how much one set of out-of-fold residuals is better than another, and with what probability.
 
     score   S = sum_r n_r log MSE_r / sum_r n_r          (the Gaussian log score with one variance per record)
-    P       share of draws in which S_a + log q < S_b: records are drawn first, then blocks within, the same for all
+    P       fraction of draws in which S_a + log q < S_b: records are drawn first, then blocks within, the same for all
 
-One large record decides pooled squares, and blocks alone gave 0.99 to second effects that one record knows. Of fewer
-than four records their parts are drawn, those that a fold leaves out: of two records, one is all there is in every
-fourth draw.
+Pooled squares would be dominated by one large record. Drawing blocks alone gave P = 0.99 to second effects that only
+one record shows. With fewer than four records, the parts that a fold leaves out are drawn instead: of two records,
+every fourth draw would contain only one.
 """
 
 from collections.abc import Iterator, Sequence

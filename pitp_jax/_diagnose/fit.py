@@ -2,10 +2,10 @@
 
     minimise  L = sum_r n_r log(MSE_r + eps_r),    MSE_r = mean over counted samples of (y - y_measured - C_r c_r)^2
 
-one variance per record, so no record decides alone (log score). C_r: the record's own zero, and the linear plant's free
-responses where it does not begin at rest; c_r is eliminated linearly, and the first state moves with it. A step solves
-(H + lambda diag H) d = -g with H = sum w_r J_r' J_r, w_r = 1 / (MSE_r + eps_r). Slopes are differences in float64: they
-cost a run a number and need no program of their own. A run that diverges is a rejected step.
+Each record has its own variance, so no record dominates (log score). C_r holds the record's offset and, if it does not
+start at rest, the linear plant's free responses; c_r is eliminated linearly, and the initial state follows. A step
+solves (H + lambda diag H) d = -g with H = sum w_r J_r' J_r, w_r = 1 / (MSE_r + eps_r). Derivatives are finite
+differences in float64: one run per parameter, no further program. A step whose run diverges is rejected.
 """
 
 import cmath

@@ -2,7 +2,7 @@
 
     closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   pooled over records
 
-Out of fold. Where a search worked on pieces of long recordings: of free runs of these models over all recordings.
+All errors are out of fold. If the search used pieces of long recordings, they are free runs over all recordings.
 """
 
 from collections.abc import Sequence

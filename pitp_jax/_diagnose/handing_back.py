@@ -1,7 +1,7 @@
 """Choose the model to return: the best that beats the nominal out of fold, and in the package's own free runs.
 
-The search has a simulator of its own, so a model counts only once the rollout that users run confirms it: its error is
-below the nominal's, and it stays bounded from rest under the widest voltage of the records.
+The search has its own simulator, so a model counts only if the user's rollout confirms it: its error is below the
+nominal model's, and it stays bounded from rest under the largest voltage of the records.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """The library: starts of every catalogue row in a search, and conversion between models and row parameters.
 
-A form is one way to start an effect: a row of the catalogue with its numbers, in the model's scaled coordinates. One
-name of the search may have several. `slots` are the core's three coefficients, then the numbers of every row.
+A form is one way to start an effect: a catalogue row with its parameters in the model's scaled coordinates. An effect
+may have several forms. `slots` are the core's three coefficients, then the parameters of every row.
 """
 
 from collections.abc import Iterator

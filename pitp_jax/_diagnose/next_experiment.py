@@ -2,9 +2,9 @@
 
     maximise over excitations  rms_t (y_a - y_b) / sigma     within stroke, voltages and slews already played
 
-Both are rolled out under sines (low, through the resonance, high), steps, and, where voltages of either sign were
-played, a carrier of either sign, which parts what lags before the square from what lags behind it. Each starts from
-zero volts and goes back there; one that would move further than what was played is made smaller.
+Both are simulated under sines (low, at the resonance, high), steps, and, if voltages of both signs were applied, a
+carrier of both signs. The carrier separates a lag before the square from a lag after it. Each experiment starts and
+ends at zero volts; one whose stroke would exceed the recorded stroke is made smaller.
 """
 
 from dataclasses import dataclass, replace

@@ -1,17 +1,17 @@
 """Parts: the effects in the returned model beyond the nominal, with their parameters and the certainty of each.
 
     certain   the verdict reports it
-    tied      the verdict reports it, with names that these recordings do not separate from it
+    tied      the verdict reports it, with effects that these recordings do not separate from it
     likely    P >= LIKELY against the best hypothesis without it, and LISTED of the closed energy
-    none      neither of these; also coefficients that a refit fits along with every effect
+    none      otherwise; also coefficients that are refitted together with every effect
 
-A number's interval is 1.96 standard errors wide on either side: the larger of the error from blocks of residuals and
-of the error from the refits without each fold (a jackknife over recordings),
+A parameter's interval is 1.96 standard errors wide on either side. The standard error is the larger of two: from blocks
+of residuals, and from the refits without each fold (a jackknife over recordings):
 
     var = (F - 1) / F sum_f (theta_f - mean theta)^2,
 
-widened to the values of hypotheses that are as good. Recordings do not show the end of a memory that lasts longer than
-a third of the longest of them: such a time constant has a lower bound and no upper one.
+The interval includes the values of equally good hypotheses. Recordings do not show the end of a memory that lasts
+longer than a third of the longest one: such a time constant has a lower bound and no upper one.
 """
 
 from collections.abc import Iterator, Sequence

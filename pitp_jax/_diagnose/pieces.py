@@ -3,8 +3,8 @@
     distance of two pieces = |f_a - f_b| + OTHER [they are of different recordings]
     f = (spread, log10 centre frequency, mean) of the force and of the motion;  spread and mean in units of the largest
 
-The first piece has the largest motion; each further one lies farthest from all that were chosen before, until their
-samples take the steps that a run may take. Motion that differs is so seen before motion that repeats.
+The first piece has the largest motion. Each further piece lies farthest from all chosen ones, until their samples use
+up the steps that a run may take. Different motion is thus chosen before repeated motion.
 """
 
 from collections.abc import Sequence

@@ -6,8 +6,8 @@ LG   low passes of the input, and the linear plant's own response to sixteen for
 LSG  the same forces unfiltered besides
 LV   low passes with the products of their leading principal components (Volterra)
 
-No plays: a reference that holds a mechanism steals its name. It is a bar, not a ceiling: forces along a run that lacks
-them cannot follow friction.
+Plays are excluded: a reference that contains a mechanism would explain that effect itself. The reference is a lower
+bound, because forces along a run without friction cannot follow friction.
 """
 
 from dataclasses import dataclass

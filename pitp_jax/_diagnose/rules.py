@@ -1,7 +1,7 @@
 """All decision constants of the diagnosis, each with the study that set it.
 
-P is "best of the library", not the chance of being right: what is no form of the library is named by nothing here.
-Rates are those of the studies in docs/decisions/verdict.md, of 27 saved decisions on measured machines unless said.
+P is the probability of being the best of the library, not of being right: a cause outside the library cannot be named.
+Rates come from the studies in docs/decisions/verdict.md, of 27 saved decisions on measured machines unless stated.
 """
 
 SURE = 0.9  # P required for every claim; 0.8: one more wrong effect of 27, 0.95: one right one lost

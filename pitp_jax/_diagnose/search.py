@@ -1,10 +1,10 @@
 """Search over sets of effects: forward by a beam of two with a backward step, each scored out of fold.
 
-Level d holds, for every front of level d - 1 and every name beside it, the best form: all starts take a few steps, the
-best two go on to their optimum. Sets are then refitted without each fold, in order of their in-sample error, until that
-exceeds the third-best out-of-fold error: the sets behind it cannot be among the best three. A set pays if its error is
-below FIRST (then FURTHER for every name) of the last that paid, with P >= SURE; a level that does not pay is stepped
-over.
+Level d holds the best form of every set of level d - 1 plus one effect: all starts take a few steps, and the best two
+are optimised. Sets are then refitted without each fold in order of their in-sample error, until that exceeds the
+third-best out-of-fold error; later sets cannot be among the best three. A set improves the fit significantly if its
+error is below FIRST (then FURTHER for every effect) times that of the last such set, with P >= SURE. A level without
+such a set is skipped.
 """
 
 from collections.abc import Callable, Sequence, Set

@@ -1,9 +1,9 @@
 """The budget: fractions of the gap's energy by cause, out of fold, with intervals; all fractions sum to 1.
 
-    E(h) = mean over records of MSE_r / range_r^2,   share of a part = (E before it - E after it) / E of the nominal
+    E(h) = mean over records of MSE_r / range_r^2,   fraction of a part = (E before it - E after it) / E of the nominal
 
-nuisance | parameters | every name | unnamed but explainable | not explainable. Where two names stand together, each
-one's gain is averaged over both orders.
+nuisance | parameters | every effect | explainable without an effect | not explainable. The gains of two effects in one
+set are averaged over both orders.
 """
 
 from collections.abc import Sequence

@@ -5,11 +5,11 @@
 The linear part is exact for a force that runs linearly over a step, (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0), for any
 order up to two, damped or not, with a spring or without (a_0 = 0). Smooth forces act at the middle of the step,
 linearly implicit along their own tangent: f = f(x_m, v_m) / (1 + f' b_x / 2 + f'_v b_x / h). Friction and slack act
-last, on the motion that all other forces leave. An integrator with numerical damping (0.04 at 20 samples a period)
-decided 5 of 18 outcomes.
+last, on the motion after all other forces. An integrator with numerical damping (0.04 at 20 samples a period) changed 5
+of 18 outcomes.
 
-The step is written for one parameter vector beside one record, and is mapped over all of a block: its numbers are the
-last axis. Few programs serve all blocks.
+The step is written for one parameter vector and one record, and is mapped over a block, whose index is the last axis.
+Few programs serve all blocks.
 """
 
 from collections.abc import Sequence

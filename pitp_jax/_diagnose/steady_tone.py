@@ -1,8 +1,8 @@
 """Find a spectral line in every record's residual that does not depend on the input: hum, not the actuator.
 
-    |E(f)|^2 has most of its energy within three bins of one f, the same in all records, while the drives' F have not
+    |E(f)|^2 has most of its energy within three bins of one f, the same in all records, while the inputs' F have not
 
-What answers a drive has the drive's own frequencies, so two drives at least must differ from the line.
+The response to an input has the input's frequencies, so at least two inputs must differ from the line.
 """
 
 from collections.abc import Sequence

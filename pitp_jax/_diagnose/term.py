@@ -2,7 +2,8 @@
 
     sum_i a_i x^(i) = F - f,   f = c1 x x' + c2 x^2 x' + c3 x' F        (`_effects.found_term`)
 
-It is fitted on whole free runs and judged out of fold as an effect is; it acts as one, describes, and names no cause.
+It is fitted on whole free runs and scored out of fold like an effect. It acts like an effect in the model, but names no
+cause.
 """
 
 from dataclasses import dataclass

@@ -1,14 +1,15 @@
 """The verdict: which effects of the last significant hypothesis are reported, with which ties, and how certain.
 
-no_gap     the nominal leaves at most OWN times its own error; or nothing, reference included, gains GAIN of its error
+no_gap     the nominal's error is at most OWN times that on its own records; or no set, nor the reference, reduces
+           its error by the fraction GAIN
 explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
-           are tied) and a flexible model, which on top of the hypothesis closes nothing more
-partly     the same, but a flexible model closes more on top
-unknown    otherwise: a flexible model is as good, a force without a name or an undecided effect is part of it, a
-           deeper hypothesis leaves less than HALF and does not need all of its effects, or there are few excitations
-           and a rival within TWICE
+           are tied) and a flexible model, added to the hypothesis, closes nothing more
+partly     the same, but an added flexible model closes more
+unknown    otherwise: a flexible model is as good, an unnamed force or an undecided effect is part of it, a
+           larger hypothesis has less than HALF the error and does not need all of its effects, or few excitations
+           and a rival within TWICE the error
 
-A confident wrong name costs a laboratory a week, `unknown` an hour.
+A wrong effect reported with confidence costs a laboratory a week; `unknown` costs an hour.
 """
 
 from dataclasses import dataclass, field

@@ -1,12 +1,12 @@
 """Where the gap lies: residual energy of the nominal over all axes, with noise subtracted.
 
-    output     share of  sum w (e^2 - sigma^2)  by record, frequency of the residual, harmonic of the drive, and time
+    output     fraction of  sum w (e^2 - sigma^2)  by record, frequency of the residual, harmonic of the input, and time
     force      r = F - a_0 x - a_1 x' - a_2 x''  (what the equation lacks), by displacement, velocity, voltage,
-               and by cells of the drive's local frequency x the local amplitude of the motion
+               and by cells of the input's local frequency x the local amplitude of the motion
 
-All of it on the thinned records.
+All of it is computed on the thinned records.
 
-A cell is flagged where the missing force stands out of what noise leaves there, and is no mere spill of the filter.
+A cell is flagged if its missing force exceeds the noise there and is not leakage of the filter.
 """
 
 from collections.abc import Sequence

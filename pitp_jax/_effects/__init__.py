@@ -1,7 +1,7 @@
 """The catalogue: every effect a diagnosis may report, as rows of one table, in the order in which their forces act.
 
-A new effect is one row in the file of its port; one whose memory is new is one kernel besides. Velocity and friction
-see all the forces that come before them.
+A new effect is one row in the file of its port; a new kind of memory needs one kernel as well. Velocity and friction
+act on the sum of all forces before them.
 """
 
 from .._errors import BadInput

@@ -1,6 +1,6 @@
 """Effects on the film's force at the square (port SQ).
 
-stretch_coupling        F (1 + b x),  F exp(b x): never a push
+stretch_coupling        F (1 + b x),  F exp(b x): never a pushing force
 dielectric_saturation   F / (1 + |F| / F_s)
 """
 

@@ -2,11 +2,11 @@
 
 drag              f = c x' |x'|
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
-                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see),
+                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with an invisible play),
                   or mu_avg |f| z / g + mu_dif f (z / g)^2,  f the transmitted force k x + a_2 x''  (gears under load)
 
-Friction is resolved: f is what brings x' to rest within the step, no more than F_c (orders 1 and 2); above, and along a
-motion of order 1 that is given, it is regularised at a hundredth of the usual speed.
+Friction is resolved: f brings x' to rest within the step and is at most F_c (orders 1 and 2). Above that, and along a
+given motion of order 1, it is regularised at a hundredth of the usual speed.
 """
 
 import jax.numpy as jnp

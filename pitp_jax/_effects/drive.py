@@ -7,7 +7,7 @@ charge_leak       V = u - kappa q,  tau q' = u - q                       voltage
 charge_retention  V = u + q,  tau q' = k |u| - q                         delay           V(t) = u(t - T)
 hysteresis        V = u + sum_j w_j (z_j - u),  z_j plays of u;   or  V = u + level z,  width z' = u - |u| z
 
-u runs linearly between samples, and lags are exact for it. A record that rests starts uncharged.
+u runs linearly between samples, and lags are exact for it. A record at rest starts uncharged.
 """
 
 import jax.numpy as jnp

@@ -3,7 +3,7 @@
     IN, SQ, OUT   apply: w -> law(p, w, z)            undo: closed form, else Newton on  law(p, w, z(w)) = wanted
     K C M T       act:   sigma_2 += mass(p, now),  sigma_off += law(p, now)
 
-Where the law has a memory, Newton solves sample by sample for the w whose advanced state gives what is wanted.
+If the law has a memory, Newton solves sample by sample for the w whose advanced state gives the wanted value.
 """
 
 from collections.abc import Callable

@@ -2,7 +2,7 @@
 
     f = c1 x x' + c2 x^2 x' + c3 x' F        F the film's force (V^2 or V)
 
-Which products a diagnosis tries, and why no others: docs/decisions/term.md.
+The products that a diagnosis tries, and the reason for them: docs/decisions/term.md.
 """
 
 from .effect import Instant

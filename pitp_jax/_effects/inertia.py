@@ -2,7 +2,7 @@
 
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w,  z'' = w^2 (x - z) + 2 zeta w (x' - z')
-force_limit   |a_2 x''| <= f: a drive that saturates behind the controller, whose spring and damper are the nominal's
+force_limit   |a_2 x''| <= f: an actuator that saturates behind the controller with the nominal's spring and damper
 slack         x'' >= -g: a load that is only pulled falls freely once the film lets go
 """
 

@@ -10,7 +10,7 @@
     slew         |z'| <= s towards u                                                       (exact for one step's goal)
     delay        a shift of the whole record: no state of a step
 
-w is what enters: u at the drive, x for forces and sensors. A kernel reads its numbers by name from `p`.
+w is the memory's input: u at the port IN, x for forces and sensors. A kernel reads its parameters by name from `p`.
 """
 
 from collections.abc import Callable, Sequence

@@ -6,7 +6,7 @@ hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x               
                     f = k kappa z,  dz = dx (1 - (sgn(dx z) + gamma) |z| / r)              (Bouc and Wen, either sign)
 stiffness_drift     f = -k d (1 - exp(-t / T)) x,  t the session's clock
 
-A loop of hysteresis has the same area however fast it is run through.
+A hysteresis loop has the same area at every speed.
 """
 
 import jax.numpy as jnp

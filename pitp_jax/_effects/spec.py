@@ -2,9 +2,9 @@
 
     sum_i sigma_i x^(i) + sigma_off + f(x, x', z) = coupling(V, x),    V = drive(u),    y = sensor(x)
 
-Ports: IN u to V, SQ the film's force at a displacement, K C M T forces beside the nominal's, OUT x to the reading; z
+Ports: IN u to V, SQ the film's force at a displacement, K C M T forces added to the nominal's, OUT x to the reading; z
 are the kernel's states. All is in the model's scaled coordinates: X_i = x^(i) / scale_i, force over force_scale,
-stiffness in units of the nominal's; voltages in V, times in s. `Parameter` says how a number returns to physical units.
+stiffness in units of the nominal's; voltages in V, times in s. `Parameter` defines the conversion to physical units.
 """
 
 from collections.abc import Callable

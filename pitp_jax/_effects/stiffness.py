@@ -1,4 +1,4 @@
-"""Nonlinear springs (port K), k = sigma_0 of the nominal; forces f beside k x.
+"""Nonlinear springs (port K), k = sigma_0 of the nominal; forces f added to k x.
 
 stiffening  k c x^3,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
@@ -6,7 +6,7 @@ softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L 
 mullins     -k d (1 - exp(-m/L)) x,   m = max |x| so far
 end_stop    k kappa max(x - x_s, 0),   its mirror image, or both
 
-A Gent-like spring fitted by a cubic alone lost to an end stop, hence several forms under one name.
+A Gent-like spring fitted by a cubic alone fitted worse than an end stop, so an effect has several forms.
 """
 
 import jax.numpy as jnp

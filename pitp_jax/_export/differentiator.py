@@ -2,10 +2,10 @@
 
     y^(i)(t) = sum_k W_ik m_k,   m_k = mean of the k-th block of samples          26 blocks of B samples
 
-B = 1 has an odd interpolating spline. Where the rounding of what comes in, eps / 2 of the farthest reading, would be
-seen in the force, blocks are longer and W is the least-squares polynomial of degree d through their means. (B, d) is
-the shortest window whose force is right to 0.2 % for a cosine at the resonance: truncation of the cosine plus four
-standard deviations of the rounding; else the best one.
+B = 1 has an odd interpolating spline. If the rounding of the input, eps / 2 of the largest reading, would be visible in
+the force, blocks are longer and W is the least-squares polynomial of degree d through their means. (B, d) is the
+shortest window whose force is right to 0.2 % for a cosine at the resonance: truncation of the cosine plus four standard
+deviations of the rounding; otherwise the best one.
 
 Savitzky and Golay (1964), Smoothing and differentiation of data by simplified least squares procedures.
 """

@@ -1,8 +1,8 @@
 """Convert a JAX program into scalar expressions, with one rule for each primitive.
 
-    make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, arrays gone
+    make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, no arrays left
 
-Primitives that only move elements are run on an array of places; those that compute work element by element; large
+Primitives that only move elements are applied to an array of indices; those that compute work element by element; large
 products with known weights and long loops stay loops.
 """
 

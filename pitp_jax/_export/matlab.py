@@ -1,4 +1,4 @@
-"""Write MATLAB: one function file for each direction and one that checks them, without toolboxes; runs in GNU Octave.
+"""Write MATLAB: one function file for each direction and one that checks them; no toolboxes; runs in GNU Octave.
 
 [y, s] = pitp_<name>_predict(u, s)        [u, s, flags] = pitp_<name>_inverse([y y' ... y^(n)], s)
 """

@@ -1,8 +1,8 @@
 """Prepare an export: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
 
-Every language writes the same `Plan`. The test vector is the beginning of the longest record the model was identified
-on. Where the model has none, or its beginning covers less than a quarter of the stroke, it is a sum of sines over the
-range of voltage. It runs through three periods of the resonance at least, whatever the rate.
+Every language writes the same `Plan`. The test vector is the beginning of the longest identification record. If the
+model has none, or that beginning covers less than a quarter of the stroke, it is a sum of sines over the voltage range.
+It lasts at least three periods of the resonance at any rate.
 """
 
 import re

@@ -1,9 +1,9 @@
 """Scalar expressions: every element of every array of a program as a number or a node.
 
-    a Python number                 known when the program is written: folded
+    a Python number                 known when the program is written: folded in
     Node(op, args)                  known when it runs; equal expressions are one node
 
-Arrays are NumPy arrays of these, so that slices, stacks and gathers cost nothing in the program that is written.
+Arrays are NumPy arrays of these, so slices, stacks and gathers cost nothing in the written program.
 """
 
 import math

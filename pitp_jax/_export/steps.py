@@ -6,10 +6,10 @@ Displacements y are in the one coordinate (`_model.coordinate`): 0 at 0 V.
     inverse   (m, z, x_{-1}, V_{-1}, V_{-2}), [y, y', ..., y^(n)]
               ->  u = drive^-1(map^-1(F)),  F = sigma_off + sum_i sigma_i x^(i) + effects
 
-Closed inverses look both ways along a series; here they run along the parabola through the last three values, whose
-slope is (3 V - 4 V_{-1} + V_{-2}) / (2 dt). An effect with a memory and no closed inverse is solved sample by sample,
-its own last three values are the parabola of those before it. What a delay or a step later than the drive needs is
-asked for ahead.
+Closed inverses use samples on both sides along a series. Here they use the parabola through the last three values,
+whose slope is (3 V - 4 V_{-1} + V_{-2}) / (2 dt). An effect with a memory and no closed inverse is solved sample by
+sample; its own last three values give the parabola for the effects before it. Values that a delay or a step needs later
+than the input are requested ahead.
 """
 
 from collections.abc import Callable

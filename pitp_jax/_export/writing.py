@@ -1,8 +1,8 @@
 """Write a scalar program as text: one line a value, in C99 or in MATLAB.
 
-    v12 = v7 * v9;      a value used once stands where it is used, as long as the line stays short
+    v12 = v7 * v9;      a value used once is written where it is used if the line stays short
 
-C has helpers only where they are used; a table or a loop has a function or an array of its own.
+C code contains only the helpers that it uses; a table or a loop has its own array or function.
 """
 
 import re

@@ -2,10 +2,10 @@
 
     y = d (g x(t) + free(t)) + z,    free: 0 at rest | F(0) unit step's release when held | any x(0), x'(0) in motion
 
-Poles and gain come first from a fit that knows nothing: every record with a zero, a direction and an initial state of
-its own, all of which enter linearly. Then each record takes the simplest beginning by the criterion of
-`_numerics.coloured_noise`. A record at rest has its zero from its first samples, which hold no error of the model;
-others share one, or have one of their own, by the same criterion.
+Poles and gain come first from a fit without any assumption: every record has its own offset, direction and initial
+state, which all enter linearly. Then the criterion of `_numerics.coloured_noise` selects the simplest initial state of
+each record. A record at rest takes its offset from its first samples, which contain no model error. Other records share
+an offset or have their own, by the same criterion.
 """
 
 from collections.abc import Sequence

@@ -1,13 +1,13 @@
 """Fit every candidate (order, delay, hold) and choose the fewest parameters whose held-out score is near the best.
 
-    score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, nothing below 0.1 % of the output counting
-    fewest poles and delays;  of as many the lower order within 1 %, else the better score;  of those the better hold,
+    score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, or 0.1 % of the output
+    fewest poles and delays;  if equal, the lower order within 1 %, otherwise the better score;  then the better hold,
 foh where the difference is below two of its standard errors
 
-Every order stands under its own best hold (in sample: as many parameters), since half a sample of lag is a pole:
-compared under one hold, a plant of order 2 behind a held voltage becomes one of order 3. More than 3 % would take zoh
-for half a sample of delay (+6.5 %); no delay is kept that buys nothing held out (two servo joints: 7 to 14 % in sample,
--8 % on other records).
+Every order is compared under its own best hold (in sample: equally many parameters), because half a sample of lag acts
+like a pole: under one common hold, a plant of order 2 behind a held voltage becomes one of order 3. A tolerance above
+3 % would take zoh for half a sample of delay (+6.5 %). A delay is kept only if it improves the held-out score (two
+servo joints: 7 to 14 % in sample, -8 % on other records).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,7 @@
 """Judge whether a linear model explains the output at all, and report the likely reason if not.
 
 feedback:  var(u_t | earlier u, y up to t) / var(u_t | earlier u)      least squares on the last samples of both
-folded:    1 - R^2 of |G u| and (G u)^2 beside y                       G: lags of order 1 and modes of a grid
+folded:    1 - R^2 of y against |G u| and (G u)^2                       G: lags of order 1 and modes of a grid
 """
 
 from collections.abc import Iterator, Sequence

@@ -3,8 +3,8 @@
     minimise  sum_k | g M(j w_k) - G_k |^2 / s_k^2 + 1e-8 |p - p_0|^2,    s_k: its standard error, at least 2 % of |G_k|
     M = e^{-s tau} sinc^2(w h / 2) prod_active e^q / (s^2 + e^p s + e^q) [e^r / (s + e^r)],    s = j w,  g: real
 
-All orders, with and without a delay, run through one program: what one does not have is masked. They start where
-the linear equation-error fit in frequency leads (iterated with its own denominator as weight).
+All orders, with and without a delay, use one program; a mask removes the poles that an order does not have. The starts
+come from the linear equation-error fit in frequency (iterated with its own denominator as weight).
 Source: Sanathanan & Koerner (1963); Pintelon & Schoukens (2012), 9.
 """
 

@@ -3,8 +3,8 @@
     Y(k + r) = (G + g_1 r + g_2 r^2) U(k + r) + t_0 + t_1 r + t_2 r^2 + e,    r = -6 ... 6     (least squares)
     coherence = |G|^2 S_uu / (|G|^2 S_uu + s_e^2)
 
-U, Y: transforms of force and output over the whole record. What the record began with, and goes on with after its end,
-is smooth in frequency: the t take it up, so no window is needed, and no time in which a transient dies away.
+U, Y: transforms of force and output over the whole record. Transients at both ends of the record are smooth in
+frequency. The terms t model them, so neither a window nor a settling time is needed.
 Source: Pintelon & Schoukens (2012), System Identification, 7.2 (local polynomial method).
 """
 

@@ -3,10 +3,10 @@
     every record in 3 blocks;  fold f leaves out block (f + record) mod 3;  poles, delay, gain refitted on the rest
     e = y - g x - (real modes' free responses) - mean over the block,      score^2 = sum e^2 / sum (y - mean)^2
 
-x runs through the whole record from rest, or from the equilibrium of u(0): an oscillation that no drive excites is not
-in it, so a mode that rings on through a record to meet a harmonic has no credit (a piezo: 2.6 % in sample, 58 % on
-other records). A start in motion is not scored for half its block: what rings dies away there, and what the drive did
-before the record passes a delay.
+x is simulated through the whole record from rest, or from the equilibrium of u(0). It does not contain an oscillation
+that no input excites, so a lightly damped mode fitted to a harmonic does not improve the score (a piezo: 2.6 % in
+sample, 58 % on other records). A record that starts in motion is not scored in the first half of its block: transients
+decay there, and a delay no longer needs the input before the record.
 """
 
 from dataclasses import dataclass

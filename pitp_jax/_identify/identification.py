@@ -1,12 +1,12 @@
 """Identification (the paper's tfest step): a continuous-time ODE of order n, no zeros, fitted by output error.
 
-    F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + zero_r + noise
+    F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + offset_r + noise
 
     minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
 
-How records begin (`beginnings`), what they show without a model (`frequency_response`), starts from it by optimistix
-(`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by what is left out
-(`candidates`), and the chosen one in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
+Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it by
+optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by held-out blocks
+(`candidates`), and the chosen model in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 
 from collections.abc import Callable, Sequence

@@ -5,9 +5,10 @@
     m_i(t+1) = e^z m_i(t) + f_1 F_t + f_2 (F_{t+1} - F_t) + f_3 (u_{t+1} - u_t)^2,    x = sum_i r_i m_i,    z = p_i h
     f_1 = phi_1(z),   f_2 = phi_2(z),   f_3 = 2 phi_3(z) - phi_2(z),    phi_k(z) = sum_j z^j / (j + k)!
 
-Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not, and for any delay; f_3 is what the
-square of a line has beside the line between squares, or half the second difference of a force that is cubic between
-samples. A mode is one first-order filter, ten times faster than the chained state space. Its slope is another:
+Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not, and for any delay; f_3 adds the
+difference between the square of a line and the line between squares, or half the second difference of a force that is
+cubic between samples. A mode is one first-order filter, ten times faster than the chained state space. Its derivative
+is another:
 
     m'(t+1) = e^z m'(t) + e^z m(t) + sum_k f_k'(z) ...,    phi_k' = phi_k - k phi_{k+1}
     (2 p + e^a) dp = -e^a p da - e^b db       of a pole p of  s^2 + e^a s + e^b

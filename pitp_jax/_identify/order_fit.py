@@ -5,9 +5,9 @@
 
 g_b: half the gradient over four of 64 blocks of samples in a row (overlapping batch means: B = 1.5 64 / 4 degrees of
 freedom; Meketon and Schmeiser, 1984). Model error and slow noise are strongly correlated, and the textbook sigma^2 H^-1
-would understate the errors by an order of magnitude; blocks by themselves, AR(0.98) in 62 samples, by a third. Where
-few blocks tell of a parameter the sandwich is the smaller one: D >= 1 widens it to the textbook's variance. J: initial
-states projected out. The zero of a record at rest is not fitted; v carries its error.
+would understate the errors by an order of magnitude; separate blocks, AR(0.98) in 62 samples, by a third. If few blocks
+determine a parameter, the sandwich is too small: D >= 1 widens it to the textbook's variance. J: initial states
+projected out. The offset of a record at rest is not fitted; v propagates its error.
 """
 
 from dataclasses import dataclass

@@ -1,13 +1,14 @@
 """The output error of a linear ODE over a set of records, by variable projection.
 
-    r_t = w_t (y_t - g x_t(poles, delay) - zero - sum_j c_j n_jt)     x: unit static gain;  n_j: a record's own columns
-    minimise over log pole coefficients and log delay;  inside, linearly:  gain g, zeros (one a group), c (one a record)
+    r_t = w_t (y_t - g x_t(poles, delay) - offset - sum_j c_j n_jt)     x: unit static gain;  n_j: its own columns
+    minimise over log pole coefficients and log delay;  inside, linearly:  gain g, offsets (one a group), c (per record)
 
     held:         x from the equilibrium of u(0)            moving:   n = free responses of every mode
 
-The inner problem is solved exactly (Golub & Pereyra, 1973), so a start is poles and a delay alone. A weak ridge holds
-what a record does not tell of its initial state. Zeros of records at rest are taken off beforehand where their first
-samples tell them better than a model's misfit would bend them. Everything is normalised by the output's rms.
+The inner problem is solved exactly (Golub & Pereyra, 1973), so a start consists of poles and a delay only. A weak ridge
+determines the initial state where the record does not. Offsets of records at rest are subtracted beforehand if their
+first samples give them more accurately than the model's error would allow. Everything is normalised by the output's
+rms.
 """
 
 from collections.abc import Sequence

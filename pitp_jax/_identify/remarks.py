@@ -1,9 +1,9 @@
 """Remarks about an identification for the engineer, one sentence each.
 
     least certain:      d log a = v sqrt(l)             v, l: eigenvector of the largest eigenvalue of cov log a
-    creep:              e = b s + w,  tau s' = F - s    e: what the model leaves; BIC asks for b, w coloured
+    creep:              e = b s + w,  tau s' = F - s    e: residual; significant by BIC, w coloured
 
-Each line ends with what to record, or to ask, about it.
+Each line ends with a recording to make or a question to answer.
 """
 
 import numpy as np

@@ -2,10 +2,11 @@
 
     r_e(k) = sum_t e_t e_{t+k} / sum_t e_t^2                            within +- z / sqrt(N) where e is white
     r_eu(k) = sum_t u_t e_{t+k} / sqrt(sum e^2 sum u^2)                 within +- z sqrt(sum_j r_e(j) r_u(j) / N)
-                                                                        where e and u have nothing to do with each other
+                                                                        where e and u are independent
 
-u: the force about its mean; N: samples that count; z: what the largest of all K lags exceeds in 5 % of cases,
-Phi^-1(1 - 0.025 / K). What a model lacks shows on both sides of zero, since a drive resembles its own past.
+u: the force about its mean; N: samples that count; z: the largest of all K lags exceeds it in 5 % of cases,
+Phi^-1(1 - 0.025 / K). A missing effect shows at lags on both sides of zero, because an input is correlated with its own
+past.
 Source: Ljung (1999), System Identification, 16.6; Bartlett (1946) for the band of the second.
 """
 

@@ -3,9 +3,9 @@
     P(d/dt) x = F,    x(t) = sum_i r_i m_i(t) + c_i n_i(t),    m_i' = p_i m_i + F
     n_i = e^{p_i t}  where Re p_i < 0,    e^{p_i (t - T)}  where Re p_i > 0      (`bounded_response`)
 
-A run forward in time leaves every range within a few 1 / Re p. The motion that was recorded did not: it is the one
-solution that both ends of the record bound, and a mode on the right is computed from the end back. Poles by least
-squares from a grid; inside, linearly, every record's gain, zero and free responses.
+A simulation forward in time diverges within a few 1 / Re p, but the recorded motion did not. The recorded motion is the
+one solution that is bounded at both ends of the record; an unstable mode is computed backwards from the end. Poles by
+least squares from a grid; inside, linearly, every record's gain, offset and free responses.
 """
 
 from collections.abc import Iterator, Sequence

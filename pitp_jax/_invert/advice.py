@@ -1,7 +1,7 @@
 """Warnings about a target and its plan, one line each with extent and remedy.
 
-Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Gaussian, x * g_s, costs
-100 rms(x * g_s - x) / range; the least width s that leaves no corner is reported with that figure.
+Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Gaussian, x * g_s, costs 100 rms(x * g_s -
+x) / range; the smallest width s without a remaining corner is reported with that error.
 """
 
 import numpy as np

@@ -2,10 +2,10 @@
 
     y_t = y_t(u) + C_t z,   u_t + c + j d within its range,   |u_{t+1} - u_t + d| <= slew dt,   |y_t| <= farthest
 
-Lengths count in what the first voltage missed, voltages in U. The change is linear over stages of a fortieth of the
-resonance's period at most, of one sample where the horizon is short: its number of stages sets the time a step takes.
-Where F = u^2 has no slope, at u = 0, that of a small voltage is taken: a step that way is not barred, and what it
-brings is for the rollout to show. A delay moves all samples of the voltage against those of the reading.
+Displacements are in units of the first voltage's error, voltages in units of U. The change is linear over stages of at
+most a fortieth of the resonance's period (one sample if the horizon is short); the number of stages sets the time of a
+step. Where F = u^2 has no slope, at u = 0, the slope of a small voltage is used: the step is allowed, and the rollout
+decides whether it helps. A delay shifts all voltages against the readings.
 """
 
 from dataclasses import dataclass

@@ -1,12 +1,12 @@
 """Plan a feedforward from rest along the target and back, by eq. 13, shooting, or the nearest motion.
 
-    r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit bites
-    min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         where one does
+    r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit is active
+    min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         otherwise
 
-Eq. 13 inverts the continuous equation; the decoder holds its tokens over a step, so a few iterations move the
-reference until the rollout meets the target. Where a limit cuts the voltage, moving the reference would tear it at the
-cut's edges. The nearest motion's total variation is at most 1.2 times that of eq. 13 cut at the limits, and it never
-misses by more.
+Eq. 13 inverts the continuous equation; the decoder holds its tokens over a step, so a few iterations move the reference
+until the rollout meets the target. If a limit clips the voltage, moving the reference would make it jump where the
+clipping starts and ends. The nearest motion's total variation is at most 1.2 times that of eq. 13 clipped at the
+limits, and its error is never larger.
 """
 
 from dataclasses import dataclass, replace

@@ -3,8 +3,8 @@
 With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
 
     zoh:  one force a step; the row of x^(n-1) gives it at once.
-    foh:  F_j come from u_t and u_{t+1}. The row of x^(n-1) fixes about (F_t + F_{t+1})/2 to eps/(w dt) and is blind to
-          the alternating mode; the row of x^(n-2) sees that mode, to eps/(w dt)^2. All u are solved for at once by
+    foh:  F_j come from u_t and u_{t+1}. The row of x^(n-1) fixes about (F_t + F_{t+1})/2 to eps/(w dt), but not
+          the alternating mode; the row of x^(n-2) fixes that mode, to eps/(w dt)^2. All u are solved for at once by
           Gauss-Newton on both rows, each weighted by its rounding error: a tridiagonal system a step. A recursion
           u_t -> u_{t+1} through the first row alone would be marginally stable.
 """

@@ -1,10 +1,10 @@
 """Feedforward: the voltage with which the model follows a target, by eq. 13 and shooting, or the nearest motion.
 
-    u = inverse(target), moved by what the rollout misses          where no limit bites
-    min |target - rollout(u)|^2 over the u within the limits       where one does                        (`course`)
+    u = inverse(target), corrected by the rollout's error   where no limit is active
+    min |target - rollout(u)|^2 over the u within the limits        otherwise                  (`course`)
 
-A smooth way leads up from zero volts (or the voltage that holds a machine where it stands) and back down, exactly.
-Every limit is kept; what the target asks beyond them is reported.
+The voltage rises smoothly from zero volts (or from the voltage that holds the actuator) and returns there exactly.
+Every limit is kept; the part of the target beyond them is reported.
 """
 
 from dataclasses import dataclass, replace

@@ -3,8 +3,8 @@
     s_{t+1} = f(s_t, V_t, V_{t+1}),   A_t = df/ds,  B_t = df/d(V_t, V_{t+1}),   y_t = reading(s_t)
     V_{t+1} = q V_t + a u_t + b u_{t+1}                                          the electrode's lag
 
-A stage is `length` samples, over which the change of the voltage is linear, c + j d after j of them. With
-z = (ds, dV, c, d) at its beginning everything within is linear in z, and so is the next z but for its new slope d.
+A stage is `length` samples, over which the change of the voltage is linear, c + j d after j of them. With z = (ds, dV,
+c, d) at its beginning, all values within the stage are linear in z, and so is the next z except for its new slope d.
 """
 
 from dataclasses import replace

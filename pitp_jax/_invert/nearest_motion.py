@@ -3,9 +3,9 @@
     minimise    sum_target (y_t - w_t)^2 / m^2  +  rho sum (u_{t+1} - 2 u_t + u_{t-1})^2 / U^2         y = rollout(u)
     subject to  low_t <= u_t <= high_t,  |u_{t+1} - u_t| <= slew dt,  sum |u_{t+1} - u_t| <= budget,  |y_t| <= farthest
 
-Gauss-Newton about the current rollout: every change of the voltage solves a quadratic programme with the limits inside
-(`change_programme`, `stage_qp`) and is halved until the rollout itself gains. All limits of u are convex, so every
-iterate keeps them. m is what the first voltage misses, U the range of voltages. 10,000 samples take a second or two.
+Gauss-Newton about the current rollout: every change of the voltage solves a quadratic programme with the limits
+(`change_programme`, `stage_qp`) and is halved until the rollout improves. All limits of u are convex, so every iterate
+keeps them. m is the error of the first voltage, U the range of voltages. 10,000 samples take a second or two.
 """
 
 import jax

@@ -1,7 +1,7 @@
 """Correct a feedforward by a PI controller (paper, Fig. 14), in a simulated closed loop.
 
     v_t = h(u_ff,t) + P e_t + I z_t,   u_t = h^-1(v_t) within range and slew,   e = direction (x_target - x)
-    z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: what a limit cuts leaves z within T
+    z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: z loses the clipped part within T
 
 h is the identity (P and I in V/m and V/(m s), as in the paper) or the input map (in V^2/m, gains of `pi_gains`). The
 paper gives P = 0.1, I = 0.3 without units; here they are kV per mm and kV per mm and second, that is V/um and

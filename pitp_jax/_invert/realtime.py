@@ -3,9 +3,9 @@
     inverse   (m, x, V_{-1}, V_{-2}), [x, ..., x^(n)]  ->  u = V + tau (3 V - 4 V_{-1} + V_{-2}) / (2 dt)
     decoder   (s, V, u_{-1}), u                        ->  displacement at the sample of u
 
-What passes from sample to sample is one flat float32 vector. The steps are exported (`jax.export`): as bytes they run
-in any later process on the same kind of device without this package. The inverse looks back where `invert_path` looks
-both ways: V' is of 2nd order instead of 4th.
+The state between samples is one flat float32 vector. The steps are exported (`jax.export`): as bytes they run in any
+later process on the same kind of device without this package. The inverse uses past samples only, `invert_path` both
+sides: V' is of 2nd order instead of 4th.
 """
 
 from collections.abc import Callable

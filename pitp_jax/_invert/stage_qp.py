@@ -6,9 +6,9 @@
 
 Mehrotra's predictor and corrector (Nocedal & Wright, 2006, alg. 16.4). With slacks s and multipliers m > 0 a Newton
 step is the same problem without bounds, G' (m / s) G added to Q: a recursion backwards and one forwards (Rao, Wright &
-Rawlings, 1998), K n^3 operations; one control, so that it divides by a number. The absolute values are bounds
--a_k <= g z + h <= a_k with sum a_k <= budget: a_k falls out stage by stage, and the budget's multiplier is one more
-right-hand side. Meant for float64.
+Rawlings, 1998), K n^3 operations; one control, so it divides by a scalar. The absolute values are bounds -a_k <= g z +
+h <= a_k with sum a_k <= budget: a_k is eliminated stage by stage, and the budget's multiplier is one more right-hand
+side. It needs float64.
 """
 
 from typing import NamedTuple

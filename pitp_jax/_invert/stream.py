@@ -2,10 +2,10 @@
 
     rows [x, ..., x^(n)]   from R samples on either side (`spline_derivative`)
     memory m               carried from window to window
-    u = V + tau V'         two rows of the next window looked ahead at
+    u = V + tau V'         uses two rows of the next window
 
-Voltages are those of the whole path at once, to rounding. Windows are of one size, so two compilations serve any
-length (the last window is shorter); time counts within a window, so nothing grows but the memories' own state.
+Voltages are those of the whole path at once, to rounding. Windows are of one size, so two compilations serve any length
+(the last window is shorter); time counts within a window, so only the memories' own state may grow.
 """
 
 from collections.abc import Iterable, Iterator

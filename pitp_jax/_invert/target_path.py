@@ -1,13 +1,13 @@
 """Path of the inverse: a target, its lead-in from rest and the ramp back to zero.
 
-coarser: a target of a few way points is taken along its cubic spline, on the clock of the model
+coarser: a target of a few way points is interpolated by its cubic spline at the model's rate
 x^(i): quintic (order + 3) spline through the samples, differentiated
 lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state, within the
          force at the target's first sample where that arrives
 down:  u_ends + (u - u_ends) (1 + cos(pi t / T)) / 2,  T = pi |u - u_ends| / (2 slew) at least
 
-Both last as long as the slowest mode asks: 5 and 3 periods of one that rings, 1/2 of one that does not (3 time
-constants), where a memory counts as no more than 5 periods of the slowest pole: what creeps for minutes swings nothing.
+Both last as long as the slowest mode needs: 5 and 3 periods if it oscillates, 1/2 period if not (3 time constants). A
+memory counts as at most 5 periods of the slowest pole, because slow creep excites no oscillation.
 """
 
 from dataclasses import dataclass, replace

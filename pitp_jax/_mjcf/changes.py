@@ -1,11 +1,11 @@
 """Convert the parameters of a simulator and a robot to attributes of a MuJoCo file.
 
     F: torque per unit of the command,   k: how much larger the robot's F is
-    J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients moved alike
+    J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients changed alike
 
 From commands and motion only the ratios of J, D, K to F are known. Where the robot's J and D are smaller (or larger) by
-one factor, its gain is the larger (or smaller) one: one number in the place of two. The same where the inertia would
-have to fall below that of the links, which no armature can.
+one factor, its gain is the larger (or smaller) one: one changed parameter instead of two. The same holds if the inertia
+would fall below that of the links, which an armature cannot achieve.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The same parameters for Isaac Lab, Newton and URDF, as text to paste, not tested there.
+"""The same parameters for Isaac Lab, Newton and URDF, as text to paste; not tested in these programs.
 
 Names: `ActuatorBaseCfg` and `DelayedPDActuatorCfg` of Isaac Lab 3 (isaaclab/actuators/actuator_base_cfg.py and
 actuator_pd_cfg.py); `ModelBuilder.JointDofConfig` of Newton 1 (newton/_src/sim/builder.py); URDF's <joint><dynamics>.

@@ -1,7 +1,7 @@
 """Write a weight on the arm into a MuJoCo file: a small body without a joint beside the joint.
 
     torque = -m g l sin q,   so a mass m = w / (g l) at the distance l below the axis at q = 0; above it where w < 0
-    inertia m l^2 = w l / g comes with it, and is taken off the joint's armature
+    inertia m l^2 = w l / g comes with it, and is subtracted from the joint's armature
 
 Only w = m g l is known from the motion. The body stands in its own element, because MuJoCo ignores the masses of shapes
 where the link has an <inertial>.

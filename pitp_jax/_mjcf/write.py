@@ -1,6 +1,6 @@
 """Write the identified parameters into a copy of the user's MuJoCo file; only attributes change.
 
-out/arm_identified.xml    and beside it what the model includes and loads, so that it can be played where it lies
+out/arm_identified.xml    and beside it the files that it includes and loads, so that it can be played in place
 """
 
 import hashlib

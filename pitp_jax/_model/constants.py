@@ -1,6 +1,6 @@
 """Constants of a model that training does not change: scales, sampling interval, limits, sensor offset.
 
-They are Python's floats, so `eqx.is_inexact_array` passes over them: the inexact arrays of a model are its parameters.
+They are Python floats, so `eqx.is_inexact_array` skips them: the inexact arrays of a model are its parameters.
 `jax.jit` traces them, Equinox's jit keeps them as constants, and the package's own programs take them as arguments
 (`programs.jit`), so that models of any scale share one program.
 """

@@ -3,8 +3,8 @@
     y = s x,    s = 1 behind a square (y grows as the actuator extends), the sensor's direction behind a linear input
     reading = direction x + offset
 
-x is the model's own displacement (m), `reading` is what the sensor shows. `predict` compares with recordings and
-therefore keeps the sensor's readings.
+x is the model's own displacement (m), `reading` is the sensor's. `predict` compares with recordings and therefore keeps
+the sensor's readings.
 """
 
 from typing import Any, Literal, TypeVar

@@ -1,7 +1,7 @@
 """The domain of a model: the sampling and voltages of its records, and the range of its features.
 
-Its numbers are `constants`: exact on the host, and no parameters of the model. The sampling interval is static: a
-program is made for one.
+Its numbers are `constants`: exact on the host, and not parameters of the model. The sampling interval is static: each
+program has its own.
 """
 
 from collections.abc import Sequence

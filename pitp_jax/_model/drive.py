@@ -4,7 +4,7 @@ direct        V = u
 electrode     tau V' = u - V          u linear between samples; V = 0 at rest, settled where a record starts moving
 
 An electrode's sheet resistance charges the film's capacitance through a lag. It acts before the square, so no lag of
-the force or of the sensor replaces it (what it is worth: docs/decisions/parts.md).
+the force or of the sensor replaces it (its benefit: docs/decisions/parts.md).
 """
 
 from abc import abstractmethod

@@ -3,9 +3,9 @@
     Fitted(model, origin)       gives:  load, identify, train, adapt, diagnose
                                 takes:  every public function, and a bare Model as well
 
-A program's key holds the static fields of its arguments. Texts and records of how a model came about would make a new
-program of every model, so under a transformation (jit, vmap, tree.map, tree_at) a `Fitted` is its model: `origin` comes
-back empty.
+A program's key holds the static fields of its arguments. Static texts about its origin would give every model a new
+program. So under a transformation (jit, vmap, tree.map, tree_at) a `Fitted` acts as its model, and `origin` is empty
+afterwards.
 """
 
 from abc import ABCMeta

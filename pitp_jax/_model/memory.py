@@ -3,7 +3,7 @@
     none        m = ()
     elapsed     m = t / T                       seconds since the excitation began (paper, eq. 4)
     fading      z_k' = (x - z_k) / tau_k        m_k = z_k: known for any wanted x, so the inverse stays closed-form
-    ringing     r'' = w^2 (x - r) - 2 zeta w r' m = r, r'/w, then the fading ones: a mass that hangs on the moved one
+    ringing     r'' = w^2 (x - r) - 2 zeta w r' m = r, r'/w, then the fading ones: a mass attached to the moved one
 
 All memories are linear in x, so a decoder step with frozen tokens stays affine in the force. Raw time cannot
 extrapolate past the longest training record; fading memories can.

@@ -1,8 +1,8 @@
 """Compile programs that all models of one structure share, and copy arrays from the host to the device.
 
 Arrays of a model (weights) and its constants (scales, offsets, its domain) are arguments of a program; static fields
-(order, hold, substeps, the classes of the parts, layer sizes) make another one. What a model was made from stands
-beside it (`Fitted.origin`), where no program sees it.
+(order, hold, substeps, the classes of the parts, layer sizes) make another one. The origin of a model lies outside
+every program (`Fitted.origin`).
 """
 
 from collections.abc import Callable

@@ -2,9 +2,9 @@
 
     y_o = b_o + sum_i W_oi f_i
 
-Rows are scalars at one instant, instants along a motion or records side by side. A small net vmapped is a matrix
-product with a matrix of 8 by 7, far below what a product routine is made for; written out over instants it is one
-kernel that never leaves the registers (docs/decisions/decoder.md).
+Rows are scalars at one instant, instants along a motion or records side by side. A small vmapped net is a product with
+an 8 by 7 matrix, which product routines compute slowly. Written out over instants it is one kernel within the registers
+(docs/decisions/decoder.md).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,7 @@
 """Choose the number of RK4 steps per sample of a linear model.
 
-e^z - R(z) = z^5 / 120 + ...,   z = p h:   a step turns a pole by |z|^5 / 120 too much or too little
-at the resonance the motion remembers 1 / (zeta |z|) steps:   error = |z|^4 / (240 zeta) of its range
+e^z - R(z) = z^5 / 120 + ...,   z = p h:   a step has a relative error of |z|^5 / 120
+at the resonance errors add up over 1 / (zeta |z|) steps:   error = |z|^4 / (240 zeta) of its range
 |z| <= min(1/4, (240 zeta ACCURACY)^(1/4)),   and for poles above the Nyquist frequency |z| < 2 (stable up to 2.78)
 """
 

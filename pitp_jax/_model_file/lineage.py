@@ -3,7 +3,7 @@
     step = {"step", "versions", "parent": digest | null, "records": [{"name", "sha256", "of": "file" | "samples"}]}
 
 A digest is the SHA-256 on a model file's second line. A recording from a file has the sum of that file, as `sha256sum`
-prints it; any other the sum of its samples t, u, y (little-endian float64, one series after the other).
+prints it; any other recording has the sum of its samples t, u, y (little-endian float64, one series after the other).
 """
 
 import hashlib

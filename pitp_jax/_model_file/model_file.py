@@ -6,9 +6,9 @@
               }                                 sizes, domain and origin, shape and dtype of every leaf
     then      the leaves, each as .npy bytes    no pickle
 
-A part is rebuilt from a closed list of names, as shapes only, and then filled with the stored leaves. So a
-file can choose among the parts of this package and give them numbers, and nothing else. Equinox's
-`tree_serialise_leaves` would keep neither the names of the leaves nor float64 ones in a session without it.
+A part is rebuilt from a closed list of names, as shapes only, and then filled with the stored leaves. So a file can
+only choose parts of this package and set their numbers. Equinox's `tree_serialise_leaves` would keep neither the names
+of the leaves nor float64 ones in a session without it.
 """
 
 import hashlib

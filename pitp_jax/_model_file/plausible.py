@@ -1,6 +1,6 @@
 """Check the numbers of a model file: an intact digest does not prove that they make a model.
 
-dt > 0,   scales > 0,   polarity = +-1,   everything finite but upper limits and bounds;   few parts of reasonable size
+dt > 0,   scales > 0,   polarity = +-1,   all finite except upper limits and bounds;   few parts of reasonable size
 """
 
 import math

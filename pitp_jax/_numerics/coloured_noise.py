@@ -5,7 +5,7 @@
 
 A model's error is strongly correlated: taken as white noise, any constant and any transient would be significant.
 Whitened by its own spectrum, a constant counts as many samples as the slow part of the error has independent values,
-and a transient is set against what the error holds at the transient's own frequency.
+and a transient is compared with the error at the transient's own frequency.
 """
 
 from collections.abc import Callable

@@ -5,7 +5,7 @@ foh            w_0 = 1 - f,  w_1 = f
 bandlimited    w_k = sinc(f - k) kaiser((f - k) / 8), normalised, k = -7 ... 8
 
 A signal generated below the Nyquist frequency is not linear between samples: foh weighs frequency f by sinc^2(f / fs),
-so a drive at a fifth of the sampling rate loses an eighth of its size (docs/decisions/decoder.md).
+so an input at a fifth of the sampling rate loses an eighth of its amplitude (docs/decisions/decoder.md).
 """
 
 import numpy as np

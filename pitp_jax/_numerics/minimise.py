@@ -2,18 +2,19 @@
 
     (H + lambda D) d = -g,    p_i + d_i <= upper_i          H = J'J,  g = J'r,  D = diag H
 
-`steps`        r and J come together: lambda follows how well C's quadratic foretold its fall (Nielsen, 1999)
-`accelerated`  J costs ten times what r does or more: at every J the best lambda, and a step that bends with r
+`steps`        r and J come together: lambda follows how well the quadratic model predicted C (Nielsen, 1999)
+`accelerated`  J costs at least ten times as much as r: the best lambda at every J, and a curved step
 
     (H + lambda D) a = -J'r_vv,   r_vv = (r(p + h d) - 2 r(p) + r(p - h d)) / h^2,   p <- p + d + a / 2
 
-Transtrum and Sethna (2012): a narrow valley bends, and a straight step leaves it at once (docs/decisions/free_runs.md).
-Priors are rows of r. H squares the condition number of J; float64, the scaling by D and the damping leave enough digits
-for the tens to hundreds of parameters of a model, beside residuals by the million that need not be kept at once.
+Transtrum and Sethna (2012): a narrow valley is curved, and a straight step leaves it at once
+(docs/decisions/free_runs.md). Priors are rows of r. H squares the condition number of J. Float64, the scaling by D and
+the damping leave enough digits for tens to hundreds of parameters, with millions of residuals that need not be stored
+at once.
 
-Not optimistix: it has no bounds, wants J itself (of 1e6 rows, where sums of P^2 numbers do), and compiles its loop,
-while an identification meets each shape once. `optimistix.LevenbergMarquardt` fits what is small and compiled already
-(`_identify.frequency_fit`).
+Optimistix is not used: it has no bounds, needs J itself (1e6 rows instead of sums of P^2 numbers), and compiles its
+loop, while an identification meets each shape once. `optimistix.LevenbergMarquardt` fits small, already compiled
+problems (`_identify.frequency_fit`).
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -2,8 +2,8 @@
 
     P(f) = S(f) lower quartile over a band's bins of |E|^2 / (0.2877 S)
 
-S: the colour, the lower quartile of |E|^2 over all records near f; 0.2877: of the mean of an exponential variable. Only
-the last 60 % of a record is used, after its transients.
+S: the colour, the lower quartile of |E|^2 over all records near f; 0.2877: lower quartile of an exponential variable of
+mean 1. Only the last 60 % of a record is used, after its transients.
 """
 
 from collections.abc import Callable

@@ -1,10 +1,10 @@
 """Differentiate a traced path: the spline of `spline_derivative` as products with constant matrices.
 
-    x^(i)_t dt^i = sum_s W_i(s) x_{t+s},  |s| <= R       W: the spline's answer to a single sample
+    x^(i)_t dt^i = sum_s W_i(s) x_{t+s},  |s| <= R       W: the spline's response to a single sample
     within R samples of an end, and for a short path: rows of the spline's own matrix
 
-Every sum runs over differences from one sample of its own block: W_i sums to zero, and rounding then counts by how far
-the path goes within a block.
+Every sum uses differences from one sample of its own block. W_i sums to zero, so rounding depends only on the motion
+within a block.
 """
 
 from functools import lru_cache

@@ -3,9 +3,9 @@
     x = b * c,   x^(i)_t = dt^-i sum_j c_{t-j} B^(i)(j)              B: B-spline of odd degree, b_j = B(j)
     c = g (forward then backward) of y_t = x_t + sum_k p_k y_{t-k},  poles z of b inside the unit circle (Unser, 1993)
 
-Start-up errors decay like max|z|^t, 0.43 (quintic) or 0.54 (septic), so R = 51 or 67 samples from either side nothing
-is left of them in float64. Near the two ends of a path the spline itself is used. Equal to `derivatives` to
-rounding, and local: a path may come in pieces. One spline over all takes 30 times as long (docs/decisions/decoder.md).
+Start-up errors decay like max|z|^t, 0.43 (quintic) or 0.54 (septic), so they vanish in float64 after R = 51 or 67
+samples from either side. Near the two ends of a path the spline itself is used. Equal to `derivatives` to rounding, and
+local: a path may come in pieces. One spline over all takes 30 times as long (docs/decisions/decoder.md).
 """
 
 from functools import lru_cache

@@ -4,8 +4,8 @@
     w: smooth steps from 0 and back to 0;  swing shrunk about its mean until |u_{i+1} - u_i| <= slew dt
 
 A point: frequency uniform in its logarithm; the highest force h^2 dense towards the largest (a fraction that grows as
-the root of a uniform number); the lowest voltage zero at three points of four, else its force uniform below h^2 (what
-that is worth: docs/decisions/plan.md).
+the root of a uniform number); the lowest voltage is zero at three points of four, otherwise its force is uniform below
+h^2 (benefit: docs/decisions/plan.md).
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,10 @@
 """Estimate a trained model's expected held-out error by a Laplace approximation about its trained parameters.
 
     p | records ~ N(p^, s^2 (sum_r T_r M_r + rho sum_r T_r)^-1)       M_r: mean over time of J'J, errors in % of range
-    s^2 = e^2 tau,   e: what the model leaves of its records, %,   tau = dt sum_k c_k^2: Bartlett's time between
+    s^2 = e^2 tau,   e: residual on its own records, %,   tau = dt sum_k c_k^2: Bartlett's time between
     independent samples of errors with autocorrelation c_k
 
-rho: the prior of `refine`, which weighs a record by its mean as M_r does; T_r: seconds.
+rho: the prior of `refine`, which weights a record by its mean like M_r; T_r: seconds.
 """
 
 from collections.abc import Sequence

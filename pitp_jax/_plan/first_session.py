@@ -2,13 +2,13 @@
 
     growth   sweeps of the whole band at 25, 50, 71, 100 % of the highest voltage: 1/16, 1/4, 1/2 and all of the force,
              smaller at frequencies at which the slew allows less
-    sweep    the whole band once, slowly: what a linear model is identified on
-    set      drives through the points of a space-filling set over frequency, lowest and highest voltage; small first
-    repeat   its first recording again: what differs is noise and drift
+    sweep    the whole band once, slowly, to identify a linear model
+    set      inputs through the points of a space-filling set over frequency, lowest and highest voltage; small first
+    repeat   its first recording again, to measure noise and drift
 
-No later recording exceeds the voltage or the slew to which those of the growth were raised. A recording may follow
-where the largest stroke so far, times how much farther it can go than all before it (`growth`: the square of the
-voltage, and what a slower drive makes of a resonance of damping 0.01), stays below the limit.
+No later recording exceeds the highest voltage or slew of the growth. A recording may follow if its predicted largest
+stroke stays below the limit. The prediction is the largest stroke so far times the greatest possible increase
+(`growth`: the square of the voltage, and the gain at a resonance of damping 0.01).
 """
 
 from collections.abc import Sequence

@@ -1,10 +1,10 @@
 """Choose the recordings with the most information about the predictions, from each one's effect on the parameters.
 
-    Lambda = sum_r M_r,   M_r = J_r' J_r,        J: a free run's answer to the numbers, in units of its error
-    v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the drives to be predicted
+    Lambda = sum_r M_r,   M_r = J_r' J_r,        J: derivatives of a free run by the parameters, in units of its error
+    v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the inputs to be predicted
     next   = argmin_c v(c), then Lambda <- Lambda + M_next                     (greedy, Laplace, V-optimal)
 
-v is the mean variance of the predictions; the prior stands in Lambda as one more recording.
+v is the mean variance of the predictions; the prior enters Lambda as one more recording.
 """
 
 from collections.abc import Sequence

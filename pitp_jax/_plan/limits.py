@@ -2,7 +2,7 @@
 
     low <= u <= high,   |u'| <= slew,   |x| <= farthest,   f_low <= f <= f_high <= rate / 20
 
-Limits that are not given are those of the recordings a model was made from.
+Limits that are not given are taken from the training records of the model.
 """
 
 import math

@@ -1,9 +1,9 @@
 """Choose the next recordings for a trained model, among candidates or among existing recordings.
 
-    taken one after another, each the one that lowers v most, until what it lowers is below what could be seen:
+    chosen one after another, each the one that lowers v most, until the improvement is too small to see:
     1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
 
-v: mean variance of the predictions (`information`), e: what the model leaves of its records, noise included, both in %
+v: mean variance of the predictions (`information`), e: residual of the model on its own records, with noise; both in %
 of a recording's range. Refinement of a fit stops at the same fraction.
 """
 

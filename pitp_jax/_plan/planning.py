@@ -1,8 +1,8 @@
 """Plan which recordings to take, with or without a model.
 
-nothing yet            first_session: growth, sweep, space-filling set, repeats
+no model               first_session: growth, sweep, space-filling set, repeats
 an identified model    space_filling_set within its limits and the stroke allowed
-a trained model        `next_recordings`: those that lower its expected held-out error most, until it says stop
+a trained model        `next_recordings`: those that lower its expected held-out error most, until none helps
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Choose the rest between two recordings, so that the actuator is at rest again.
+"""Choose the pause between two recordings, so that the actuator is at rest again.
 
 with a model    last time at which |x| is above 0.5 % of its largest value, after a hold at the largest voltage
 without one     ln(200) / (zeta w), zeta = 0.05, w the geometric mean of the band

@@ -2,8 +2,8 @@
 
     x'' + 2 zeta w x' + w^2 x = w^2 u^2        zeta = 0.01, any w of the band: without a model, up to one factor
 
-Damping is what a model knows least, and what a stroke at the resonance depends on most: a drive is only proposed if it
-stays within the stroke allowed with half of it as well.
+Damping is the least certain parameter of a model and determines the stroke at the resonance. So an input is only
+proposed if it stays within the allowed stroke with half of the damping as well.
 """
 
 from collections.abc import Sequence

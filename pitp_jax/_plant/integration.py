@@ -2,9 +2,9 @@
 
     y' = f(y, u(t)),    u(t_i + s) = u_i + s (u_{i+1} - u_i) / dt  (foh)    or    u_i  (zoh),    0 <= s < dt
 
-Fixed classical Runge-Kutta steps end on every sample, so none crosses a kink of u and the fourth order holds;
-at 0.03 rad of the natural frequency per step they stay within 1e-7 of the range on the paper's records. The
-adaptive steps are diffrax's, and end there too: a controller left to find the kinks takes five times as long.
+Fixed classical Runge-Kutta steps end on every sample, so none crosses a kink of u and the fourth order holds; at 0.03
+rad of the natural frequency per step they stay within 1e-7 of the range on the paper's records. The adaptive steps are
+diffrax's, and end there too: a step controller that searches for the kinks takes five times as long.
 """
 
 import math

@@ -9,11 +9,11 @@ With the distance z = z_eq + x from the undeformed shape, and the squared stretc
     I     = p^2 q + p^2 + 1/(p^4 q) - 3,
     b_i'  = (L - b_i^2 / L) / (2 tau_i),      b_i(0) = 1.
 
-The bracket holds the Gent spring (neo-Hookean as J -> inf; incompressible, prestretch p both ways, the hoop
-kept there), the Maxwell branches with squared viscous stretch b_i (energy K_i (L/b_i + b_i/L - 2)/4), and the
-Kelvin-Voigt damping of the membrane; d is the friction of guide and air. The ideal dielectric has the
-capacitance C q. z_eq balances gravity at u = 0. Nothing here is a polynomial in x, and no model in this
-package has the b_i for states: a truth of another form.
+The bracket holds the Gent spring (neo-Hookean as J -> inf; incompressible, prestretch p both ways, the hoop kept
+there), the Maxwell branches with squared viscous stretch b_i (energy K_i (L/b_i + b_i/L - 2)/4), and the Kelvin-Voigt
+damping of the membrane; d is the friction of guide and air. The ideal dielectric has the capacitance C q. z_eq balances
+gravity at u = 0. Nothing here is a polynomial in x, and no model in this package has the states b_i, so the actuator
+differs from every model.
 """
 
 from dataclasses import dataclass

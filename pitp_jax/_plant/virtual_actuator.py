@@ -2,10 +2,10 @@
 
     u(t) between samples ──▶ equations of `physics` ──▶ x(t_i) ──▶ + noise, read in 16 bit
 
-Integrated in float64 whatever the session's precision: by Runge-Kutta steps of fixed length that end on every
-sample, or by diffrax's adaptive Dopri8 (`method="adaptive"`), against which the former is tested. `cone100`,
-`cone122` and `cone150` are one membrane under three masses: one mode, at 7.4 Hz with 100 g (a drive at 3.7 Hz
-meets it through u^2), and some 10 % of creep; `roll` has one mode at 142 Hz and little creep.
+Integrated in float64 whatever the session's precision: by Runge-Kutta steps of fixed length that end on every sample,
+or by diffrax's adaptive Dopri8 (`method="adaptive"`), the reference for its tests. `cone100`, `cone122` and `cone150`
+are one membrane under three masses: one mode, at 7.4 Hz with 100 g (excited by an input at 3.7 Hz through u^2), and
+some 10 % of creep; `roll` has one mode at 142 Hz and little creep.
 """
 
 import zlib

@@ -4,10 +4,9 @@
     stencil   (d x)_t = sum_{k=1..4} c_k (x_{t+k} - x_{t-k}) / dt   (8th order)
               c = 4/5, -1/5, 4/105, -1/280
 
-Eq. 8 applied twice multiplies x'' of a sine by (sin(w dt) / (w dt))^2, 3.6 % too small at w dt = 0.33 (130 Hz
-twice, at 5 kHz); the force is not attenuated with it, so the coefficients would be biased. The stencil is off
-by 5e-7 there. Near the ends it falls back to 6th, 4th and 2nd order, at the ends themselves to a one-sided
-difference of 2nd order.
+Eq. 8 applied twice multiplies x'' of a sine by (sin(w dt) / (w dt))^2, 3.6 % too small at w dt = 0.33 (130 Hz twice, at
+5 kHz); the force is not attenuated, so the coefficients would be biased. The stencil is off by 5e-7 there. Near the
+ends it falls back to 6th, 4th and 2nd order, at the ends themselves to a one-sided difference of 2nd order.
 """
 
 import numpy as np

@@ -2,7 +2,8 @@
 
     j-th of m records of a kind:  rank of the loudest line near (j + 1/2) / m,  rank of the strength near frac(0.618 j)
 
-Ranks run through 0 ... 1; frac(0.618 j) never comes back to where it just was: neighbours in line differ in strength.
+Ranks run through 0 ... 1; successive values of frac(0.618 j) are far apart, so neighbours in frequency differ in
+strength.
 """
 
 from collections.abc import Sequence

@@ -1,14 +1,14 @@
-"""Put samples on a uniform grid despite jitter, lost samples, stamps of arrival, or an uneven clock.
+"""Put samples on a uniform grid despite jitter, lost samples, arrival time stamps, or an uneven clock.
 
 t_i = a + b k_i + e_i,    |e_i| <= b / 2,    k_i = 0, 1, 2, ... less the lost samples
 
-a, b by least squares. The input is interpolated linearly and the output by monotone cubics; the output of a lost
-sample is missing. Stamps of arrival come in packets: e_i is bounded by a packet. A clock without such a line is uneven:
-its rows are resampled on the median step b,
+a, b by least squares. The input is interpolated linearly and the output by monotone cubics; the output of a lost sample
+is missing. Arrival time stamps come in packets: e_i is bounded by a packet. A clock without such a line is uneven: its
+rows are resampled on the median step b,
 
 u_k = 1/b int_{t_k}^{t_k + b} u(s) ds of the held command,    y_k = monotone cubic through the outputs at t_k
 
-A gap longer than a tenth of a period of the fastest drive (99 % of its energy lies below) splits the record.
+A gap longer than a tenth of a period of the fastest input (99 % of its energy lies below) splits the record.
 """
 
 from collections.abc import Callable

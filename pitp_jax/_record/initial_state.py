@@ -2,10 +2,10 @@
 
     sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
     y(t) ~ a polynomial over the first samples: y(0) and y'(0) within noise
-    measured = direction * displacement + zero         (a zero and a direction belong to a record, not to the actuator)
+    measured = direction * displacement + offset       (both belong to a record, not to the actuator)
 
-Whether a still record is at rest, settled at a held drive or turning for a moment only the motion that follows can
-tell: `_identify.beginnings` and `_simulate.beginnings` decide it by likelihood.
+A still record is at rest, settled at a held input, or at a turning point. Only the motion that follows can show which:
+`_identify.beginnings` and `_simulate.beginnings` decide it by likelihood.
 """
 
 from collections.abc import Sequence

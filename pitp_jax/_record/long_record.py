@@ -2,8 +2,8 @@
 
     x_k = (h * x)(k q dt),    q = floor(1 / (4 f_max dt))        h: zero-phase low-pass, f_max: of the force, 99 %
 
-Read back, it is band-limited between the samples kept: linear between them, the mean force behind an electrode's lag
-would be off by 2 % at 15 Hz.
+It is read as band-limited between its samples. Linear interpolation would change the mean force behind an electrode's
+lag by 2 % at 15 Hz.
 """
 
 from dataclasses import dataclass, replace

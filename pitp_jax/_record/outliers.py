@@ -1,12 +1,13 @@
 """Find and mask sensor faults: spikes, dropouts and clipping.
 
-spike     1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then back
-dropout   a run of one value of a noisy sensor, entered and left by jumps;  or a value farther off than all others are
-clipping  a run of the record's extreme value while the drive moves and the sensor is noisy elsewhere
+spike     1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then a return
+dropout   a run of one value of a noisy sensor, entered and left by jumps;  or a value far outside all others
+clipping  a run of the record's extreme value while the input moves and the sensor is noisy elsewhere
 
 step is the median of the record's steps |y_i - y_(i-1)| that are not zero, step_local the largest of the five steps
 about the samples in question with them cut out. White noise of deviation s has |y - chord| of deviation 1.2 s and a
-step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A motion sampled well enough moves by a step.
+step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A well sampled motion changes by about one
+step per sample.
 """
 
 from collections.abc import Collection

@@ -1,8 +1,8 @@
 """Refuse impossible values of a recording, and ask about improbable ones.
 
 100 kV, 1 km and more                        refused: a unit is wrong
-range of x > 1 m, 90 % of x equal            told
-|u| <= 10 V on a squared input               told: a monitor's voltage, not the actuator's
+range of x > 1 m, 90 % of x equal            reported
+|u| <= 10 V on a squared input               reported: a monitor's voltage, not the actuator's
 """
 
 from collections.abc import Sequence

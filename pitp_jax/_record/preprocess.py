@@ -5,10 +5,10 @@
     H(z)  = Butterworth of order 4, run forward and backward: zero phase, gain |H|^2, -6 dB at f_c   (eq. 9)
     x^(0) = H x,   x^(i) = d x^(i-1),   F = H f   (eq. 8)
 
-Filter and difference commute, so x, every derivative and the force are filtered alike: an equation sum y_i
-x^(i) = F that holds before holds after. (Filtering once more after each difference, the letter of the paper,
-would filter x^(n) n + 1 times and F never.) Filters run on contiguous stretches of observed samples. Near the
-ends of a stretch the filter has not settled; those samples are marked and kept out of the loss.
+Filter and difference commute, so x, every derivative and the force are filtered alike: an equation sum y_i x^(i) = F
+that holds before holds after. (The paper's wording, filtering once more after each difference, would filter x^(n) n + 1
+times and F never.) Filters run on contiguous stretches of observed samples. Near the ends of a stretch the filter has
+not settled; those samples are marked and excluded from the loss.
 """
 
 from collections.abc import Sequence

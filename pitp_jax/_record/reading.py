@@ -2,8 +2,8 @@
 
     files -> (time, input, output) columns in base units -> faults masked -> uniform grid -> Record
 
-The name of a record is its file name without the suffix; where names collide in one call the parent
-folders go in front (`clean/sine0`). What every file lacks is told in one message.
+The name of a record is its file name without the suffix; where names collide in one call the parent folders go in front
+(`clean/sine0`). One message reports the missing information of all files.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Remarks on what was done to records while reading: stored as values, worded only at the end.
+"""Remarks on what was done to records while reading: stored as values, formulated only at the end.
 
 kind, record, count -> one sentence for a record, one line of a set for every kind: `9 records: 1 lost sample each, ...`
 """

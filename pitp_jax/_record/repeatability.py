@@ -2,9 +2,9 @@
 
     sigma^2 = mean over a window of  (e(t + P) - e(t))^2 / 2        where  u(t + P) = u(t)
 
-Whatever the model lacks repeats with the drive and drops out; noise does not, nor does the rig's own scatter. Slow gaps
-(creep, drift) and transients remain in part, so this is an upper bound, as the spectrum's is. A Peano-HASEL in bursts
-of sines leaves lines so broad that the spectrum between them read 3.7 % of range; its cycles repeat to 0.1 %.
+A model's error repeats with the input and cancels; noise does not, nor does the scatter of the rig. Slow errors (creep,
+drift) and transients remain in part, so this is an upper bound, like the spectrum's. A Peano-HASEL in bursts of sines
+has such broad lines that the spectrum between them gave 3.7 % of range; its cycles repeat to 0.1 %.
 """
 
 import numpy as np

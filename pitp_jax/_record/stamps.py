@@ -1,9 +1,9 @@
-"""Repair time stamps before a grid is sought: overflows, rows out of order, rows with one stamp.
+"""Repair time stamps before a grid is fitted: overflows, rows out of order, rows with equal stamps.
 
 overflow: t_{i+1} - t_i + 2^n ticks is a usual step (n = 16, 31, 32; ticks of 1 ms or 1 us)
 
-Two readings of stamps compete: they are true, or the rows were sampled evenly and stamped late. Each reading predicts a
-row from its neighbours, y_i = w y_{i-1} + (1 - w) y_{i+1}, with w by the stamps or w = 1/2.
+Two assumptions about the stamps are compared: they are correct, or the rows were sampled evenly and stamped late. Each
+assumption predicts a row from its neighbours, y_i = w y_{i-1} + (1 - w) y_{i+1}, with w from the stamps or w = 1/2.
 """
 
 from collections.abc import Callable

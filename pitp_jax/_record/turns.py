@@ -2,8 +2,8 @@
 
     d_i = y_{i+1} - y_i,    n_i = round(d_i / P),    r_i = d_i - n_i P        P: one turn, d_i: step, r_i: its short way
 
-A step of the output with n_i != 0 is a turn where r_i continues the steps beside it. A machine cannot jump, a command
-can: a step of the input is a turn only where the output afterwards follows the short way.
+A step of the output with n_i != 0 is a turn if r_i continues the neighbouring steps. A machine cannot jump, but a
+command can: a step of the input is a turn only if the output then follows the short way.
 """
 
 import math

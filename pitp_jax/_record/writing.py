@@ -2,7 +2,7 @@
 
     bytes -> temporary file in the same folder -> flush to disk -> renamed over the target
 
-An interrupted or failed write leaves the old file as it was and no temporary one behind.
+An interrupted or failed write keeps the old file and leaves no temporary file.
 """
 
 import gzip

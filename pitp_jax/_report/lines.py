@@ -1,7 +1,7 @@
 """Lines, axes and units shared by the functions of `paper_figures`.
 
-A line of more than 4 `BINS` samples is drawn by the smallest and largest sample of each bin, in their order:
-more than a printed figure can resolve, no peak lost, and 200,000 samples draw at once.
+A line of more than 4 `BINS` samples is drawn by the smallest and largest sample of each bin, in their order: more than
+a printed figure resolves, without losing a peak; 200,000 samples are drawn quickly.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Rounded numbers as text.
 
-value +- stderr     two digits of the standard error where it begins with 1, else one; the value to the same place
+value +- stderr     two digits of the standard error if it begins with 1, otherwise one; the value to the same digit
 """
 
 import math

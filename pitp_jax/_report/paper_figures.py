@@ -1,6 +1,6 @@
 """The paper's figures, on axes the caller may supply: data in m, V and s, shown in mm, V or kV, and s.
 
-Every function returns the axes it drew on and makes a `Figure` of its own where none were given (save it with
+Every function returns the axes it drew on and makes its own `Figure` if none were given (save it with
 `ax.figure.savefig`, or `axes[0].figure.savefig`). No pyplot, no global style; colours from Okabe and Ito.
 """
 

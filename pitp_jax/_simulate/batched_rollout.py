@@ -2,8 +2,9 @@
 
     s_{t+1} = s_t + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4),   tokens frozen at the drifted midpoint
 
-The states of `decoder.rollout` to rounding. Records are rows, nets are written out, and walls stand behind the tokens,
-so nothing is computed twice: the fastest way for one record, for many and under `vmap` (docs/decisions/decoder.md).
+The states equal those of `decoder.rollout` to rounding. Records are rows, nets are written out, and optimisation
+barriers follow the tokens, so nothing is computed twice. This is the fastest way for one record, for many and under
+`vmap` (docs/decisions/decoder.md).
 """
 
 import jax

@@ -1,13 +1,14 @@
 """Determine the initial state, sensor offset and direction of a record with a model, from its first samples.
 
-    rest     x(0) = 0, uncharged                         zero: the level of the first samples
-    held     tokens(x) x + offset = F(u(0)), memories settled there       zero: mean of y - d x
-    moving   state estimated from at most 50 samples     zero and direction: the model's
+    rest     x(0) = 0, uncharged                         offset: the level of the first samples
+    held     tokens(x) x + offset = F(u(0)), memories settled there       offset: mean of y - d x
+    moving   state estimated from at most 50 samples     offset and direction: the model's
 
-Still records (`initial_state`) are at rest or held, whichever run leaves less of the samples before the drive moves, or
-of the first 50; where neither explains them the record turns there, and moves. The direction is what these runs leave
-less with until the motion is plain of noise; the other one than the model's only where it explains that motion and
-leaves a fifth of what the model's leaves: a delay of half a period turns a motion over as well.
+A still record (`initial_state`) is at rest or settled, whichever simulation has the smaller residual before the input
+moves, or in the first 50 samples. If neither fits, the record is at a turning point and starts in motion. The direction
+is the one with the smaller residual once the motion exceeds the noise. The direction opposite to the model's is taken
+only if it explains that motion with at most a fifth of the model's residual, because a delay of half a period also
+inverts a motion.
 """
 
 from collections.abc import Sequence

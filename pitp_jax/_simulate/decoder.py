@@ -1,12 +1,12 @@
 """The decoder: simulate the model under a voltage (paper, eq. 7).
 
     tokens frozen over a step of size h:   x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4
-    read where the state drifts to by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
+    tokens read at the state drifted by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
 
 The voltage between samples is squared inside every stage (`_numerics.intersample`). With frozen tokens a step is affine
-in the forces of its stages. Order 4 for constant tokens. Tokens read at a step's beginning (the paper) make a hard
-spring pump energy, explicit Euler's w^2 h^2 / 2 a step. Half a step on costs nothing and is order 2 against the
-continuous-token ODE, but for what depends on x^(n-1) (order 1). Figures: docs/decisions/decoder.md.
+in the forces of its stages. Order 4 for constant tokens. Tokens read at a step's beginning (the paper) add energy to a
+hard spring, w^2 h^2 / 2 a step as in explicit Euler. Reading them half a step later costs nothing and has order 2 for
+the continuous-token ODE, except for the dependence on x^(n-1) (order 1). Figures: docs/decisions/decoder.md.
 """
 
 from collections.abc import Callable

@@ -2,7 +2,7 @@
 
     starts (at rest, or estimated from the first samples) -> rollout -> displacement in rig coordinates
 
-A rollout that leaves every range is a result, `diverged`, with nan from there on.
+A diverging rollout is a result, marked `diverged`, with nan after its divergence.
 """
 
 from collections.abc import Sequence

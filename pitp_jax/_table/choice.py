@@ -2,8 +2,8 @@
 
 exact name (voltage_V)  >  unit of its kind (V with a length)  >  units of other machines  >  by name  >  ask
 
-The first of these with a column decides; with more than one column it asks. A named column without a unit competes
-with one that has a unit and no name. Two statements of a unit that disagree are asked about.
+The first of these rules with a column decides; with more than one column the user is asked. A named column without a
+unit competes with one that has a unit and no name. If two statements of a unit disagree, the user is asked.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
-"""Open a file, choose its columns, and load them in base units; ask if readings of one file disagree.
+"""Open a file, choose its columns, and load them in base units; ask if a file can be read in several ways.
 
-parts -> tables that each may be -> choices; all that succeed must agree -> (time, input, output), float64
+parts -> possible tables of each -> choices; all successful ones must agree -> (time, input, output), float64
 """
 
 from collections.abc import Sequence

@@ -5,7 +5,7 @@
 .mat                       MATLAB v5 to v7 (SciPy) or v7.3 (an HDF5 file)
 .npz                       NumPy archive, never unpickled
 .h5 .hdf5                  HDF5, datasets at the root or in its groups
-.parquet .mcap             data frames and logs of robots (extra); a folder of rosbag2 is one recording too
+.parquet .mcap             data frames and logs of robots (extra); a folder of rosbag2 is also one recording
 """
 
 import io

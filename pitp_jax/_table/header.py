@@ -2,8 +2,8 @@
 
 rows -> columns that are numbers or hours -> first of several rows of numbers -> units row, names above it
 
-Every row above the numbers that could name the columns is a reading of its own; they are compared by the columns and
-units that they give (`choice`).
+Every row above the numbers that could name the columns is one possible reading. The readings are compared by their
+columns and units (`choice`).
 """
 
 import re

@@ -3,7 +3,7 @@
     u_k = 1 / (t_{k+1} - t_k) int_{t_k}^{t_{k+1}} u(s) ds        u(s): the value written last at or before s
 
 A log has a row per message of any topic, or writes a value when it changes. The rows of the output remain. The mean
-over a step has the effect of the input, whenever in the step it changed.
+over a step represents the input wherever in the step it changed.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Parse the name of a column: its unit, and its role as time, input or output.
 
-header -> (what is measured, unit, what stands where a unit would and is none) and a role by its words
+header -> (what is measured, unit, text in place of a unit) and a role by its words
 
 Only ratios of the table are units: in `Field V/um`, `v_mm/s2` or `N/m` no part is the unit of the column.
 """

@@ -2,7 +2,8 @@
 
 u = input_scale * column,    y = output_scale * column,    t_i = i / rate where a file has no usable time
 
-A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option names; what the caller says wins.
+A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option names; the caller's options take
+precedence.
 """
 
 import json

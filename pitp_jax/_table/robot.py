@@ -1,7 +1,7 @@
 """Logs of robots and data frames: rosbag2 folders, MCAP and Parquet files as columns (extra `robot`).
 
 message of a topic -> /topic.field[i], in SI    rows: the messages of the output's topic
-u(t) = what was sent last at or before t        (a command holds until the next one)
+u(t) = the last value sent at or before t        (a command holds until the next one)
 """
 
 import re

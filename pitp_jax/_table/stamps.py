@@ -1,6 +1,6 @@
 """Convert dates and hours to seconds.
 
-t = date + hour in s since 1970 where there is a date; else s since midnight, plus 86400 s at every midnight passed
+t = date + hour in s since 1970 if there is a date; otherwise s since midnight, plus 86400 s at every midnight passed
 """
 
 import re

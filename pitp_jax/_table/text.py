@@ -1,6 +1,6 @@
 """Text tables (.csv .txt .dat .tsv .lvm, also .gz) through pandas' C parser.
 
-bytes -> encodings that fit -> separator and decimal mark -> layouts (a signature wins) -> rows of numbers
+bytes -> possible encodings -> separator and decimal mark -> layouts (a signature decides) -> rows of numbers
 
 Only where the parser fails is the text read row by row, to name the first bad line and column.
 """

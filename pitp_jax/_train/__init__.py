@@ -2,8 +2,7 @@
 
     1. min Huber(theta(X) . X - F) + soft box on the tokens, the box widening in stages     (`equation_error`)
     2. min |free run - record|^2 + prior, by Levenberg-Marquardt                             (`refine`)
-
-    3. every record beside the nominal; other starts where that did not converge           (`errors`)
+    3. compare every record with the nominal model; other starts where that did not converge  (`errors`)
 
 Verb: `train`; `cross_validate` leaves one record out; `train_ensemble` and `predict_band`: spread over random starts.
 """

@@ -1,13 +1,13 @@
 """Fit creep that is slower than the training records to the long record that the nominal model stores.
 
-    r(t) = ( sigma_off + sum_i sigma_i x^(i) - F ) / a_0                 what the equation leaves, as a displacement
+    r(t) = ( sigma_off + sum_i sigma_i x^(i) - F ) / a_0                 residual of the equation, as a displacement
     minimise   lambda  mean over windows w of  ( 100 mean_{t in w} p(t) r(t) / range )^2
     for p = 1  and  p = 3 (x - mean_w x) / std_w x;     range: of the whole record, since a window may stand still
 
-Along measured motion the memories are known, and a window's mean sees the slow part alone, for which the equation is as
-good as a free run: no run is needed, and a resonance that training never saw costs nothing, since a window counts only
-where the motion stays within the trained region. A mean does not see how the slow memories act at either end of the
-stroke; the part of r that goes with x does, below the resonance (docs/decisions/creep.md).
+Along measured motion the memories are known. A window's mean contains only the slow part, for which the equation is as
+good as a free run, so no simulation is needed. Resonances outside the training records do not matter, because a window
+counts only where the motion stays within the trained region. A mean does not show how the slow memories act at either
+end of the stroke; the part of r proportional to x does, below the resonance (docs/decisions/creep.md).
 """
 
 from dataclasses import dataclass

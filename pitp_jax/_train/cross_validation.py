@@ -2,8 +2,8 @@
 
     for every record k:    nominal and training on the others  ->  e_k of the free run of record k
 
-Fitted and predicted errors of like size say that the records tell about the actuator; where record k is predicted ten
-times worse than it is fitted, it holds what no other one does, or the model learned the records instead.
+If fitted and predicted errors are similar, the records describe the actuator. If record k is predicted ten times worse
+than fitted, either it contains something that no other record does, or the model has learned the records instead.
 """
 
 from collections.abc import Callable, Sequence

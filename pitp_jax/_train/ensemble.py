@@ -3,9 +3,9 @@
     x(t) = mean_k x_k(t),    band = x(t) +- sqrt( t_{K-1}(p)^2 (1 + 1/K) var_k x_k(t) + b(p)^2 )
     b(p) = range Q(p) t_R(p) / z(p)       p: level;  t, z: Student's and the normal quantile of |.|
 
-What the members agree on by mistake no spread can show, so b stands beside it: Q are the quantiles of the mean's
-|error| / range on the R training records. Errors of free runs are not normal: most are small, and a few are large.
-Student's factor stands for the R records that Q is known from (docs/decisions/training.md).
+The spread cannot show an error common to all members, so b is added: Q are the quantiles of the mean's |error| / range
+on the R training records. Errors of free runs are not normal: most are small, and a few are large. Student's factor
+accounts for the R records behind Q (docs/decisions/training.md).
 
 Of P JAX processes, number p trains the members p, p + P, ...; in the end every process has them all.
 """

@@ -3,9 +3,9 @@
     e_k = 100 rms(x - x_measured) / range_k,      s_k = 100 (standard deviation of the sensor's noise) / range_k
     a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
 
-Both errors contain the noise, so the difference of their squares is what the trained model adds. An addition below the
-noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then has
-the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
+Both errors contain the noise, so the difference of their squares is the error that training added. An addition below
+the noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then
+has the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
 """
 
 from collections.abc import Callable, Iterable, Sequence

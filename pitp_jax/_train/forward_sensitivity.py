@@ -5,8 +5,8 @@
     A_t = dg/ds + dg/dl dl/ds,    N_t = [dg/dl dl/dp, dg/dq, dg/dV dV/d(r, a), dg/da]
     Z_{t+k} = phi Z_t + sum_j A_{t+k-1} ... A_{j+1} N_j,    phi = A_{t+k-1} ... A_t
 
-p, q, r, a: `parameters`. The states are a plain free run's, so everything but Z is known side by side, and Z takes one
-small product a block (docs/decisions/free_runs.md).
+p, q, r, a: `parameters`. The states come from a plain free run, so everything except Z is computed in parallel, and Z
+needs one small product per block (docs/decisions/free_runs.md).
 """
 
 from functools import partial

@@ -3,7 +3,7 @@
     r = [ sqrt(w) (x - x_measured) at every `every`-th sample of every run,  sqrt(rho) (p - p_0),  slow balance ]
 
 A scan over a batch of runs keeps one core busy: on a CPU the batches are cut into parts, a thread to a core. With a
-mesh every device has its own runs; their slopes stay there and only sums of P and P^2 numbers leave it.
+mesh every device has its own runs; their derivatives stay there, and only sums of P and P^2 numbers are transferred.
 """
 
 import os

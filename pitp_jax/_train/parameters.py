@@ -1,6 +1,6 @@
 """Collect the trained parameters of a model, as one vector and by part.
 
-    p: the encoder's weights,   q: the memories' time constants,   r: the drive's,   a: the effects' numbers
+    p: the encoder's weights,   q: the memories' time constants,   r: the drive's,   a: the effects' parameters
 
 Positive numbers are fitted by their logarithms: no step can make them negative, and a step is a factor.
 """

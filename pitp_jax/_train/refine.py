@@ -3,15 +3,16 @@
     minimise  mean over records of  f_k mean_t ( 100 (x(t) - x_measured(t)) / range_k )^2  +  sum_k rho_k (p_k - p_k0)^2
     f_k = (1 + (100 s_min)^2) / (1 + (100 s_k)^2)        s_k: sensor noise over range, s_min the least in the set
 
-Levenberg-Marquardt (`accelerated`), first on windows of six periods from their filtered states, then on longer ones
-where whole records are still far off, then on whole records from their own starts, as predictions run. Every stage
-begins with the logits scaled to where its runs leave least, between the trained ones and the linear nominal: a network
-fitted to the equation error may be unstable, and from runs that left every range no step leads down. Creep that
-outlasts the runs is met beside (`creep_balance`). Every trained number is free: encoder weights, memory and drive time
-constants, and those of effects the model was given.
-Where all records exceed the budget, half of it goes to some that stand for all, to their ends, since nothing else sees
-creep within a record, and half to the beginnings of the others, since a resonance is narrow. What it is worth, and what
-else was tried: docs/decisions/free_runs.md.
+Levenberg-Marquardt (`accelerated`) runs in stages: windows of six periods from their filtered states, longer windows if
+whole records still have large errors, then whole records from their own initial states, as in predictions. Every stage
+first scales the logits, between zero (the nominal model) and the trained ones, to the smallest error. A network fitted
+to the equation error may be unstable, and no step can improve a diverged run. Creep slower than the runs is fitted in
+addition (`creep_balance`). Every trained parameter is free: encoder weights, time constants of memory and drive, and
+those of given effects.
+
+If the records exceed the budget, half of it goes to representative records in full length,
+because only they show creep. The other half goes to the beginnings of the others, because a resonance is narrow.
+Benefits and alternatives: docs/decisions/free_runs.md.
 """
 
 import time

@@ -3,7 +3,7 @@
     r = sigma_off + sum_i sigma_i X_i - F / F_max        X, F: displacement and force, both low-passed with zero phase
     L = mean w Huber(r) + mean penalty                   w: as `dataset.spread_weights`, 0 where the filter settles
 
-The filter is `preprocess`'s Butterworth of order 4, run forward and backward, as a product of spectra:
+The filter is the Butterworth filter of `preprocess`, of order 4, run forward and backward, as a product of spectra:
 
     |H(f)|^2 = 1 / (1 + (tan(pi f dt) / tan(pi f_c dt))^8),   f_c = min(2 f_max, 0.4 / dt),   99 % of |F|^2 below f_max
 """

@@ -1,11 +1,11 @@
 """Test for a second mass attached to the moving one, along measured motion, before any free run.
 
     F = sum_j c_j phi_j - kappa (r - x),   r'' = w^2 (x - r) - 2 zeta w r',   kappa > 0        (least squares)
-    phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (what a lag before the square does)
-    u(w, zeta) = 1 - (pull . residual)^2 / (|pull|^2 |residual|^2)       fraction that the pull leaves unexplained
+    phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (effect of a lag before the square)
+    u(w, zeta) = 1 - (pull . residual)^2 / (|pull|^2 |residual|^2)       fraction not explained by the pull
 
-residual: of F on the phi alone; pull: x - r less its projection on the phi. A strong mode within the driven band is
-like none of the phi (docs/decisions/second_resonance.md).
+residual: of F on the phi alone; pull: x - r less its projection on the phi. A strong mode within the excited band
+resembles none of the phi (docs/decisions/second_resonance.md).
 """
 
 from collections.abc import Callable, Sequence

@@ -3,9 +3,10 @@
     stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
     then:     least squares on free runs (`refine`), with the memories' and the drive's time constants
-    then:     every training record beside the nominal (`errors`); what did not converge is tried from other starts
+    then:     every training record compared with the nominal (`errors`); other starts if not converged
 
-The equation error is fast and blind to what accumulates; free runs see just that (docs/readings.md, Algorithm 1).
+The equation error is quick but does not show errors that build up over a run; free runs fit exactly those
+(docs/readings.md, Algorithm 1).
 """
 
 import time

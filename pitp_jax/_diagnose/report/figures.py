@@ -1,7 +1,7 @@
 """The figures of a diagnosis, on axes the caller may supply: each takes axes and returns them.
 
-Nothing is only in a figure: `Diagnosis.as_json` and the report's tables hold the same numbers. Units are those of the
-user's files; no pyplot, no global style; colours from Okabe and Ito (`_report.lines`).
+`Diagnosis.as_json` and the report's tables hold every number of the figures. Units are those of the user's files; no
+pyplot, no global style; colours from Okabe and Ito (`_report.lines`).
 """
 
 import os

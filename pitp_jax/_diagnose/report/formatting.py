@@ -1,6 +1,6 @@
 """Words of a report: effects in plain language, their parameters, and where a gap is concentrated.
 
-a limit             is fitted as its inverse, so that zero is no limit; people read the limit
+a limit is fitted as its inverse, so that zero means no limit, and is shown as the limit itself
 """
 
 import re
