@@ -15,7 +15,7 @@ from .._report.numbers import number
 from .change import Change
 from .joint import Joint
 
-_DISTANCE = 0.1  # m; shorter if the armature is smaller than the added inertia
+_DISTANCES = 0.01, 0.1  # m: the longest whose inertia the armature still holds
 
 
 def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> tuple[Change, str, float] | None:
@@ -30,7 +30,7 @@ def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> 
     g = float(np.linalg.norm(joint.gravity))
     if not g > 0:
         return None
-    distance = min(_DISTANCE, armature * g / abs(w)) if armature else _DISTANCE
+    distance = float(np.clip(armature * g / abs(w), *_DISTANCES))
     mass = abs(w) / g / distance
     place = np.array(joint.anchor) + math.copysign(distance, w) * np.array(joint.gravity) / g
     between = "" if error is None else f" ({number(w - 1.96 * error)} to {number(w + 1.96 * error)})"
