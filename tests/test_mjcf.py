@@ -279,6 +279,7 @@ def test_the_command_prints_the_gap_and_ends_with_3_where_it_does_not_shrink(tmp
     assert main([*of, "--mjcf", "robot.xml", "--before", "sim.xml", "--out", "check"]) == 0
     assert "on recordings of the diagnosis" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "check").iterdir()} >= {"log.csv", "report.html"}
+    assert (tmp_path / "check" / "figures" / "log.png").stat().st_size > 5000
     assert main([*of, "--mjcf", "sim.xml", "--before", "robot.xml"]) == 3
     assert "not better than robot.xml" in capsys.readouterr().err
 

@@ -2,8 +2,9 @@
 
 from .._errors import BadInput, ComputationFailed
 from .._mjcf import Verification, verify_mjcf
-from .._mjcf.page import page
+from .._mjcf.page import figures, page
 from .._record.writing import write_csv, write_text_atomic
+from .._report.drawn import write_picture
 from .._table.units import from_base
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
@@ -20,8 +21,8 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
         joint: list with its name.
         actuator: its name, if several act on the joint.
         held_out: files and folders of recordings that the diagnosis did not use.
-        out: folder for one CSV per record and a page, or None.
-        json_file: where to write the gaps as JSON, or None.
+        out: folder for a page, and one CSV and one figure per record, or None.
+        json_file: where to write the gaps for machines, or None.
         reading: keyword arguments of `pitp.read`.
 
     Raises:
@@ -44,7 +45,10 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
                 series = {"measured": played.record.displacement, "before": played.before, "after": played.after}
                 columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
                 write_csv(stage / file, columns)
-            write_text_atomic(stage / REPORT, page(found))
+            drawn = figures(found)
+            for name, drawing in drawn.items():
+                write_picture(stage, name.lstrip("/"), drawing)
+            write_text_atomic(stage / REPORT, page(found, drawn))
     _print(found)
     if found.better is False:
         raise ComputationFailed(f"{mjcf} is not better than {before} beyond the noise; keep the old file")
