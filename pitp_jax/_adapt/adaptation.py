@@ -41,7 +41,7 @@ class Changed:
 
     Attributes:
         factor, ci95: new over old, and the ends of its 95 % interval; nan where the model's own was practically zero.
-        seconds, seconds_ci95: of a time: what it is now.
+        seconds, seconds_ci95: of a time: its present value and 95 % interval, s.
     """
 
     factor: float
@@ -60,13 +60,13 @@ class Adaptation(Shown):
     """The result of `adapt`: verdict, changed parameters and model.
 
     Attributes:
-        model: the one given if unchanged, else with these numbers moved.
+        model: the given one if unchanged, otherwise with the changed parameters.
         verdict: "unchanged", "adapted" or "retrain".
-        changed: the numbers that moved, by name.
+        changed: the changed parameters, by name.
         before, after: e_rms in % of range of the model given and of the one returned.
         heldout: whether those are of the part of the recording that was not used for the fit.
-        level: what the model left of its own records, with this sensor's noise, in % of range.
-        advice: what to record where it has to be trained anew; else empty.
+        level: error on the model's own records, with this sensor's noise, in % of range.
+        advice: recordings to make if the model must be trained again; otherwise empty.
     """
 
     model: Fitted
@@ -99,7 +99,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
         BadInput: no record, none that moves, several sampling rates, or a model that diverges on one.
 
     Returns:
-        the verdict, what changed by how much, and the model (a `Fitted`) to go on with.
+        the verdict, the changed parameters, and the model (a `Fitted`) to use from now on.
 
     Examples:
         >>> pitp.adapt(model, records[0]).verdict

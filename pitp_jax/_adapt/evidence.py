@@ -43,7 +43,8 @@ def covariance(
 def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
     """Yield every set of named parameters; gain represents all coefficients, so it excludes single ones.
 
-    The tilts have no names: they come with every coefficient, which rarely changes equally over the stroke.
+    The slopes over the stroke are in every subset with a coefficient, because it rarely changes equally over the
+    stroke.
     """
     tokens, tilts = factors.names[: factors.tokens], tuple(n for n in factors.names if n in TILTS)
     others = tuple(n for n in factors.names[factors.tokens :] if n not in TILTS)
@@ -67,8 +68,8 @@ def prior_of(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
 def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ...]:
     """Choose no parameter if no change has the most evidence; otherwise the subset of least z' C^-1 z + 4 size.
 
-    Whether anything moved is decided by evidence, with its priors; which numbers moved by the estimate alone, and each
-    must be worth two standard deviations.
+    The evidence, with its priors, decides whether anything changed. The estimate alone decides which parameters
+    changed; each must differ by two standard deviations.
     """
     count = sum(name not in TILTS for name in factors.names)
     # so that all subsets but the empty one have the probability `_CHANGED` together

@@ -37,7 +37,7 @@ class Factors(NamedTuple):
 
     Attributes:
         names: of the coordinates; `tokens` of them are of coefficients, first.
-        prior: standard deviation of each before a recording was seen.
+        prior: standard deviation of each before any recording.
         outlasted: 1 for every lag among the memories that the recording outlasts.
         reach: scaled displacement: lowest trained on, mean of the recording, highest trained on.
         unit: of the lengthened times, s.

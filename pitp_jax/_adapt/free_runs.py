@@ -43,12 +43,12 @@ class Session(NamedTuple):
 
     Attributes:
         voltage: V, shape (records, T).
-        target: scaled displacement, its beginning's zero and direction taken out; 0 where it does not count.
-        weight: 100 / (scaled range) where a sample counts, else 0.
-        half: 1 in every other eighth of every record, so that both halves have slow and fast, small and large.
-        start: scaled states as the beginnings have them.
-        begins: how each begins.
-        loose: standard deviation of each zero, in % of range.
+        target: scaled displacement, offset and direction removed; 0 where it does not count.
+        weight: 100 / (scaled range) where a sample counts, otherwise 0.
+        half: 1 in every other eighth of every record, so both halves contain all speeds and amplitudes.
+        start: scaled initial states.
+        begins: how each record starts.
+        loose: standard deviation of each offset, in % of range.
         noise: white sensor noise of each, in % of range.
         dt: s.
     """
@@ -117,9 +117,9 @@ class Fit(NamedTuple):
     """The result of a fit.
 
     Attributes:
-        z: the numbers.
+        z: the fitted parameters.
         residual: e in % of range, shape (records, T), zero where it does not count.
-        jacobian: its slopes by the numbers, those of the other numbers projected out, shape (records T, numbers).
+        jacobian: derivatives by the parameters, with the nuisance parameters projected out, shape (records T, numbers).
     """
 
     z: np.ndarray
@@ -158,7 +158,7 @@ class Problem:
     def guess(self) -> np.ndarray:
         """Return the start of least squares: the best of several inertias (or stiffnesses), each at its best gain.
 
-        A resonance shifted by more than its width reverses the phase, and no decreasing path leads past that.
+        A resonance shifted by more than its width reverses the phase, and the cost has no descending path past that.
         """
         s, names = self.seen, self.factors.names
         axis, gain = self.factors.direction(names[min(2, self.factors.tokens - 1)]), self.factors.direction("gain")
@@ -181,7 +181,7 @@ class Problem:
         """Fit the parameters z = fixed + free q by least squares, together with nuisance parameters.
 
         Args:
-            free: directions that may move, shape (numbers, q).
+            free: directions that may change, shape (numbers, q).
             weight: of the samples, shape (records, T): 0 or 1.
             prior: standard deviations of q.
             first: q to start from; default 0.

@@ -47,18 +47,18 @@ def diagnose(
     """Find the effects that a model, or a simulator, lacks compared with real recordings.
 
     `diagnose(model, records)`: the unmodelled effect behind the gap of a nominal model. `diagnose(records,
-    against=simulated)`: the same with a simulator in the place of the model, known by its recordings alone; what is
-    missing is then told as the simulator's number, the robot's and the difference.
+    against=simulated)`: the same with a simulator in the place of the model, known by its recordings alone; a missing
+    effect is then reported as the simulator's value, the robot's and the difference.
 
     Args:
         model: an identified linear model or a trained one (`Fitted` or `Model`); with `against` the real recordings.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         against: recordings of a simulator, paired by their commands; another rate and another clock are fine.
         position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
-        refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
-            None: where the nominal was made from the very recordings given.
-        exclude: names left out of the catalogue.
-        seconds: of computing; then the best so far is handed back, and `notes` lists what was not tried.
+        refit_nominal: fit the nominal's coefficients too, because it was identified on records with the effect. None:
+            if the nominal was made from these recordings.
+        exclude: effects left out of the catalogue.
+        seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
@@ -122,11 +122,11 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
 def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple[Identification, float, float]:
     """Identify the simulator with the lowest order whose error is at most a tenth of the gap.
 
-    A simulator has no noise that would limit the order. Without this rule, an integrator's step and its hold became a
-    third pole, and no parameter was that of the joint.
+    A simulator has no noise to limit the order. Without this rule, an integrator's step and its hold became a third
+    pole, and no parameter belonged to the joint.
 
     Returns:
-        the identification, and what its free runs leave of the simulator's and of the robot's records, % of range.
+        the identification, and the errors of its free runs on the simulator's and the robot's records, % of range.
     """
     best = linear_model_of(simulated)
     own, gap = _error(best.model, simulated), max(_error(best.model, real), 1e-12)

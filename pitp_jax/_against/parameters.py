@@ -96,9 +96,9 @@ class Parameter:
     Attributes:
         name, words: short and plain.
         simulator, robot, difference: robot less simulator; in `unit`.
-        stderr: of the difference; None where it is not known.
-        mujoco, physx, urdf: what it is called there.
-        certain: whether the diagnosis says the effect by name, or fitted coefficients belong to its answer.
+        stderr: of the difference; None if unknown.
+        mujoco, physx, urdf: its names there.
+        certain: whether the diagnosis reports the effect, or the refitted coefficients.
     """
 
     name: str
@@ -186,8 +186,8 @@ def parameters(
 def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Units) -> float | None:
     """Return the robot's position gain over the simulator's if it alone explains all changed coefficients.
 
-    Kp q + D q' + J q'' = Kp c:  Kp times g leaves the steady output as it is and divides D / Kp and J / Kp by g. No
-    recording of commands and angles separates that from a damping and an inertia that are both smaller.
+    Kp q + D q' + J q'' = Kp c: Kp times g keeps the steady output and divides D / Kp and J / Kp by g. Recordings of
+    commands and angles cannot separate this from a smaller damping and inertia.
     """
     a, b = nominal.physical_coefficients, robot.physical_coefficients
     if not of.position or len(a) != len(b) or min(*a, *b) <= 0:
@@ -214,8 +214,8 @@ def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Ma
     Args:
         model: of the simulator or of the robot.
         of: units.
-        held: part of its delay that is the hold of its log, s.
-        fitted: numbers of the effects that were added, with their standard errors.
+        held: part of its delay due to the hold of its log, s.
+        fitted: parameters of the added effects, with their standard errors.
     """
     coefficients, effects = _linear(model, len(of.of) - 1)
     table = _coefficients(coefficients, of, fitted.get("parameter_change", {}))

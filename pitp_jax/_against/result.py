@@ -25,14 +25,15 @@ class SimToReal:
 
     Attributes:
         robot: diagnosis of the robot's records under the simulator's model.
-        simulator: diagnosis of the simulator's own records; None where its model's error is no part of the gap.
+        simulator: diagnosis of the simulator's own records; None if its model's error is not part of the gap.
         identification: the linear model of the simulator.
         nominal: that model with the simulator's own effects.
-        pairs: which recordings share their command, and the offset of the clocks.
+        pairs: recordings with the same command, and the offset of their clocks.
         parameters: the simulator's numbers, the robot's, and the difference.
-        simulator_share: part of the gap's energy that is the error of the simulator's model, with its 95 % interval.
+        simulator_share: fraction of the gap's energy caused by the error of the simulator's model, with its 95 %
+            interval.
         records: the robot's.
-        corrections: added input of each, base unit.
+        corrections: added input per recording, base unit.
     """
 
     robot: Diagnosis

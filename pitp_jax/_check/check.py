@@ -38,16 +38,16 @@ class CheckedRecord:
 
     Attributes:
         samples, rate_hz, missing, outliers, jitter: as read; jitter in samples.
-        recognised: what the reader saw in the file: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
+        recognised: properties of the file as read: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
         begins: "rest", "held" or "moving".
         zero, zero_stderr, noise: in `unit`, the record's own.
         direction: 1 or -1.
         noise_colour: "white" or "coloured".
         excitation: "sweep", "sine", "steps", "broadband" or "none".
-        band_hz: of the drive.
-        e_rms_percent: what the model given leaves.
-        repaired: what was mended and asks for nothing.
-        problems: a sentence each.
+        band_hz: of the input.
+        e_rms_percent: error of the given model.
+        repaired: corrections that need no action.
+        problems: one sentence each.
     """
 
     samples: int | None = None
@@ -83,12 +83,12 @@ class Check(Shown):
 
     Attributes:
         records: by name; one that could not be read holds its refusal as a problem.
-        advice: on the set, a sentence each, what matters most first.
-        resonance_hz: by the model given, or the quiet linear fit; None where nothing could be fitted.
+        advice: on the set, one sentence each, the most important first.
+        resonance_hz: by the given model or the linear fit; None if no fit was possible.
         input_map: whether the force was taken as the square of the voltage or as the voltage.
         coverage: excited frequencies and amplitudes.
-        repeats: drives that were played more than once.
-        understood: the records themselves, as read.
+        repeats: inputs that were played more than once.
+        understood: the records as read.
     """
 
     records: dict[str, CheckedRecord]
@@ -128,9 +128,9 @@ def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Che
     """Check what was read, how each record starts, and whether the set is sufficient.
 
     Args:
-        records: as `pitp.read` gives them; those of another sampling rate than most, or of another kind of output, are
-            told and left out of what concerns the set.
-        model: of the same actuator; None fits a linear one quietly.
+        records: from `pitp.read`; records of an unusual sampling rate or kind of output are reported and left out of
+            the checks of the set.
+        model: of the same actuator; None fits a linear one.
 
     Returns:
         records by name, advice, coverage and repeats.

@@ -27,11 +27,11 @@ class Coverage:
 
     Attributes:
         resonance: in Hz.
-        points: force frequency (Hz), amplitude of the drive (its base unit), seconds; shape (points, 3).
-        gaps: intervals in Hz beside the resonance without a point above half the largest amplitude.
-        largest: amplitude, in the drive's base unit.
-        doubled: whether the force runs at twice the drive's frequency (a squared drive without bias).
-        unit: of the drive, in which amplitudes are told.
+        points: force frequency (Hz), amplitude of the input (its base unit), seconds; shape (points, 3).
+        gaps: intervals in Hz near the resonance without a point above half the largest amplitude.
+        largest: amplitude, in the input's base unit.
+        doubled: whether the force has twice the input's frequency (a squared input without bias).
+        unit: of the input, for the amplitudes.
     """
 
     resonance: float

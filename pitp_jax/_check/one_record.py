@@ -34,12 +34,12 @@ class Facts:
     """Properties of one record that need no model.
 
     Attributes:
-        excitation: "sweep", "sine", "steps", "broadband", or "none" where the drive never changes.
-        band_hz: lowest and highest frequency of the drive; None where it never changes.
+        excitation: "sweep", "sine", "steps", "broadband", or "none" if the input never changes.
+        band_hz: lowest and highest frequency of the input; None if it never changes.
         noise: standard deviation of white sensor noise, output's base unit.
         outliers, clipped, lost: samples masked by the reader or here.
         jitter: largest distance of a time from the uniform grid, in samples.
-        repaired: what was mended and asks for nothing, a few spikes and lost samples among them.
+        repaired: corrections that need no action, for example a few spikes and lost samples.
         problems: one sentence each.
     """
 
@@ -147,7 +147,7 @@ def coloured_noise(residual: np.ndarray, seen: np.ndarray, dt: float, top: float
         residual: shape (T,), 0 where not `seen`.
         seen: True where the output was measured, shape (T,).
         dt: sampling interval, s.
-        top: the fastest drive's force, Hz.
+        top: highest frequency of the force, Hz.
         resonance: of the actuator, Hz.
     """
     edges = band_edges(int(0.6 * len(residual)), dt)

@@ -22,7 +22,7 @@ def page(check: Check) -> str:
     """Return the check as a self-contained HTML page.
 
     Args:
-        check: what `pitp check` knows of a set.
+        check: result of `pitp check` for a set.
     """
     many, wrong = len(check.records), len(check.problems)
     title = f"{counted(many, 'record')}, {wrong or 'none'} with problems"

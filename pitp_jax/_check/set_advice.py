@@ -25,13 +25,13 @@ def set_advice(
 
     Args:
         rows: checked records by name.
-        used: records that move under a drive, of one rate.
+        used: records of one rate in which input and output move.
         cover: excited frequencies and amplitudes.
-        repeats: drives that were played more than once.
-        cycles: what the cycles of a record's drive do not share, % of range.
-        beside: records beside the model, where one was given.
-        fitted: the quiet linear fit.
-        turned: records that are read against the direction of most.
+        repeats: inputs that were played more than once.
+        cycles: scatter between the cycles of a periodic input, % of range.
+        beside: records compared with the model, if one was given.
+        fitted: the linear fit.
+        turned: records whose sensor is reversed relative to most.
     """
     if not used:
         return ["no record moves under a drive: nothing can be identified from these; look at sensor and amplifier"]

@@ -39,12 +39,12 @@ class Beside:
     """One record compared with the set's linear model.
 
     Attributes:
-        beginning: as `identify` would find it, with the rig's direction.
-        gain: its own over the median of the set's; nan where there is none.
-        unexplained: fraction of its standard deviation that the model leaves, gain and zero fitted.
-        tells: whether it tells a direction.
-        strange: why it does not belong, or empty.
-        error: what the model leaves, at every `step`-th sample; 0 where not `seen`.
+        beginning: initial state as `identify` would find it, with the rig's direction.
+        gain: its own over the median of the set's; nan if unknown.
+        unexplained: residual as a fraction of its standard deviation, with fitted gain and offset.
+        tells: whether it determines the direction.
+        strange: why it does not belong to the set, or empty.
+        error: residual at every `step`-th sample; 0 where not `seen`.
         seen: where the output was measured.
         step: samples averaged into one.
     """
@@ -73,7 +73,7 @@ class SetFit:
 def fit_set(records: Sequence[Record]) -> SetFit | None:
     """Fit the records that move together; return None if nothing can be fitted.
 
-    The force is the square of the voltage unless a linear one leaves less than half.
+    The force is the square of the voltage unless a linear one has less than half the residual.
     """
     best = None
     for name in ("square", "linear"):
@@ -136,7 +136,7 @@ def _doubtful(rows: Sequence[Beside]) -> bool:
 def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float], omega: float) -> Beginning:
     """Return a plausible initial state: apparent motion may be an error of the linear model.
 
-    A record that stands still at 0 V, or at the offset of those at rest, starts at rest too. Without `begun` only the
+    A record that is still at 0 V, or at the offset of those at rest, also starts at rest. Without `begun` only the
     first samples decide.
     """
     if (begun is not None and begun.begins != "moving") or not is_still(record, omega):

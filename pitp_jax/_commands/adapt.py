@@ -15,8 +15,8 @@ def adapt(model, records, out, json_file, reading) -> None:
     Args:
         model: model file.
         records: files and folders.
-        out: model file to write: with `unchanged` a copy of the one given.
-        json_file: where to write the finding for machines, or None.
+        out: model file to write; for `unchanged` a copy of the given one.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:

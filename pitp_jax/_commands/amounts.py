@@ -39,7 +39,7 @@ def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool
     Args:
         given: the number with its unit.
         option: its name, for the message.
-        quantity: in whose unit a number without a unit is.
+        quantity: its unit is taken for a number without one.
         rate: per second.
 
     Raises:

@@ -23,8 +23,8 @@ def check(records, model, out, json_file, reading) -> None:
     Args:
         records: files and folders.
         model: model file, or None.
-        out: folder for every record as it was understood and the page, or None.
-        json_file: where to write the finding for machines, or None.
+        out: folder for the records as read and the page, or None.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:

@@ -24,7 +24,7 @@ def compare(a, b, out, json_file, reading) -> None:
     Args:
         a, b: model files; diagnoses, as JSON or as folders that `pitp diagnose --out` wrote; or records.
         out: folder for a page and its figures, or None.
-        json_file: where to write the comparison for machines, or None.
+        json_file: where to write the comparison as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:

@@ -18,7 +18,7 @@ def demo(plant, out, quick, json_file=None) -> None:
         plant: name of the virtual actuator, or "joint".
         out: folder to write to, created if missing.
         quick: fewer and shorter records.
-        json_file: where to write the tables for machines, or None.
+        json_file: where to write the tables as JSON, or None.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.

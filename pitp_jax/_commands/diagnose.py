@@ -53,18 +53,18 @@ def diagnose(
     Args:
         records: files and folders.
         nominal: model file, identified or trained; None with `against`.
-        refit_nominal: whether its coefficients are fitted along with every effect; they are in any case where the
-            nominal was made from these recordings.
+        refit_nominal: whether its coefficients are fitted with every effect; always if the nominal was made from these
+            recordings.
         seconds: of computing, or None.
         out: folder for the augmented model, the report, its figures and the next experiment, or None.
-        json_file: where to write the finding for machines, or None.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
-        against: recordings of a simulator in the place of a model, or None.
+        against: recordings of a simulator instead of a model, or None.
         position_gain: of the simulator's controller, with `against`.
-        mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's numbers goes into `out`.
+        mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's parameters is written to `out`.
         joint: list with the name of the joint in that file.
-        actuator: its actuator, where there are several.
-        by_group: diagnose the groups into which the simulator's recordings fall one by one.
+        actuator: its actuator, if there are several.
+        by_group: diagnose each group of the simulator's recordings separately.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -141,7 +141,7 @@ def _write(
 ) -> set[str]:  # fmt: skip
     """Write the result, then its pages; return the names of the files in the folder.
 
-    The result comes first, so that a failure or an interrupt in a figure or a sentence loses nothing of it.
+    The result is written first, so a failure or interrupt in a figure or sentence cannot lose it.
     """
     written: set[str] = set()
     with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:

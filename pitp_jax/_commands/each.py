@@ -12,11 +12,11 @@ _NO_RECORDS = ("out", "report", "json_file", "model", "nominal")  # arguments wh
 def once_per_joint(arguments: dict) -> Iterator[dict]:
     """Yield the arguments of a command: once, or for every joint with its columns and its outputs.
 
-    Joints are those of `--each NAME=INPUT,OUTPUT`, otherwise those that `each` in the `pitp.toml` of a folder names.
-    A folder gets a folder NAME for each and links to their pages, a file the name `stem.NAME.suffix`.
+    Joints come from `--each NAME=INPUT,OUTPUT`, otherwise from `each` in the `pitp.toml` of a folder. An output folder
+    gets a subfolder NAME per joint with links to the pages; an output file becomes `stem.NAME.suffix`.
 
     Args:
-        arguments: of the command; `each` is taken out.
+        arguments: of the command; `each` is removed.
 
     Raises:
         BadInput: an `--each` of another form, or two of one name.

@@ -21,7 +21,7 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
         time_constant: of the closed loop of C's PI steps, s, or None.
         fmi: version of the FMU's interface, or None.
         name: of files and functions.
-        json_file: where to write what was made for machines, or None.
+        json_file: where to write a description as JSON, or None.
 
     Raises:
         BadInput: with nothing written.

@@ -42,15 +42,15 @@ def fit(
         seed: of the random start.
         report: folder for a page on the fit, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
-        cross_validate: whether every record is also predicted by a model of the others.
-        json_file: where to write the errors for machines, or None.
+        cross_validate: whether every record is also predicted by a model trained on the others.
+        json_file: where to write the errors as JSON, or None.
 
     Returns:
-        3 where the model explains nothing of the output, 0 otherwise.
+        3 if the model explains nothing of the output, otherwise 0.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
-        KeyboardInterrupt: interrupted; the best complete model is written where a stage was complete.
+        KeyboardInterrupt: interrupted; the best complete model is written if a stage was complete.
     """
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
     start = _given(nominal, order, input_map) if nominal else None

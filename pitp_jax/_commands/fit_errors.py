@@ -23,7 +23,7 @@ def explained(
     Args:
         errors: of the trained model.
         records: it was trained on.
-        first: the identification that it started from, or None where a nominal was given.
+        first: the identification that it started from, or None if a nominal was given.
     """
     own, missed, moved = {r.name: r for r in records}, 0.0, 0.0
     for e in errors:

@@ -38,8 +38,8 @@ def fit_page(
     """Return a self-contained HTML page on the fit.
 
     Args:
-        model: what was fitted.
-        records: it was run beside.
+        model: the fitted model.
+        records: compared with its free runs.
         predictions: its free runs, one a record.
         scores: rows of `pitp predict`, by the record's name.
         name: of the model file.
@@ -117,8 +117,9 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
 
     J_k = dx / d ln tau_k,   covariance of ln tau = s^2 (J'J)^-1 (samples / independent ones)
 
-    The error is coloured: its lag-1 correlation r leaves (1 - r) / (1 + r) of the samples independent. The network is
-    held, although it can compensate for a change of a time constant: such errors are too small to be shown.
+    The error is coloured: with its lag-1 correlation r, only (1 - r) / (1 + r) of the samples are independent. The
+    network is held fixed, although it can compensate for a changed time constant: such errors are too small to be
+    shown.
     """
     memory, step = model.memory, 0.05
     if not isinstance(memory, FadingMemory | RingingMemory):

@@ -23,14 +23,14 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         out: model file to write.
         order: 1 to 6 or "auto".
         input_map: "square" or "linear".
-        learn, leave_out: ("delay",) to keep a pure delay in any case, or to do without.
-        validate: files and folders of records that the model is only run on.
+        learn, leave_out: ("delay",) to fit a pure delay in any case, or never.
+        validate: files and folders of records used only for validation.
         report: folder for the Bode page, or None.
-        json_file: where to write the result for machines, or None.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Returns:
-        3 where the model explains nothing of the held-out output, 0 otherwise.
+        3 if the model explains nothing of the held-out output, otherwise 0.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.

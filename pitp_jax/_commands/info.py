@@ -14,8 +14,8 @@ def info(model, others, json_file) -> None:
 
     Args:
         model: model file.
-        others: further files, of which there must be none.
-        json_file: where to write the same for machines, or None.
+        others: further files; must be empty.
+        json_file: where to write the same as JSON, or None.
 
     Raises:
         BadInput: not a usable model file, or more than one.

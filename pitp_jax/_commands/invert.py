@@ -33,12 +33,12 @@ def invert(
         out: CSV to write; its clock starts at 0.
         max_voltage, max_slew: limits of the input (`Amount`), or None for those of the model's recordings.
         max_displacement: limit from the position at 0 V, or None.
-        zero: "rest", "sensor", or what the target is at 0 V, in its own unit.
+        zero: "rest", "sensor", or the target's value at 0 V, in its own unit.
         start_input: at the first and last sample, or None for 0.
         rate: at which the input is played, Hz, or None for the target's.
         unit: of the input written, or None for V or that of the model's records.
-        input_scale: what the amplifier makes of one unit played; the input is divided by it.
-        json_file: where to write the counts for machines, or None.
+        input_scale: amplifier gain, by which the input is divided.
+        json_file: where to write the counts as JSON, or None.
         reading: keyword arguments of `pitp.read_target`: columns, units, scale.
 
     Raises:

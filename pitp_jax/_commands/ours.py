@@ -27,11 +27,11 @@ def check_replaceable(file: Path, shown: object) -> None:
     """Refuse to replace a file that pitp did not write.
 
     Args:
-        file: what would be replaced, if it exists.
+        file: the file to be replaced, if it exists.
         shown: its name for the message.
 
     Raises:
-        BadInput: it is somebody's, and `--force` was not given.
+        BadInput: it was not written by pitp, and `--force` was not given.
     """
     if _FORCED.get() or not file.is_file():
         return
@@ -51,7 +51,7 @@ def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) 
         shown: the folder for the message.
 
     Raises:
-        BadInput: with the first file that is not ours.
+        BadInput: with the first file that pitp did not write.
     """
     names = list(names)
     pages = [folder / name for name in names if name.endswith(".html")]

@@ -37,9 +37,9 @@ def check_outputs(
 
     Args:
         *files: to be written; None is skipped.
-        folder: to be created (with its parents) where it is missing, or None.
+        folder: to be created (with its parents) if missing, or None.
         names: of the files to be written in it.
-        inputs: files that are read, and folders whose files are; None is skipped.
+        inputs: files and folders to be read; None is skipped.
 
     Raises:
         BadInput: with the path and the remedy.
@@ -93,7 +93,7 @@ def staged(
     Args:
         file: wanted file, whose hidden name is yielded; a device is written to directly.
         folder: wanted folder in its place, whose hidden stage is yielded; its other files stay.
-        json_file: where `value` goes for machines, or None.
+        json_file: where to write `value` as JSON, or None.
         value: dicts, lists and numbers.
 
     Raises:

@@ -28,12 +28,12 @@ def predict(model, records, out, json_file, reading) -> None:
         model: model file.
         records: files and folders.
         out: folder for one CSV per record and a page, or None.
-        json_file: where to write the scores for machines, or None.
+        json_file: where to write the scores as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
         BadInput: with nothing written.
-        ComputationFailed: every record diverged; the results, which say so, are written.
+        ComputationFailed: every record diverged; the results are written.
     """
     check_outputs(json_file, folder=out, inputs=[model, *records])
     loaded, read_in = open_both(model, records, reading)

@@ -42,7 +42,7 @@ def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted
         reading: keyword arguments of `pitp.read`.
 
     Raises:
-        BadInput: one cannot be read, or they do not suit each other.
+        BadInput: one cannot be read, or they do not belong together.
     """
     loaded = load(model)
     read_in = read_records(records, reading, square=is_square(loaded))

@@ -26,14 +26,14 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     Args:
         model: model file.
         voltages: files and folders of time and voltage.
-        out: folder for one CSV per drive, or None.
+        out: folder for one CSV per voltage, or None.
         zero: "rest", "sensor", or the displacement at 0 V, in the unit of the model's records.
-        json_file: where to write the ranges for machines, or None.
+        json_file: where to write the ranges as JSON, or None.
         reading: keyword arguments of `pitp.read_voltage`: columns, units, scale, rate.
 
     Raises:
         BadInput: with nothing written.
-        ComputationFailed: every run diverged; the results, which say so, are written.
+        ComputationFailed: every run diverged; the results are written.
     """
     check_outputs(json_file, folder=out, inputs=[model, *voltages])
     loaded = load(model)

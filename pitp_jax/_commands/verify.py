@@ -19,7 +19,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
         mjcf: the changed file.
         before: the file as it was, or None.
         joint: list with its name.
-        actuator: its name, where several drive the joint.
+        actuator: its name, if several act on the joint.
         held_out: files and folders of recordings that the diagnosis did not use.
         out: folder for a page, and one CSV and one figure per record, or None.
         json_file: where to write the gaps for machines, or None.
@@ -27,7 +27,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
 
     Raises:
         BadInput: with nothing written.
-        ComputationFailed: the changed file is not better beyond the noise; the results, which say so, are written.
+        ComputationFailed: the changed file is not better beyond the noise; the results are written.
     """
     inputs = [mjcf, before, *records, *held_out]
     check_outputs(json_file, folder=out, inputs=inputs)

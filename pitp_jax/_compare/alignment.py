@@ -30,7 +30,7 @@ class Alignment:
         correlation: of the two commands where they overlap; negative for a mirrored command.
         offset: clock of the first less clock of the second at the same instant, s.
         size: amplitude of the first over that of the second.
-        misfit: rms difference at that offset, over the standard deviation of the first; mirrored ones turned.
+        misfit: rms difference at that offset, over the standard deviation of the first; after mirroring.
     """
 
     correlation: float

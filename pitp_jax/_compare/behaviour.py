@@ -42,7 +42,7 @@ class Behaviour:
 
     Attributes:
         run: displacement in the sweep from its first sample on, m.
-        own: rms error on the model's own recordings, m; None where not known.
+        own: rms error on the model's own recordings, m; None if unknown.
         settled: displacement at every operating point, m.
         stiffness: dF/dx there; resonance_hz, damping: of the mode that moves the displacement most; nan without one.
         errors: standard errors of ln stiffness, ln resonance and ln damping.
@@ -61,7 +61,7 @@ def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | Non
     """Compare settled displacement, stiffness, resonance and damping at three inputs, and the free runs of a sweep.
 
     Returns:
-        rows, and a sentence that says why there are none; one of the two is empty.
+        rows, and a sentence with the reason if there are none; one of the two is empty.
     """
     if why := _apart(a, b):
         return [], why

@@ -19,10 +19,10 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
     Args:
         a, b: two models (or results that hold a `.model`), two diagnoses (or their JSON as dicts), or two sequences of
             records, whose recordings are paired by their commands.
-        names: what to call them.
+        names: of the two.
 
     Returns:
-        every quantity of both with the interval of its difference, and which of them differ.
+        every quantity of both with the interval of its difference, and whether it differs.
 
     Raises:
         BadInput: two things of different kinds, or of a kind that cannot be compared.

@@ -32,7 +32,7 @@ class Groups:
 
     Attributes:
         members: names of the recordings of each group, the largest group first.
-        common: of the outputs' rms: left by one linear model for all.
+        common: residual of one linear model for all, fraction of the outputs' rms.
         own: the same with one linear model a group.
     """
 

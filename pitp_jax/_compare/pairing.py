@@ -58,10 +58,10 @@ class Pairing:
     """The recordings that share their command.
 
     Attributes:
-        pairs: in the order of the first set; a recording may stand in several.
+        pairs: in the order of the first set; a recording may be in several.
         first_alone, second_alone: (name, reason) of recordings without a partner.
         repeated: of each set, groups of recordings with one command, paired by their responses.
-        undecided: (name, partner, others): the others of the partner's set would do as well.
+        undecided: (name, partner, others): the others of the partner's set fit equally well.
         mirrored: whether the second set's command and its output have the opposite sign.
     """
 
@@ -84,10 +84,10 @@ def pair_records(
 
     Args:
         first, second: recordings of two machines, or of a machine and its simulator; rates may differ.
-        shared: the set of which a recording that is alone with its command is the partner of all with that command.
+        shared: the set in which a recording with a unique command is the partner of all with that command.
 
     Returns:
-        the pairs in the order of the first set, what has no partner, and what the commands alone did not decide.
+        the pairs in the order of the first set, recordings without a partner, and undecided pairs.
     """
     both = [[align(a, b) for b in second] for a in first]
     same, mirrored = ([[tried[k] for tried in row] for row in both] for k in (0, 1))

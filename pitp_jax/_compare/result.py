@@ -23,11 +23,11 @@ class Difference:
     """One quantity of both objects, with its difference.
 
     Attributes:
-        what: in plain words.
-        a, b: its values; text where it is no number, None where one side has none.
+        what: the quantity in plain words.
+        a, b: its values; text if it is not a number, None if missing.
         unit: of both and of the interval.
-        ci95: of b - a; None where a standard error is not known.
-        differs: whether b is other than a; None where that cannot be said.
+        ci95: of b - a; None if a standard error is unknown.
+        differs: whether b differs from a; None if unknown.
     """
 
     what: str
@@ -53,9 +53,9 @@ class Comparison:
     Attributes:
         kind: "models", "diagnoses" or "records".
         names: of A and of B.
-        rows: every quantity that both or one of them has.
-        remarks: what no row holds: descent, clocks, recordings without a partner.
-        pairs: of two sets of records, which recordings share their command.
+        rows: every quantity of either.
+        remarks: further facts: lineage, clocks, recordings without a partner.
+        pairs: of two sets of records, the recordings with the same command.
     """
 
     kind: str

@@ -36,12 +36,12 @@ def write(demo: Demo, folder: Path) -> None:
     """Write everything into an existing folder.
 
     Args:
-        demo: what `protocol.run` returned.
+        demo: result of `protocol.run`.
         folder: where; files of the same names are replaced.
 
     Raises:
         BadInput: a file cannot be written.
-        OSError: a figure cannot.
+        OSError: a figure cannot be written.
     """
     for name, records in ((RECORDS, (demo.sweep, *demo.train)), (HELD_OUT, demo.test)):
         (folder / name).mkdir()

@@ -50,7 +50,7 @@ class Scale:
         amplitude: A3 of the sines in Table I, V (1-5 kV for the cone, 200-1200 V for the roll).
         track_s, rise_s: length of a tracked sine and of the smooth start of it, s.
         quick_sweep: the short sweep: f_start, f_end, duration, rate, amplitude, offset.
-        quick_hz: drive frequencies kept for training, Hz.
+        quick_hz: input frequencies used for training, Hz.
         quick_s: seconds kept of every other record.
     """
 
@@ -122,7 +122,7 @@ def run(
     Args:
         name: `cone100`, `cone122`, `cone150` or `roll`.
         quick: fewer and shorter records, less training.
-        say: called with a line at every stage.
+        say: called with one line per stage.
         progress: called with the progress of training.
 
     Raises:

@@ -22,13 +22,13 @@ class Budget:
     Attributes:
         seconds: of wall time; infinite: no limit.
         most: simulated steps of the search.
-        reserve: s of these, kept for what follows the search.
+        reserve: s of these, reserved for the steps after the search.
         lane_steps: samples x steps a sample x simulations so far.
         run_steps: samples x steps a sample of one run of all records.
-        stage: what is being done, in words.
+        stage: the current stage, in words.
         progress: called with a line when a stage begins, and every few seconds within it.
-        skipped: in plain words, in order.
-        stopped: nothing more is allowed, whatever time is left.
+        skipped: skipped steps in plain words, in order.
+        stopped: no further step is allowed.
     """
 
     seconds: float = np.inf

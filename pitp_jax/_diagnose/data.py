@@ -40,9 +40,9 @@ class Series:
     Attributes:
         record: as given.
         output: scaled X as measured, nan where missing, shape (T,).
-        counts: samples that count, shape (T,).
+        counts: True for samples that count, shape (T,).
         span: peak to peak of the measurement, scaled.
-        begins: rest, held or moving; of the last two the first state is estimated.
+        begins: rest, held or moving; the initial state of the last two is estimated.
         noise: scaled standard deviation of the sensor's noise (fifth differences), of one thinned sample.
         zero, direction: measured = direction * (scale X) + zero.
     """
@@ -62,13 +62,13 @@ class Case:
     """A nominal model with its records.
 
     Attributes:
-        model: the nominal.
-        series: thinned, in the order given.
+        model: the nominal. series: thinned, in the order given.
         simulator: of all of them.
         nominal: slots of the nominal, shape (slots,).
         starts: (x, v) at the first samples, shape (records, 2).
         thinned: samples of a record per thinned sample.
-        folds: records left out together; of fewer than four records a block of one, so that there are four at least.
+        folds: records left out together; with fewer than four records, blocks of records, so that there are at least
+            four.
     """
 
     model: Model
@@ -143,9 +143,9 @@ def build_case(
 
     Args:
         model: the nominal.
-        records: recordings, or pieces of them under their names.
-        devices: that share the runs; none: the default one.
-        whole: the recordings that pieces are of.
+        records: recordings, or named pieces of them.
+        devices: for the runs; empty: the default device.
+        whole: the recordings from which pieces were cut.
 
     Raises:
         BadInput: a nominal that diverges on a record.

@@ -71,26 +71,26 @@ class Diagnosis:
 
     Attributes:
         verdict: "explained", "partly", "no_gap" or "unknown".
-        effects: names said, most important first; empty unless explained or partly.
-        equivalent: names these data cannot tell from effects[0].
-        added: what the augmented model has beyond the nominal, with form and parameters.
-        budget, gap, ranking, where, next_experiment: as docs/contract.md names them.
-        probability: per name, P that the best set without it leaves more.
-        fitted, heldout: record names; every record is predicted by a fit that did not see it (of fewer than four
-            records, every part by one that did not see that part).
+        effects: reported effects, most important first; empty unless explained or partly.
+        equivalent: effects that these data do not separate from effects[0].
+        added: effects of the augmented model beyond the nominal, with form and parameters.
+        budget, gap, ranking, where, next_experiment: see docs/contract.md.
+        probability: per effect, P that the best set without it has a larger error.
+        fitted, heldout: record names; every record is predicted by a fit without it (with fewer than four records,
+            every part by a fit without that part).
         folds: records left out together, or in parts.
-        shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
-        traces: every record beside the nominal and the model that is handed back.
-        notes: one line for whatever was left out, not tried or not said.
-        model: the best model that beats the nominal out of fold, else the nominal.
-        handed_back: its parts beyond the nominal.
-        parts: the same with numbers, intervals and certainty, under every verdict.
-        refit: "asked", "automatic" or "no": whether the nominal's coefficients were fitted along.
-        reason: why the verdict is "unknown", a sentence.
-        term: a force without a name as an equation found in the data.
+        shift: in a refit, the refitted coefficients over the given ones, shape (n + 1,).
+        traces: every record with the outputs of the nominal and the returned model.
+        notes: one line for everything left out, not tried or not reported.
+        model: the best model that beats the nominal out of fold, otherwise the nominal.
+        handed_back: the returned model's parts beyond the nominal.
+        parts: the same with parameters, intervals and certainty, under every verdict.
+        refit: "asked", "automatic" or "no": whether the nominal's coefficients were refitted.
+        reason: why the verdict is "unknown", one sentence.
+        term: an unnamed force as an equation found in the data.
         lane_steps: the work of the search, samples x steps a sample x simulations.
-        pieces: where the search worked on pieces of a long set; None: on all of it.
-        interrupted: the search was interrupted; the result is the best of what it had scored.
+        pieces: the pieces of a long set that the search used; None: all of it.
+        interrupted: the search was interrupted; the result is the best scored so far.
     """
 
     verdict: str
@@ -183,10 +183,10 @@ def diagnose(
     Args:
         model: an identified linear model or a trained one.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
-        refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
-            None: where the nominal was made from the very recordings given (by their sums in its line of descent).
-        exclude: names left out of the catalogue.
-        seconds: of computing; then the best so far is told, and in `notes` what was not tried.
+        refit_nominal: fit the nominal's coefficients too, because it was identified on records with the effect. None:
+            if the nominal was made from these recordings (by their checksums in its lineage).
+        exclude: effects left out of the catalogue.
+        seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.
         mesh: devices of this process that share the runs (`records_mesh`); default one device.
 

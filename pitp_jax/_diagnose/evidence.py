@@ -24,10 +24,10 @@ class Evidence:
     Attributes:
         squares, sizes: sum of squares and samples of every block.
         records: which record it is of.
-        units: what is drawn with it: a record, or a part of one.
-        floor: mean square of every record that is added to all of them: below it an error is no evidence.
-        least: mean square that is the least of every record: the square of what the nominal leaves where nothing is
-            wrong, which no name may claim to explain.
+        units: drawn together with it: a record, or a part of one.
+        floor: mean square of every record, added to all errors: smaller errors do not count as evidence.
+        least: smallest mean square of every record: the nominal's error on its own records, which no effect can
+            explain.
     """
 
     squares: np.ndarray
@@ -67,9 +67,9 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
     """Return blocks of the valid samples: about thirty in all, at least six per record.
 
     Args:
-        residuals: per record, nan where nothing counts.
+        residuals: per record, nan where samples do not count.
         floors, least: as errors.
-        parts: of every record, drawn apart.
+        parts: of every record, drawn separately.
     """
     total = sum(int(np.isfinite(r).sum()) for r in residuals)
     squares, sizes, records, units = [], [], [], []

@@ -34,14 +34,15 @@ class Fit:
     """One hypothesis during its fit.
 
     Attributes:
-        names: of the search, in the order added.
+        names: effects of the search, in the order added.
         free: slots that are fitted.
         slots: all of them, shape (slots,).
-        unit: size of every free number at its start.
+        unit: size of every free parameter at its start.
         starts: (x, v) at the first samples, shape (records, 2).
-        fold: left out of the fit; None: nothing.
-        residuals: per record y - y_measured less its own zero and start, nan where nothing counts; None: not run.
-        cost: L over the samples it may see.
+        fold: the fold left out of the fit; None: none.
+        residuals: per record y - y_measured without its own offset and initial state, nan where samples do not count;
+            None: not run.
+        cost: L over the samples of the fit.
         taken: steps that lowered it.
     """
 
@@ -174,8 +175,8 @@ class Fitter:
     def _residual(self, slots, starts, record: int, run):
         """Return the projected residual and the moved start.
 
-        A record's offset and start are fitted to all of it, whichever samples a fit may use. Without a block at its
-        start, a decaying start was extrapolated backwards to twice the range for a plant of minutes.
+        A record's offset and initial state are fitted to the whole record, whichever samples a fit may use. Without the
+        block at its beginning, a slow plant's decay was extrapolated backwards to twice the range.
         """
         s = self.case.series[record]
         if not np.isfinite(run).all():
@@ -243,7 +244,8 @@ class Fitter:
     def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
         """Move every fit several steps; converged fits stay.
 
-        Rejected steps do not count as iterations: a fold's fit that had not moved would have seen its test samples.
+        Rejected steps do not count as iterations: a fold's fit without an accepted step would still use its test
+        samples.
         """
         fresh = [f for f in fits if not np.isfinite(f.cost)]
         for _ in range(2):  # the second time with the initial states found by the first
@@ -317,7 +319,7 @@ class Fitter:
         """Refit every fit without each fold, starting from the fit to all records.
 
         Returns:
-            out-of-fold residuals of every fit, record by record; its slots without each fold, shape (folds, slots).
+            out-of-fold residuals of every fit, by record; its slots without each fold, shape (folds, slots).
         """
         self.differentiate([f for f in fits if f.jacobian is None and f.free])
         tasks = []

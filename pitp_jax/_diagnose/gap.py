@@ -35,9 +35,9 @@ class Gap:
     """Errors in % of range, pooled over records, and the closed fraction with its 95 % interval.
 
     Attributes:
-        before: of the nominal (refitted in a refit); after: with what was chosen; unrefitted: of the nominal as given.
-        noise_floor: the nominal's own error, None where it is not known; floor_from: where that comes from.
-        explainable: what the best set or the reference leaves.
+        before: of the nominal (refitted in a refit); after: of the chosen set; unrefitted: of the given nominal.
+        noise_floor: the nominal's own error, None if unknown; floor_from: its source.
+        explainable: error of the best set or the reference.
     """
 
     before: float
@@ -55,7 +55,7 @@ class Errors:
     """Residuals of three models on the same samples.
 
     Attributes:
-        given, base, handed: of the nominal as given, of the linear model without effects, of the model handed back.
+        given, base, handed: of the given nominal, of the linear model without effects, of the returned model.
         spans: range of every record, scaled.
     """
 
@@ -97,7 +97,7 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
     Args:
         search, decision: of the diagnosis.
         errors: of the three models.
-        own: the nominal's own error, scaled, 0 where it is not known; source: where that comes from.
+        own: the nominal's own error, scaled, 0 if unknown; source: where it comes from.
     """
     low = floor_percent(errors.spans, own)
     before, after, given = (percent(e, errors.spans) for e in (errors.base, errors.handed, errors.given))
@@ -135,7 +135,7 @@ def spans(search: Search) -> np.ndarray:
 def interval(before: Evidence, after: Evidence, spans: np.ndarray, low: float) -> tuple[float, float] | None:
     """Return the interval of the closed fraction from redrawn records and blocks, within [-1, 1]; None without a gap.
 
-    The nominal's own error is an estimate too, at most the stated value; the lower end of the interval is computed
+    The nominal's own error is also an estimate, and at most the stated value; the lower end of the interval is computed
     without it.
     """
     # the same draws for both, so that common parts cancel in their ratio
@@ -162,8 +162,8 @@ def own_misfit(case: Case) -> tuple[float, str]:
 
     M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
 
-    It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, which times
-    its robot's noise would hide any gap.
+    It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
+    product with the robot's noise would hide any gap.
     """
     origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
     if not np.isfinite(origin.misfit):
@@ -182,8 +182,8 @@ def _noise(case: Case) -> float:
 def beside_noise(case: Case, lacking: float, averaged: int) -> float:
     """Return the error that counts beside the noise, for records whose samples are averaged in blocks.
 
-    (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples takes the white part off on
-    either side of the comparison, which stays that of the full rate.
+    (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples removes white noise
+    on both sides, so the comparison stays that of the full rate.
     """
     noise, own = _noise(case), rules.OWN
     return float(np.sqrt((own * lacking) ** 2 + (own**2 - 1 + 1 / averaged) * noise**2) / own)

@@ -68,7 +68,7 @@ def _error(h: Hypothesis) -> float:
 def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
     """Return the model with as many integration steps a sample as its effects need, and its error.
 
-    Where it leaves `most` or more its steps are doubled until that gains nothing.
+    If its error is at least `most`, its steps are doubled until the error no longer falls.
     """
     error = package_error(made, records)
     for _ in range(_DOUBLED):

@@ -35,9 +35,9 @@ class Form:
     """One way to start an effect.
 
     Attributes:
-        name: of the search, which takes at most one form of a name.
+        name: effect in the search, which takes at most one form of an effect.
         spec: the row; None: the coefficients of the nominal.
-        start: values of the numbers that it sets, by their slots.
+        start: values of its parameters, by their slots.
     """
 
     name: str
@@ -231,7 +231,7 @@ def is_on(spec: EffectSpec, slots: np.ndarray) -> bool:
 def effects_of(slots: np.ndarray, scale: Scale, only: str = "") -> list[tuple[Effect, tuple[str, ...]]]:
     """Return the effects in these slots, each as the reported row, with the slots of its parameters.
 
-    `only`: those of this name of the search.
+    `only`: those of this effect.
     """
     found = []
     for spec in ROWS:
@@ -275,8 +275,8 @@ def slots_of(model: Model) -> tuple[np.ndarray, bool]:
 def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
     """Return the nominal with these slots in place of its own, and the added effects, each with its slots.
 
-    A model of order 3 or 4 holds its lag or filter in its coefficients, and there it is changed. A trained model keeps
-    its order: if a fit adds a mass that its core lacks, its coefficients stay.
+    A model of order 3 or 4 contains its lag or filter in its coefficients, which are changed. A trained model keeps its
+    order: if a fit adds a mass that its core lacks, its coefficients stay.
     """
     slots, order = slots.copy(), model.order
     for k in (DELAY, LAG, FILTER):  # a value fitted to almost zero counts as absent
@@ -367,8 +367,8 @@ def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | No
 def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
     """Return coefficients with poles beyond `most` (1/s) moved to it, and the slow response unchanged.
 
-    The search steps a linear plant exactly, whatever its poles. The rollout does not, and samples do not show such
-    fast poles: a damper whose own lag was fitted to almost zero diverged there.
+    The search steps a linear plant exactly for any poles; the rollout does not, and samples do not show such fast
+    poles. For example, a damper with a fitted lag of almost zero diverged in the rollout.
     """
     order = int(np.flatnonzero(a)[-1])
     poles = np.roots(a[order::-1])

@@ -24,8 +24,8 @@ class Experiment:
     """A playable excitation.
 
     Attributes:
-        separates: the two names.
-        excitation: what it is, in words.
+        separates: the two effects.
+        excitation: its description in words.
         time, voltage: s and V, shape (T,).
         difference: predicted rms difference of the outputs over the noise.
     """

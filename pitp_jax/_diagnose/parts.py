@@ -42,13 +42,14 @@ class Part:
 
     Attributes:
         effect, form: as in the catalogue; "parameter_change" for the nominal's coefficients.
-        parameters: name to value, unit and 95 % interval (its upper end None: a lower bound; None: not determined).
-        fraction: of the error's energy that the model closes.
-        probability: P that the best hypothesis without it leaves more; None where that was not asked.
+        parameters: name to value, unit and 95 % interval (upper end None: only a lower bound; None: not determined).
+        fraction: of the error energy removed by the model.
+        probability: P that the best hypothesis without it has a larger error; None if not computed.
         certainty: "certain", "tied", "likely" or "none".
-        tied: names that these recordings do not separate from it.
-        recording: what to record to make a likely part certain, in words.
-        experiment: the same, to play; None where no excitation within what was played tells it from its best rival.
+        tied: effects that these recordings do not separate from it.
+        recording: the recording that would make a likely part certain, in words.
+        experiment: the same as a voltage; None if no excitation within the recorded limits separates it from its best
+            rival.
     """
 
     effect: str
@@ -102,8 +103,8 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
 
     Args:
         search, decision: of the diagnosis.
-        handed: the hypothesis that is handed back.
-        made: its model, and the effects added, each with its slots.
+        handed: the returned hypothesis.
+        made: its model, and the added effects with their slots.
     """
     if not handed.fit.free:
         return Parts()

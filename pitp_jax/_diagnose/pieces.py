@@ -39,11 +39,11 @@ def cut(model: Model, records: Sequence[Record]) -> tuple[tuple[Record, ...], tu
 
     Args:
         model: the nominal.
-        records: that move.
+        records: recordings that move.
 
     Returns:
-        the records and None where a run of all of them takes at most `RUN_STEPS`; else pieces of them, each with the
-        name of its recording and its times, and where they are from.
+        the records and None if a run of all of them takes at most `RUN_STEPS`. Otherwise pieces of them, each with the
+            name and times of its recording, and their origins.
     """
     model, (nominal, _) = at_rate(model, records[0].dt), slots_of(model)
     k, samples = thinning(model, nominal, records), sum(r.samples for r in records)

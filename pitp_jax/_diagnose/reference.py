@@ -104,7 +104,7 @@ def reference(case: Case, h: Hypothesis, floors: np.ndarray) -> Evidence:
 def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndarray) -> list[Evidence]:
     """Return the out-of-fold evidence of every penalty.
 
-    Moments are computed once for every stretch of rows that the same folds use; the fit without a fold adds its
+    Moments are computed once for every stretch of rows that belongs to the same folds; the fit without a fold adds its
     stretches.
     """
     folds, weights = range(len(case.folds)), 1 / np.sqrt(h.evidence.mse)  # records weigh as in the log score

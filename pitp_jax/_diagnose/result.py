@@ -26,12 +26,12 @@ class Ranked:
     Attributes:
         effect, family, form: as in the catalogue.
         parameters: name to value, unit and standard error.
-        train, heldout: error left, % of range, of the fit to all records and out of fold.
+        train, heldout: error, % of range, of the fit to all records and out of fold.
         closed_fraction, ci95: as in `Gap`.
         probability: P that it beats the linear model.
 
-    `heldout` and `probability` are nan, and `closed_fraction` and `ci95` None, where the fit to all records leaves more
-    than the third-best candidate leaves out of fold: it was not refitted without each fold.
+    `heldout` and `probability` are nan, and `closed_fraction` and `ci95` None, for a candidate that was not refitted
+    without each fold: its fit to all records has a larger error than the third-best candidate out of fold.
     """
 
     effect: str
@@ -57,7 +57,7 @@ class Added:
 def errors_of(search: Search, fit: Fit) -> dict[str, float]:
     """Return standard errors of the free parameters (of logarithms if positive): block sandwich, B / (B - p).
 
-    Infinite where the records hold no information about a number.
+    Infinite if the records contain no information about a parameter.
     """
     if not fit.free:
         return {}

@@ -54,7 +54,7 @@ class Hypothesis:
 
     Attributes:
         fit: to all records.
-        labels: names as the catalogue has them, in the order of `fit.names`.
+        labels: catalogue names, in the order of `fit.names`.
         residuals: out of fold, per record.
         evidence: of those.
         without: slots of the refits without each fold, shape (folds, slots).
@@ -181,9 +181,9 @@ class Search:
         """Return the linear model refitted: with the nominal's own structure, or in a refit with another one.
 
         Choose the structure with the fewest parameters that no other structure beats by 5 % with probability 0.9.
-        Effects act on a core of order two at most, and a superfluous lag behind it would hide them. If few records
-        make a refit worse out of fold than the given nominal, effects start from its own structure and are measured
-        against it: an effect that only compensates for a poor refit is not reported.
+        Effects act on a core of order two at most, and a superfluous lag behind it would hide them. If few records make
+        a refit worse out of fold than the given nominal, effects start from the nominal's structure and are compared
+        with it: an effect that only compensates for a poor refit is not reported.
         """
         fits = [self._structure(self.movable, {})]
         if self.refit:
@@ -263,7 +263,8 @@ class Search:
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
         """Fit every hypothesis that lowers the error of the one below it to its optimum, where it waits to be judged.
 
-        First steps use few records only, so the best hypotheses continue even if these steps help no other record.
+        The first steps use few records only, so the best hypotheses continue even if these steps improve no other
+        record.
         """
         for f in (starts := [f for g in groups.values() for f in g]):
             f.fold = PREVIEW
@@ -295,8 +296,8 @@ class Search:
     def judge(self, depth: int, without: Set[str] = frozenset()) -> None:
         """Refit waiting hypotheses of this many effects without each fold, until the best three are certain.
 
-        The in-sample error of a fit is never above its out-of-fold error. Hypotheses are therefore refitted in order
-        of their in-sample error, and one above the third-best out-of-fold error keeps waiting.
+        The in-sample error of a fit is never above its out-of-fold error. Hypotheses are therefore refitted in order of
+        their in-sample error, and one above the third-best out-of-fold error waits.
         """
         fits = [f for f in self.waiting.values() if len(f.names) == depth and not without & set(f.names)]
         errors = {id(f): self.weigh(f.residuals).rms for f in fits}
@@ -350,8 +351,8 @@ class Search:
     def _beside_structures(self, fits: Sequence[Fit]) -> list[Fit]:
         """Return the best fits for every linear structure if that has GAIN less error than the original one.
 
-        First steps rank structures by how well a wrong effect fits them: friction started without the mass that it
-        acts on had six times the error.
+        The first steps would rank structures by how well a wrong effect fits them: friction without its mass had six
+        times the error.
         """
         many, best = [], list(fits)
         for n in sorted(range(len(fits)), key=lambda n: fits[n].cost)[:BEAM]:
@@ -375,7 +376,7 @@ class Search:
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
         """Return the most promising starts of every set, for the sets with the best starts.
 
-        An effect that helps beside another one may do nothing alone, so the order of the first level is a poor guide.
+        An effect that improves the fit together with another may do nothing alone, so the first level is a poor guide.
         """
         many = [(key, f) for key, group in groups.items() for f in group]
         costs = self.fitter.foreseen([f for _, f in many], [below[id(f)] for _, f in many])

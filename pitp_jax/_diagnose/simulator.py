@@ -66,11 +66,11 @@ class Drive:
     Attributes:
         voltage: shape (T,).
         dt: s.
-        start: scaled (x, v) at the first sample, as the data show it.
+        start: scaled (x, v) at the first sample, from the data.
         age: of the session, s.
-        before: V, what was played before the first sample; None: the same as there.
-        jump: s, when the drive goes from there to its first sample: 0, or half a sample earlier where it holds.
-        film: the drive before it was thinned; None: these samples are all there is.
+        before: V before the first sample; None: the same as at the first sample.
+        jump: s, when the voltage changes from there to its first sample: 0, or half a sample earlier if it is held.
+        film: the input before thinning; None: it was not thinned.
         reached: largest scaled |x| of the session before this record.
     """
 
@@ -94,7 +94,7 @@ class Simulator:
         force_scale: of F.
         rates: 1/s, of the scales of x' and x, and of x'' and x'.
         substeps: steps a sample.
-        devices: blocks run on these in turn; none: on the default one.
+        devices: blocks run on these in turn; empty: on the default device.
     """
 
     drives: tuple[Drive, ...]
@@ -271,7 +271,7 @@ class Middle(Instant):
 def _begin(rows, slots, h, start, volts, session):
     """Return the effects, the constants of their memories, and the initial state: x, v, x' of the last step, memories.
 
-    Memories are settled at the voltage played before.
+    Memories are settled at the previous voltage.
     """
     effects, parts, y = [r(*slots[PLACES[r]]) for r in rows], [], start[0]
     for e in effects:

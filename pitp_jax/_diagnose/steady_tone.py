@@ -18,8 +18,8 @@ def steady_tone(
     """Return (Hz, least fraction of a record's error), or None.
 
     Args:
-        errors: residuals, zero where nothing is measured.
-        voltages: drives, V.
+        errors: residuals, zero where the output is missing.
+        voltages: inputs, V.
         intervals: between samples, s.
     """
     lines = []

@@ -24,8 +24,8 @@ class Term:
         equation: sum_i a_i x^(i) = F - (this), with the parameters' names.
         parameters: name to value, unit, stderr and 95 % interval.
         closed_fraction, ci95: as those of a gap.
-        after: out-of-fold error with it, %.
-        effect: what the augmented model carries.
+        after: out-of-fold error with the term, %.
+        effect: the effect in the augmented model.
     """
 
     equation: str

@@ -37,16 +37,16 @@ class Decision:
 
     Attributes:
         verdict: as above.
-        chosen: the last set that pays; the base where none does.
-        said: catalogue names, most important first; empty unless explained or partly.
-        tied: per name said, what it cannot be told from.
-        probabilities: per name of the set that closes LISTED of it, P that it is needed.
-        fractions: per name of the set, of the energy the set closes.
-        bar: the reference on the base; above: on the chosen set.
-        more: P that the reference closes more on top of the set.
-        reason: why nothing is said, in words.
-        rivals: names that no verdict could tell apart.
-        alone: what a linear model of every record by itself leaves, of few records.
+        chosen: the last set that improves the fit significantly; otherwise the base.
+        said: reported effects, most important first; empty unless explained or partly.
+        tied: per reported effect, the effects that the records do not separate from it.
+        probabilities: per effect with at least the fraction LISTED of the closed energy, P that it is needed.
+        fractions: per effect of the set, fraction of the closed energy.
+        bar: the reference added to the base; above: added to the chosen set.
+        more: P that the reference added to the set closes more.
+        reason: why no effect is reported, in words.
+        rivals: effects that no verdict could separate.
+        alone: error of separate linear models of few records.
     """
 
     verdict: str

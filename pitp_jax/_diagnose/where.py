@@ -38,7 +38,7 @@ class Motion:
 
     Attributes:
         record: thinned, in V and scaled displacement.
-        weight: 1e4 / (samples range^2) where the output counts, else 0.
+        weight: 1e4 / (samples range^2) where the output counts, otherwise 0.
         states: scaled x, x', x'' (per s), shape (T, 3).
         force: scaled r, shape (T,).
         noise, span: of the output, scaled.

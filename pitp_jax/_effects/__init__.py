@@ -24,7 +24,7 @@ def lookup(name: str, form: str | None = None) -> EffectSpec:
     """Return the row of that name and form (the name's first form without one).
 
     Raises:
-        BadInput: there is none; the message lists those that there are.
+        BadInput: it does not exist; the message lists all.
     """
     forms = [r for r in CATALOGUE if r.name == name]
     if not forms:
@@ -40,8 +40,8 @@ def effect(name: str, *, form: str | None = None, **numbers) -> Effect:
     """Return an effect with its parameters in the model's scaled coordinates.
 
     Args:
-        name, form: as in the catalogue; without a form the name's first.
-        numbers: every number of the form by its name.
+        name, form: as in the catalogue; default: the effect's first form.
+        numbers: every parameter of the form by its name.
 
     Raises:
         BadInput: the name, the form or a number is not in the catalogue, or a number is missing.

@@ -19,7 +19,7 @@ from .spec import EffectSpec, Parameter
 def dry(now: Instant, level):
     """Return the force that stops the motion within the step, up to a level.
 
-    A sign of the velocity would overshoot and chatter at every step where the motion stands still.
+    The sign of the velocity would overshoot and chatter at every step at standstill.
     """
     if now.order <= 2 and now.last is None:
         return jnp.clip(now.free / now.reply, -level, level)

@@ -35,10 +35,10 @@ class Instant:
         coefficients: the nominal's scaled coefficients, shape (n + 1,).
         rates: dX_i/dt = rates_i X_(i+1), 1/s, shape (n,).
         force: scaled force of the film at the middle of the step.
-        h: length of the step, s; along a given motion it only says how sharply friction sets in.
-        tokens, offset: of the frozen equation, with the effects before this one in them.
-        last: scaled x^(n) of a motion that is given (measured, or wanted); None within a step.
-        wanted: the force is what is asked for, so that x^(n) is not the force's to decide.
+        h: length of the step, s; along a given motion it only sets how sharply friction starts.
+        tokens, offset: of the frozen equation, including the effects before this one.
+        last: scaled x^(n) of a given motion (measured, or wanted); None within a step.
+        wanted: the force is the unknown, so x^(n) does not follow from it.
         z: the effect's own states at this instant.
     """
 
@@ -250,7 +250,7 @@ class Effect:
 def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: int = _STEPS) -> Array:
     """Solve function(w) = wanted element by element by Newton's method, from `begin` (default: `wanted`).
 
-    A step is taken only if it reduces the error: on a flat piece (a clip) w stays.
+    A step is taken only if it reduces the error: w does not change in a flat part (a clip).
     """
     w = wanted if begin is None else begin
     for _ in range(steps):

@@ -33,12 +33,12 @@ class Kernel:
     """A memory of fixed size.
 
     Attributes:
-        size: how many states.
-        start: fn(p, w, age), the states of what has been held at w; `age` of the session in s.
+        size: number of states.
+        start: fn(p, w, age), the states settled at w; `age` of the session in s.
         advance: fn(p, z, before, after, h), the states after w ran linearly from `before` to `after` in h seconds.
-        ahead: fn(p, z, now), the states half a step on, which a frozen step's force reads.
-        resumed: fn(p, z, reached), the states where the session has gone to |x| = `reached` before; most forget.
-        once: fn(p, h), what `advance` takes for h and `ahead` for now.h: h, or numbers that a loop computes once.
+        ahead: fn(p, z, now), the states half a step later, for the force of a frozen step.
+        resumed: fn(p, z, reached), the states after the session has reached |x| = `reached`; most do not change.
+        once: fn(p, h), passed to `advance` for h and to `ahead` for now.h: h, or numbers that a loop computes once.
     """
 
     size: int

@@ -66,7 +66,7 @@ def _root(p, now):
 def _by_tangent(p, k, plant):
     """Report a polynomial by its tangent from rest to the ends of the motion, the farther end first.
 
-    For a motion to one side, the tangent of c2 x^2 at its ends has the mean of that in its middle, for either sign.
+    For a motion to one side, the mean of the tangents of c2 x^2 at its ends equals that at its middle, for either sign.
     """
     ends = np.array([plant.bottom, plant.top])
     change = np.polyval([5 * p.c5, 0, 3 * p.c3, 2 * p.c2, 0], ends)

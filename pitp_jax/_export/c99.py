@@ -31,14 +31,14 @@ def export_c(
 
     Args:
         model: identified or trained, with any effects.
-        folder: made; it must not exist.
+        folder: created; it must not exist.
         name: of the files and functions, `pitp_<name>`.
         rate: steps per second; None: the model's own.
         precision: "double" or "single".
-        time_constant: of the closed loop of the PI steps, s; None: what `pi_gains` takes.
+        time_constant: of the closed loop of the PI steps, s; None: the default of `pi_gains`.
 
     Returns:
-        What another rate than the model's costs, e_rms in %; None at its own rate.
+        Error due to a rate other than the model's, e_rms in %; None at its own rate.
 
     Raises:
         BadInput: with nothing written.

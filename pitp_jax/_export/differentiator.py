@@ -33,7 +33,7 @@ class Differentiator:
         dt: s between two samples.
         block: samples to a block.
         degree: of the polynomial; 0: the spline.
-        late: s by which the derivative is wanted after the middle of the window.
+        late: time of the derivative after the middle of the window, s.
     """
 
     order: int
@@ -101,7 +101,7 @@ def differentiator(
         dt: s between two samples.
         omega: of the resonance, rad/s.
         rounding: standard deviation of a sample's rounding, over the half-swing of the smallest motion.
-        late: s the drive is late by.
+        late: delay of the input, s.
     """
     order = len(a) - 1
     best, least = Differentiator(order, dt, 1, 0, late), np.inf

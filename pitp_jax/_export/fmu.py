@@ -61,7 +61,7 @@ def export_fmu(
         fmi: version of the interface, 2 or 3.
 
     Returns:
-        what another rate than the model's costs, e_rms in %; None at its own rate.
+        error due to a rate other than the model's, e_rms in %; None at its own rate.
 
     Raises:
         BadInput: with nothing written.

@@ -285,8 +285,8 @@ def _scanned(make, params, args, equation):
 def _scan_sizes(body: Jaxpr, scan) -> tuple[int, int]:
     """Return how many inputs of a scan are constants, and how many are its carry.
 
-    JAX keeps these numbers under names that change from release to release. The shapes do not change: only what is
-    scanned over or stacked has one axis more outside the body than inside it.
+    JAX stores these numbers under names that change from release to release, but the shapes show them: scanned or
+    stacked arrays have one more axis outside the body than inside.
     """
 
     def same_rank(outside, inside) -> int:

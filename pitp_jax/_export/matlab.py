@@ -24,7 +24,7 @@ def export_matlab(
         model: as for `export_c`; folder, name and rate likewise.
 
     Returns:
-        what another rate than the model's costs, e_rms in %; None at its own rate.
+        error due to a rate other than the model's, e_rms in %; None at its own rate.
 
     Raises:
         BadInput: with nothing written.

@@ -38,7 +38,7 @@ class PIGains:
     """The gains of a PI controller on the force, with the robustness of its loop.
 
     Attributes:
-        p: V^2 / m (V / m where the input is linear), in the model's direction.
+        p: V^2 / m (V / m for a linear input), in the model's direction.
         i: V^2 / (m s).
         time_constant: of the closed loop, s; also that of the back-calculation.
         gain_margin: by how much the plant's gain may grow.
@@ -122,7 +122,7 @@ def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
     """Find the shortest time constant, down from `first` or up from it, within a maximum sensitivity.
 
     Raises:
-        BadInput: none does.
+        BadInput: none exists.
     """
     gains = tuned(first)
     while gains.max_sensitivity > sensitivity:

@@ -60,12 +60,12 @@ class Plan:
 
     Attributes:
         model: in float64.
-        origin: its longest record is the test.
+        origin: its longest record is the test vector.
         dt: s between two steps.
         name: of files and functions, an identifier.
         single: float instead of double.
-        held: the voltage stands over a step (`steps.predict`).
-        time_constant: of the closed loop, s; None: what `pi_gains` takes; inf: no controller.
+        held: the voltage is held over a step (`steps.predict`).
+        time_constant: of the closed loop, s; None: the default of `pi_gains`; inf: no controller.
     """
 
     model: Model
@@ -207,7 +207,7 @@ def plan(
     """Return a plan, or refuse the request with the reason.
 
     Raises:
-        BadInput: no single model, a name that is no identifier, a rate or a precision that is none.
+        BadInput: no single model, a name that is not an identifier, or an invalid rate or precision.
     """
     if not isinstance(model, Model | Fitted):
         raise BadInput(f"{type(model).__name__}: only a single model can be exported; choose one of its members")
@@ -304,7 +304,7 @@ def half_step(plan: Plan) -> float:
 def rate_error(plan: Plan) -> float | None:
     """Return the error of another rate than the model's, e_rms (%) over its own test voltage; None at its own.
 
-    One voltage, whatever the rate, so that the figures of several rates compare.
+    The voltage is the same for every rate, so the figures of several rates can be compared.
     """
     own = plan.model.dt
     if abs(plan.dt / own - 1) < 1e-9:

@@ -58,7 +58,7 @@ class Node:
     Attributes:
         op: its name in `FOLDED`, or "input", "select", "matrix", "loop", "item".
         args: nodes and numbers; of an "item" the block and a place in it.
-        place: in the order of making, which is an order to write them in.
+        place: in the order of creation, in which they can be written.
         truth: whether it is true or false rather than a number.
         block: of a "matrix" its weights, of a "loop" its `Loop`.
     """
@@ -176,7 +176,7 @@ def _is(value, number: float) -> bool:
 def _simpler(op: str, args: tuple):
     """Return an operation simplified by a neutral or absorbing number; None if it has none.
 
-    0 times a node is 0: what is not finite never gets this far (`steps` guards its inputs).
+    0 times a node is 0, because `steps` rejects inputs that are not finite.
     """
     first, last = args[0], args[-1]
     if op == "mul":  # an effect that is off, a weight of zero: whole branches of a step disappear

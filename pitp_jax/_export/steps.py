@@ -43,9 +43,9 @@ class Step:
     """A pure step with its initial state.
 
     Attributes:
-        start: fn(y, u) -> carry of an actuator held at y (m from 0 V) under u (V) for ever.
+        start: fn(y, u) -> carry of an actuator held at y (m from 0 V) under u (V) indefinitely.
         run: fn(carry, input) -> (carry, outputs).
-        inputs: how many numbers it takes per sample.
+        inputs: number of inputs per sample.
         late: samples by which its output is behind its input.
     """
 
@@ -58,7 +58,7 @@ class Step:
 def predict(model: Model, dt: float, *, held: bool = False) -> Step:
     """Build the step from a voltage (V) to the displacement (m from 0 V) at its sample.
 
-    `held`: the voltage stands from this call to the next, and the displacement is that of the next.
+    `held`: the voltage is held from this call to the next, and the displacement is that of the next.
     """
     model = at_rate(model, dt)
     scale = model.scales.state[0]
@@ -158,7 +158,7 @@ def _parabola(values: Float[Array, "3 ..."]) -> Float[Array, "window ..."]:
 def _undone(model: Model, films, levels, begun, dt: float):
     """Compute the voltage for the film, the states of the effects' inverses, and whether the voltage is feasible.
 
-    `levels`: per effect its states and the last three values of what entered it.
+    `levels`: per effect its states and the last three values of its input.
     """
     window, passes, carried = _parabola(films), jnp.ones((), bool), []
     for effect, (states, entered) in zip(reversed(ports.drives(model)), reversed(levels), strict=True):

@@ -34,7 +34,7 @@ class Writer:
     Attributes:
         language: "c" or "matlab".
         single: numbers and functions of C are float.
-        beside: tables and loop bodies, in the order they are needed.
+        beside: tables and loop bodies, in the required order.
     """
 
     language: str

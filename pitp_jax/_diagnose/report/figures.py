@@ -40,11 +40,11 @@ def where_map(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
     """Draw the fraction of the missing force by input frequency and amplitude of the motion; flagged cells outlined.
 
     Args:
-        diagnosis: what was found.
+        diagnosis: the diagnosis.
         ax: where to draw; None makes a figure.
 
     Returns:
-        The axes: one square per cell that was visited, its share written in it from 1 % on.
+        The axes: one square per visited cell, with its fraction in it from 1 % on.
     """
     drawn: Axes = own_axes(ax, 1, (5.0, 3.2))[0]
     cells = diagnosis.where["cells"]
@@ -83,11 +83,11 @@ def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
     """Draw how much of the held-out gap every effect closes, with its 95 % interval.
 
     Args:
-        diagnosis: what was found.
+        diagnosis: the diagnosis.
         ax: where to draw; None makes a figure.
 
     Returns:
-        The axes: a bar per name, best first; the effects named blue, tied ones orange.
+        The axes: one bar per effect, best first; reported effects blue, tied ones orange.
     """
     rows = _bars(diagnosis)
     drawn: Axes = own_axes(ax, 1, (5.0, 0.7 + 0.24 * max(len(rows), 2)))[0]
@@ -127,10 +127,10 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
     """Draw fractions of the gap along some of its axes, as bars.
 
     Args:
-        diagnosis: what was found.
+        diagnosis: the diagnosis.
         axes: as many axes as names; None makes a figure.
-        names: of "records", "frequency", "time" (shares of the error), "displacement", "velocity" and "voltage"
-            (shares of the missing force).
+        names: of "records", "frequency", "time" (fractions of the error), "displacement", "velocity" and "voltage"
+            (fractions of the missing force).
 
     Returns:
         The axes, shape (len(names),).

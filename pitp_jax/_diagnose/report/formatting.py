@@ -63,7 +63,7 @@ def parameter_between(name: str, number: dict, length_unit: str) -> tuple[str, s
 
     Args:
         name: of the parameter.
-        number: its value, unit and ci95, whose upper end is None where there is only a lower bound.
+        number: its value, unit and ci95, whose upper end is None for a lower bound.
         length_unit: the displacement's unit, of the user's files.
     """
     if number["ci95"] is None:
@@ -122,7 +122,7 @@ def gathers(where: dict, spent: dict[str, np.ndarray], units: Units) -> list[str
 
     Args:
         where: as `Diagnosis.where`.
-        spent: share of time in every bin of an axis.
+        spent: fraction of time in every bin of an axis.
         units: of the model.
     """
     scale, shown = 1 / units.output.factor, shown_unit(units.output.unit)

@@ -60,7 +60,7 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
     """Draw measured, nominal and augmented output of the worst held-out record, zoomed, and both errors beneath.
 
     Args:
-        diagnosis: what was found; without a gap only the nominal is drawn.
+        diagnosis: the diagnosis; without a gap only the nominal is drawn.
         axes: two axes; None makes a figure.
 
     Returns:

@@ -22,8 +22,8 @@ def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
     """Return a self-contained HTML page: verdict, where, which, how far; then figures, tables, and how to read them.
 
     Args:
-        diagnosis: what `diagnose` found.
-        drawn: its `figures`, which the page makes small; None draws them.
+        diagnosis: result of `diagnose`.
+        drawn: its `figures`, which are reduced in size; None draws them.
     """
     drawn = figures(diagnosis) if drawn is None else drawn
     parts = [
