@@ -43,7 +43,7 @@ def test_what_does_not_move_is_left_out(nominal):
     assert [r.name for r in kept] == [r.name for r in records]
     assert notes == ("left out, since they do not move beyond their noise: rest, dead",)
     rng = np.random.default_rng(6)  # a drive read by a monitor, and a sensor with noise of long memory
-    slow = 2e-5 * lfilter([np.sqrt(1 - 0.98**2)], [1, -0.98], rng.standard_normal(SAMPLES))
+    slow = 2e-5 * np.asarray(lfilter([np.sqrt(1 - 0.98**2)], [1, -0.98], rng.standard_normal(SAMPLES)))
     read = replace(resting("read", 0.0), voltage=2 * rng.standard_normal(SAMPLES), displacement=slow)
     assert [r.name for r in usable([*records, read])[0]] == [r.name for r in records]
     small = replace(records[0], name="small", displacement=records[0].displacement / 50)
