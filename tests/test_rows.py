@@ -83,7 +83,7 @@ def _jitted(encoder, rows):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize([5, 2300])
+@pytest.mark.parametrize("instants", [5, 2300])
 def test_paper_logits(instants):
     """Few instants take the plain way, many the tables, the last block of them padded."""
     encoder = paper(3, 2, 16, 1)
@@ -91,6 +91,17 @@ def test_paper_logits(instants):
     found, truth = _jitted(encoder, rows), jax.jit(jax.vmap(encoder))(rows.T).T
     assert np.ptp(truth[0]) > 0.1
     np.testing.assert_allclose(found, truth, rtol=0, atol=1e-5 * np.abs(truth).max())
+
+
+@pytest.mark.slow
+def test_tables_are_for_cpus_alone():
+    """Programs for a GPU, lowered here without one, look nothing up and hold the products instead."""
+    encoder = paper(2, 1, 4, 1)
+    made = jax.jit(lambda r: jnp.stack(encoder.over()(list(r))))
+    rows = jnp.ones((2, 300), jnp.float32)
+    text = {p: jax.export.export(made, platforms=[p])(rows).mlir_module() for p in ("cpu", "cuda")}
+    assert "stablehlo.gather" in text["cpu"] and "stablehlo.gather" not in text["cuda"]
+    assert "stablehlo.dot_general" in text["cuda"]
 
 
 @pytest.mark.slow
