@@ -62,7 +62,8 @@ class Case:
     """A nominal model with its records.
 
     Attributes:
-        model: the nominal. series: thinned, in the order given.
+        model: the nominal.
+        series: thinned, in the order given.
         simulator: of all of them.
         nominal: slots of the nominal, shape (slots,).
         starts: (x, v) at the first samples, shape (records, 2).

@@ -96,8 +96,8 @@ def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
 def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
     """Return whether to try this order: the best known order is the last one, or the last but one at order 4.
 
-    Also if no order explains half of the output yet, or the last one halved the cost in sample: three poles of two
-    modes explain no held-out block.
+    It also does if no order explains half of the output yet, or the last one halved the in-sample cost: three poles for
+    two modes explain no held-out block.
     """
     known = [c for c in earlier if c.known]
     costs = [min((c.cost for c in known if c.structure.order < n), default=np.inf) for n in (order - 1, order)]

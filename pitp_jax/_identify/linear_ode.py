@@ -140,7 +140,7 @@ def respond(
         step: duration of one sample in the unit of time of the poles.
         square: whether the force is the square of the voltage.
         hold: "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth force).
-        settled: from the equilibrium of the first sample, not from rest.
+        settled: start from the equilibrium of the first sample, not from rest.
         late: delay in samples; exact between them.
     """
     if hold == "bandlimited":

@@ -33,13 +33,13 @@ class Wish:
 
     Attributes:
         reading: in model coordinates, m, shape (T,).
-        counted: where that is asked for, shape (T,).
+        counted: where it is wanted, shape (T,).
         dt: sampling interval, s.
         low, high: V, shape (T,).
         slew: V/s.
         budget: total variation, V.
         start: scaled state at the first sample.
-        farthest: largest reading either way, m.
+        farthest: largest |reading|, m.
     """
 
     reading: np.ndarray

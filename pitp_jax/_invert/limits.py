@@ -60,7 +60,7 @@ def limits_of(
     """Choose the given limits, or those of the training records; return them and warnings.
 
     Raises:
-        BadInput: a limit that is not positive, an endless voltage, or a start beyond it.
+        BadInput: a limit that is not positive, an infinite voltage, or a start beyond it.
     """
     low, high = model.domain.voltage_range
     warnings: tuple[str, ...] = ()
@@ -97,7 +97,7 @@ def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarr
     """Clip to the voltage range, then to the slew rate, starting at the voltage of the ends.
 
     Returns:
-        The voltage kept, and True where it differs from the voltage asked for.
+        The limited voltage, and True where it differs from the requested one.
     """
     kept = np.clip(voltage, limits.low, limits.high)
     kept[0] = last = limits.ends

@@ -92,7 +92,7 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
     """Take one Mehrotra predictor-corrector step on the KKT system; the a_k are eliminated stage by stage.
 
     With S = m / s per inequality: G' S G joins Q, the two bounds on |g z + h| join as 4 S+ S- / (S+ + S-) on g z + h,
-    and the budget's multiplier is one number, whose answer (`per_price`) is one more right-hand side.
+    and the budget's multiplier is a scalar, whose response (`per_price`) is one more right-hand side.
     """
     stiffness = jax.tree.map(lambda m, s: m / s, now.multiplier, now.slack)
     bounds, (upper, lower), budget = stiffness

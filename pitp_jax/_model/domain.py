@@ -20,10 +20,10 @@ class Domain(Constants):
 
     Attributes:
         dt: sampling interval of the records, s.
-        voltage_range: lowest and highest drive voltage, V.
+        voltage_range: lowest and highest voltage, V.
         slew: highest slew of the voltage, V/s.
-        region: lowest and highest value of every feature (S then memory, scaled); no row where nothing was trained.
-        clock: what the records' clock showed when their session began, s; 0 unless it shows absolute time.
+        region: lowest and highest value of every feature (S then memory, scaled); no row without training.
+        clock: time of the records' clock at the start of their session, s; 0 unless it is absolute time.
     """
 
     dt: float = eqx.field(converter=number, static=True)

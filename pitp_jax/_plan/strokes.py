@@ -74,7 +74,7 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
     Args:
         voltages: V, in the order of playing.
         dt: sampling interval, s.
-        band: where the resonance may be, Hz; one a half above it is tried as well.
+        band: possible range of the resonance, Hz; a resonance 50 % above it is also tried.
     """
     forces = [u * u for u in voltages]
     places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)

@@ -44,7 +44,7 @@ def reduce_rate(
 
     Args:
         records: in base units, of one sampling rate.
-        model: its modes count among the fastest motion; its coefficients stay, and hold for the records' own rate.
+        model: its modes count among the fastest motion; its coefficients stay valid for the records' own rate.
         samples_per_period: kept of the fastest motion, at least.
         least: size of the blocks from which it is worthwhile.
     """

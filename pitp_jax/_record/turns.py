@@ -33,7 +33,7 @@ def unwrap(
         units: base units of both; an angle and counts lie on a circle.
 
     Returns:
-        input and output, and how many turns were removed from each.
+        input and output, and the number of turns removed from each.
     """
     seen = np.flatnonzero(np.isfinite(displacement))
     if len(seen) < 3:

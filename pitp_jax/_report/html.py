@@ -132,7 +132,7 @@ def picture(name: str, drawn: Figure, caption: str) -> str:
 
     Args:
         name: unique on the page.
-        drawn: any figure; it is redrawn so narrow that its text can be read on a telephone.
+        drawn: any figure; it is redrawn narrow enough for its text to be readable on a telephone.
         caption: one sentence.
     """
     _made_small(drawn)

@@ -24,7 +24,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     """Return where each of `bins` equal parts of a signal is smallest and largest.
 
     Args:
-        values: signal, shape (T,); nan where missing, and passed over.
+        values: signal, shape (T,); nan where missing, which is ignored.
         bins: number of stretches, fewer where T is smaller.
 
     Returns:
@@ -132,7 +132,7 @@ def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.nda
 def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> None:
     """Add labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
 
-    Axes under each other share `across`: the lowest alone numbers it.
+    Stacked axes share `across`: only the lowest shows its numbers.
     """
     for ax, label in zip(axes, upward, strict=True):
         ax.set_ylabel(label, fontsize=_SMALL + 1)

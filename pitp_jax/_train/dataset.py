@@ -27,7 +27,7 @@ class Dataset:
         model: the nominal in the new scales, with the memory (tokens still constant).
         equation: valid samples of all records, flat.
         features: per record the scaled state and memory at every sample, shape (T, n + K).
-        valid: per record, samples whose filtered state may be trusted, shape (T,).
+        valid: per record, True where the filtered state is valid, shape (T,).
         region: lowest and highest value of every feature over valid samples.
     """
 

@@ -30,7 +30,7 @@ _AT_ONCE = 16  # blocks side by side; their data stay in a core's memory
 class Runs(eqx.Module):
     """Free runs to be fitted: starts, voltages, scaled displacements and weights of the samples.
 
-    `own_zero`: 1 where a run has a sensor zero of its own, projected out of its errors (variable projection).
+    `own_zero`: 1 where a run has its own sensor offset, projected out of its errors (variable projection).
     """
 
     start: Float[Array, "records state"]
@@ -66,8 +66,8 @@ def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
 def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -> Float[Array, "records errors n"]:
     """Weight rows by c = sqrt(every w), minus c (c . row) / (c . c) if a run has its own sensor offset.
 
-    That is the residual after the best zero, and the same projection of its slopes is exact (variable projection for
-    a number that enters linearly).
+    The result is the residual after the best offset. The same projection of its derivatives is exact (variable
+    projection for a linear parameter).
     """
     c = jnp.sqrt(every * runs.weight)[:, : rows.shape[1] * every : every, None]
     rows = c * rows
@@ -98,7 +98,7 @@ class _Local:
     def substep(self, state, volts, volts_by):
         """Differentiate one substep: A_t, dg/dl, N_t without the encoder's part, its features, and the next state.
 
-        The encoder is differentiated apart: through its few logits its many weights cost one reverse pass a block.
+        The encoder is differentiated separately: with its few logits, all weights cost one reverse pass per block.
         """
         n, h, core = self.numbers, self.h, state[: self.core]
 

@@ -78,8 +78,8 @@ def refine(
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
 
-    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: what else is to be fitted.
-    `windows`: whether they come first. `emphasis`: how often each whole record counts; default once.
+    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: the slow balance to be fitted
+    as well. `windows`: whether windows are fitted first. `emphasis`: how often each whole record counts; default once.
     """
     how = _How(records[0].dt, report, firmness, slow, mesh)
     longest = max(r.samples for r in records) * how.dt / _period(model)  # in periods
@@ -143,7 +143,7 @@ def prior_weights(model: Model, sizes, firmness: float) -> np.ndarray:
 def thinning(model: Model, dt: float) -> int:
     """Return the sampling step of the error: ten samples per period of the resonance, at most every eighth sample.
 
-    Neighbours on a smooth run are redundant, and the slopes of fewer samples cost less.
+    Neighbours on a smooth run are redundant, and fewer samples need fewer derivatives.
     """
     return int(np.clip(_period(model) / dt / 10, 1, 8))
 
@@ -238,7 +238,7 @@ def _from_the_start(
 ) -> Runs:
     """Pad the first `size` samples to arrays; samples used to estimate an initial state have no weight.
 
-    A held record with the offset of those at rest starts at its measured level, and so determines the static curve.
+    A held record with the offset of those at rest starts at its measured level, and thus determines the static curve.
     Others that do not start at rest have their own offset, projected out of their errors.
     """
     shape = len(records), size
