@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from .._compare.page import overlay
 from .._report import html
 from .._report.html import tag
-from .._report.lines import DRIVE, finish, line, own_axes
+from .._report.lines import DRIVE, finish, line, own_axes, some_periods
 from .._report.numbers import figure, of_range, percent, shown_unit, with_error
 from .._table.units import from_base
 from .result import SimToReal
@@ -65,7 +65,7 @@ def _table(found: SimToReal) -> str:
         rows.append(("named" if p.difference and p.certain else "pale" if not p.difference else "", cells))
     gain = any("Kp" in p.unit for p in found.parameters)
     note = (
-        "Bold: said by the diagnosis. The damping includes the controller's own, the inertia the link's: add the "
+        "Bold: reported by the diagnosis. The damping includes the controller's own, the inertia the link's: add the "
         "difference."
     )
     kp = " Kp is the gain of the position controller; give --position-gain to have torques." if gain else ""
@@ -93,7 +93,8 @@ def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], 
         name, unit = record.name.replace("/", "_"), record.voltage_unit
         time, shown = record.time - record.time[0], from_base(added, unit)
         ax = own_axes(None, 1, (5.6, 2.4))[0]
-        line(ax, time, shown, color=DRIVE, lw=0.9)
+        part = some_periods(shown)
+        line(ax, time[part], shown[part], color=DRIVE, lw=0.9)
         finish(np.array([ax]), "time from the start (s)", [f"added input ({shown_unit(unit)})"])
         caption = f"{record.name}: added to the simulator's input, this gives the robot's output"
         assert isinstance(ax.figure, Figure)

@@ -68,7 +68,7 @@ _NAMES = {
     "coulomb_friction speed": Names("speed over which dry friction changes"),
     "coulomb_friction give": Names("way that dry friction gives before it slides"),
     "coulomb_friction mu": Names("dry friction over the spring's force"),
-    "delay time": Names("delay of the command", "shift ctrl by it", "DelayedPDActuatorCfg max_delay (steps)"),
+    "delay time": Names("delay of the command", "actuator delay", "DelayedPDActuatorCfg max_delay (steps)"),
     "backlash width": Names(
         "backlash, whole width", "extra hinge, range +- half", "extra joint, limits +- half", "extra joint, limits"
     ),

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from .._report import html
 from .._report.html import tag
-from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
+from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes, some_periods
 from .._report.numbers import figure, shown_unit
 from .._table.units import from_base
 from .pairing import Pair
@@ -72,9 +72,10 @@ def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.nd
     time = pair.first.time - pair.first.time[0]  # clocks of two rigs share no zero
     one, two = (from_base(y, unit) for y in (pair.first.displacement, pair.output()))
     upper, lower = own_axes(None, 2, (5.6, 3.0), (2.2, 1.0))
-    line(upper, time, one, color=MEASURED, lw=2.2, label=names[0])
-    line(upper, time, two, color=PREDICTED, lw=1.0, label=names[1])
-    line(lower, time, two - one, color=ERROR, lw=0.8)
+    part = some_periods(one)
+    line(upper, time[part], one[part], color=MEASURED, lw=2.2, label=names[0])
+    line(upper, time[part], two[part], color=PREDICTED, lw=1.0, label=names[1])
+    line(lower, time[part], (two - one)[part], color=ERROR, lw=0.8)
     finish(np.array([upper, lower]), "time from the start (s)", [f"output ({shown_unit(unit)})", "difference"])
     drawn = upper.figure
     assert isinstance(drawn, Figure)

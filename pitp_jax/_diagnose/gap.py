@@ -111,8 +111,10 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
 
 
 def as_far_as_closed(verdict: str, gap: Gap) -> str:
-    """Return the verdict, but at best "partly" if the interval of the closed fraction reaches 0."""
-    return "partly" if verdict == "explained" and gap.ci95 is not None and gap.ci95[0] <= 0 else verdict
+    """Return the verdict, at best "partly" if the closed fraction may be 0 or LEFT times the own error remains."""
+    nothing = gap.ci95 is not None and gap.ci95[0] <= 0
+    much = gap.noise_floor is not None and gap.after > rules.LEFT * gap.noise_floor
+    return "partly" if verdict == "explained" and (nothing or much) else verdict
 
 
 def closed(before: float, after: float, low: float) -> float | None:

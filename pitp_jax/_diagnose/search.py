@@ -15,7 +15,7 @@ import numpy as np
 from .._model.units import base_units, units_of
 from . import rules
 from .budget import Budget
-from .data import FEWEST_FOLDS, Case
+from .data import FEWEST_FOLDS, Case, excited_hz
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
 from .library import (
@@ -29,9 +29,10 @@ from .library import (
     LAG,
     LONE,
     ROWS,
-    SLOW,
+    SHIFT,
     Form,
     Scale,
+    bounds,
     forms,
     group,
     named,
@@ -44,6 +45,7 @@ _CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps ga
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
+_JUDGED_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
 PARAMETERS = "parameters"
 
@@ -96,6 +98,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
     area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
+    band = 2 * np.pi * np.array(excited_hz(case))
     return Scale(
         tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
         reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
@@ -103,6 +106,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
         voltage=float(np.abs(volts).max()),
         slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
         area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
+        fastest=float(np.quantile(np.abs(v), 0.995)), low=band[0], high=band[1],
         radian=float(case.model.scales.state[0]) if base_units(units_of(case.model)).output.unit == "rad" else 0.0,
     )  # fmt: skip
 
@@ -144,8 +148,7 @@ class Search:
         self.base = base
         self.scale = scale_of(case, base.fit)
         self.every[frozenset()] = base
-        # a memory of the input faster than the plant is a filter of it, not a charge
-        self.fitter.lowest = dict.fromkeys(SLOW, self.scale.tau)
+        self.fitter.bounds = bounds(self.scale)
         self.library = [f for f in forms(self.scale) if self._is_tried(f)]
         if not refit and CHANGED not in self.exclude:
             moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=(CHANGED,))
@@ -155,9 +158,13 @@ class Search:
     def _is_tried(self, form: Form) -> bool:
         """Return whether a form has a meaning beside the base and is not excluded."""
         spec, mass = form.spec, self.scale.a2 > 0
-        if spec is None or spec.needs_mass and not mass or form.name in self.exclude:
+        if spec is None or form.name in self.exclude:
+            return False
+        if spec.needs_mass and not mass or spec.squares and not self.case.simulator.square:
             return False
         if spec.reported is None and spec.name in self.exclude:
+            return False
+        if spec is SHIFT and DELAY in self.movable:  # the delay of the nominal model may be shorter
             return False
         # in a refit these parameters of the linear model are free in every set
         free = {"gain", *(["mass"] if mass else []), *(["delay"] if DELAY in self.core else [])}
@@ -257,7 +264,9 @@ class Search:
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            self._climb(some)
+            # a hypothesis counts only after it is judged, so the fits leave time for that
+            with self.budget.keeping(_RANKED * len(self.case.folds) * _JUDGED_RUNS * self.budget.run_steps):
+                self._climb(some)
             self.judge(depth, without)
 
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
@@ -290,8 +299,19 @@ class Search:
 
     def _gains(self, fit: Fit) -> bool:
         """Return whether a fit has at least GAIN less error than the hypothesis below it."""
-        below = self.every[frozenset(fit.names[:-1])].fit.cost
-        return fit.cost < below - 2 * rules.GAIN * self.samples
+        return self._leaves_less(fit, self.every[frozenset(fit.names[:-1])].fit)
+
+    def _leaves_less(self, fit: Fit, other: Fit) -> bool:
+        """Return whether a fit has GAIN less error than another one; errors below the nominal's own count as that."""
+        return bool(np.isfinite(fit.cost) and self._left(fit) < self._left(other) - 2 * rules.GAIN)
+
+    def _left(self, fit: Fit) -> float:
+        """Return the log of a fit's mean square error, at least that of the nominal's own error."""
+        total = 0.0
+        for r, floor in zip(fit.residuals, self.floors, strict=True):
+            seen = r[np.isfinite(r)]
+            total += len(seen) * np.log(max(np.mean(seen**2) + floor, (rules.OWN * self.misfit) ** 2))
+        return total / self.samples
 
     def judge(self, depth: int, without: Set[str] = frozenset()) -> None:
         """Refit waiting hypotheses of this many effects without each fold, until the best three are certain.
@@ -326,8 +346,8 @@ class Search:
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
         """Return the form with the fewest parameters of those with at most GAIN more error than the best."""
-        most = min(f.cost for f in forms) + 2 * rules.GAIN * self.samples
-        return min((f for f in forms if f.cost <= most), key=lambda f: (len(f.free), f.cost))
+        best = min(forms, key=lambda f: f.cost)
+        return min((f for f in forms if not self._leaves_less(best, f)), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
         """Return memories of one time constant, or of two a decade apart if those gain GAIN."""
@@ -344,7 +364,7 @@ class Search:
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
         for n, f in more:
-            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+            if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
         return best
 
@@ -369,7 +389,7 @@ class Search:
                 many.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in many], _STEPS)
         for n, f in many:
-            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+            if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
         return best
 

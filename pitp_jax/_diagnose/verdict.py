@@ -126,8 +126,8 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
             why = "hold too few kinds of excitation to" if few else "do not"
             reason = f"These recordings {why} separate {label} from {rival or 'the model without it'}."
             return answer("unknown", reason=reason, rivals=(label, rival), **seen)
-        # no record can separate these, so they are reported as tied however certain the set is
-        twins = TWINS.get(label, ())
+        # a narrow band cannot separate these, so they are reported as tied however certain the set is
+        twins = () if _beats_twin(search, chosen, name, label) else TWINS.get(label, ())
         if search.refit and label not in LONE:
             twins = ()
         said.append(label)
@@ -185,6 +185,15 @@ def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
             fractions[n] = float(np.clip((before.rms**2 - h.rms**2) / len(new) / max(whole, 1e-300), 0.0, 1.0))
         before = h
     return fractions
+
+
+def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bool:
+    """Return whether the set with the twin instead has a larger error by FURTHER, so that the band separates them."""
+    for twin in TWINS.get(label, ()):
+        other = search.judged({*chosen.names} - {name} | {twin})
+        if other is None or probability(chosen.evidence, other.evidence, rules.FURTHER) < rules.SURE:
+            return False
+    return True
 
 
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from .._report import html
 from .._report.html import tag
-from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
+from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes, some_periods
 from .._report.numbers import figure, shown_unit
 from .._table.units import from_base
 from .verify import Played, Verification
@@ -50,13 +50,13 @@ def page(found: Verification, drawn: Mapping[str, Figure]) -> str:
 def _drawn(played: Played) -> Figure:
     record, unit = played.record, played.record.displacement_unit
     axes = own_axes(None, 1, (5.6, 2.6))
-    time = record.time - record.time[0]
+    time, part = record.time - record.time[0], some_periods(record.displacement)
     for values, color, width, label in (  # the robot's line is wide and below, so that it stays visible
         (record.displacement, MEASURED, 2.6, "robot"), (played.before, ERROR, 0.8, "MuJoCo, before"),
         (played.after, PREDICTED, 0.8, "MuJoCo, after"),
     ):  # fmt: skip
         if values is not None:
-            line(axes[0], time, np.asarray(from_base(values, unit)), color=color, lw=width, label=label)
+            line(axes[0], time[part], np.asarray(from_base(values, unit))[part], color=color, lw=width, label=label)
     finish(np.array([axes[0]]), "time (s)", [f"position ({shown_unit(unit)})"])
     assert isinstance(axes[0].figure, Figure)
     return axes[0].figure

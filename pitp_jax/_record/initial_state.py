@@ -21,7 +21,7 @@ from .record import Record
 
 Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
-_STILL, _SMALL = 10.0, 0.2
+_STILL, _SMALL, _FAINT = 10.0, 0.2, 0.02
 _SLOW = 0.01  # of omega times the range: a smaller velocity moves the mode by at most a hundredth of the range
 _FLAT, _LEVEL, _FEWEST_FLAT = 1e-3, 0.02, 24  # of the input's range; of a noisy input's and the output's range; samples
 _FEWEST, _WITHIN = 8, 48  # observed samples needed for a first state; samples within which they must lie
@@ -82,10 +82,12 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
         BadInput: none moves.
     """
     ranges = [r.span for r in records]
-    # Under a constant input only a motion as large as the others' counts, because coloured noise has any range.
+    # Under a constant input, which may carry a monitor's noise, only a motion as large as the others' counts, because
+    # coloured noise has any range.
+    drives = [float(np.std(r.voltage)) for r in records]
     moves = [
-        w > 0 and (w > _SMALL * max(ranges) or (np.ptp(r.voltage) > 0 and w > _STILL * noise_std(r.displacement)))
-        for r, w in zip(records, ranges, strict=True)
+        w > 0 and (w > _SMALL * max(ranges) or (d > _FAINT * max(drives) and w > _STILL * noise_std(r.displacement)))
+        for r, w, d in zip(records, ranges, drives, strict=True)
     ]
     if not any(moves):
         raise BadInput(f"{records[0].source or records[0].name}: no record moves; record the actuator under a drive")

@@ -47,7 +47,7 @@ th{color:var(--soft);font-weight:600}
 th:first-child,td:first-child,.left,.long{text-align:left}
 .long{min-width:8rem}
 @media(max-width:50rem){table,tbody,tr,td{display:block}
-thead{display:block}thead tr{border:0}th{display:inline-block;border:0;padding:.1rem .6rem .1rem 0}
+thead{display:none}
 tr{padding:.5rem 0;border-bottom:1px solid var(--rule)}.long,td:first-child{min-width:0}
 td,td.long,td.left{display:flex;justify-content:space-between;gap:1rem;text-align:right;border:0;padding:.08rem 0}
 td::before{content:attr(data-label);color:var(--soft);text-align:left;flex:none;max-width:45%}

@@ -15,6 +15,7 @@ from .numbers import shown_unit
 MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 BINS = 1200
+_PERIODS, _DRAWN_PERIODS = 25, 12  # of a sine: more than the first make a solid block; the second is then drawn
 _SMALL = 8.0  # points: ticks and legends; labels are one point larger
 _UNITS = {"m": (1e3, "displacement (mm)"), "V": (1.0, "output (V)")}
 _ERRORS = {"m": ("error (mm)", "error (µm)"), "V": ("error (V)", "error (mV)")}
@@ -72,6 +73,28 @@ def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
     """Draw one signal (T,) over `across` (T,), thinned if it is long."""
     kept = thin(values)
     ax.plot(across[kept], values[kept], **style)
+
+
+def some_periods(values: np.ndarray) -> slice:
+    """Return the samples of a signal to draw: all, or some periods of its middle if more would make a solid block.
+
+    Args:
+        values: signal, shape (T,); nan where missing.
+
+    Returns:
+        samples: all of a signal with few periods, and of one whose periods differ (a chirp).
+    """
+    y = np.nan_to_num(values - np.nanmean(values)) if np.isfinite(values).any() else np.zeros(len(values))
+    sides = np.where(np.abs(y) > 0.1 * np.ptp(y), np.sign(y), 0.0)
+    places = np.flatnonzero(sides)
+    turns = places[1:][np.diff(sides[places]) != 0]
+    if len(turns) <= 2 * _PERIODS:
+        return slice(None)
+    short, long = np.quantile(np.diff(turns), (0.1, 0.9))
+    if long > 2 * short:
+        return slice(None)
+    first = len(turns) // 2 - _DRAWN_PERIODS
+    return slice(int(turns[first]), int(turns[first + 2 * _DRAWN_PERIODS]) + 1)
 
 
 def over(values: np.ndarray) -> dict:
