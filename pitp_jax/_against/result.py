@@ -121,7 +121,7 @@ class SimToReal:
         return first_screen(self)
 
     def frame(self) -> "pd.DataFrame":
-        """Return one row per parameter: the simulator's value, the robot's, the difference, and its names."""
+        """Return one row per parameter: simulator's value, robot's value, difference, and names in other programs."""
         return data_frame(as_rows(self.parameters))
 
     def as_json(self, csv: str | None = None) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
 
 
 def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
-    """Return the poles (`linear_ode`) of some records, and every record compared with them."""
+    """Fit common poles (`linear_ode`) to some records, and compare every record with them."""
     begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
@@ -128,7 +128,7 @@ def _usual(rows: Sequence[Beside]) -> float:
 
 
 def _doubtful(rows: Sequence[Beside]) -> bool:
-    """Return whether one record may have changed the poles of all."""
+    """Return whether the common poles are doubtful: two sensor directions, or a record that they do not explain."""
     directions = {row.beginning.direction for row in rows if row.tells}
     return len(directions) > 1 or any(row.strange or row.unexplained > _UNEXPLAINED for row in rows)
 

@@ -73,7 +73,7 @@ def own_place(path: str, name: str) -> str:
 
 @contextmanager
 def json_to_standard_output(arguments: dict) -> Iterator[None]:
-    """With `--json -`, print the result for machines on standard output, and all messages on standard error."""
+    """With `--json -`, print the JSON result on standard output, and all messages on standard error."""
     if arguments.get("json_file") not in ("-", "/dev/stdout"):
         yield
         return

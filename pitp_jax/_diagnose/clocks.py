@@ -16,7 +16,7 @@ from .._report.numbers import number
 
 
 def put_back(records: Sequence[Record], early: float) -> tuple[Record, ...]:
-    """Return the records with the output so many seconds later; what comes before their first sample is cut off."""
+    """Return the records with the output delayed by so many seconds, without the first samples that lack one."""
     return tuple(_later(r, early) for r in records)
 
 

@@ -92,7 +92,7 @@ def _error(run: np.ndarray, trace: Trace) -> np.ndarray:
 
 
 def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
-    """Compare the errors.
+    """Return the gap computed from the errors of the three models.
 
     Args:
         search, decision: of the diagnosis.

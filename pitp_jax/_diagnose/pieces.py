@@ -27,7 +27,7 @@ _STILL = 0.05  # of the largest motion of a recording: a piece with less shows n
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a recording, from and to in s of its own time."""
+    """A part of a recording, with its start and end in the recording's own time (s)."""
 
     record: str
     from_s: float

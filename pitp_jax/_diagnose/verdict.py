@@ -197,7 +197,7 @@ def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bo
 
 
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:
-    """Return the effects that can replace one; without these too, the set must be certain. None: too many."""
+    """Return the labels of effects that can replace one effect; None if there are too many."""
     group, labels = {name}, []
     while len(group) < rules.TIED + 1:
         rival = rival_without(search, chosen, group)

@@ -213,7 +213,7 @@ def _candidates(
     small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
-    """List the candidates of the orders, holds and delays that were asked for, in ascending order.
+    """List the candidates of the requested orders, holds and delays, in ascending order.
 
     Raises:
         ComputationFailed: none of them could be simulated.

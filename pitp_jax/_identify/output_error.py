@@ -227,7 +227,7 @@ def _linear(
 def jacobians(
     params: np.ndarray, structure: Structure, problem: Problem
 ) -> tuple[Solved, list[Float[np.ndarray, "numbers samples"]]]:
-    """Return the solution, and per record the weighted slopes of its run by (gain, offsets, parameters).
+    """Return the solution, and each record's weighted derivatives by (gain, offsets, parameters).
 
     A record's own columns are projected out; the ridge's derivatives come last.
     """

@@ -101,7 +101,7 @@ def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
 
 
 def loudest(record: Record) -> float:
-    """Return the strongest line of the input, Hz."""
+    """Return the frequency of the strongest line of the input, Hz."""
     return float(np.argmax(spectrum(record)[1:]) + 1) / (record.samples * record.dt)
 
 

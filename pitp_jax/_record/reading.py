@@ -424,7 +424,7 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
 
 
 def _beside(options: ReadOptions, path: Path) -> ReadOptions:
-    """Return the options as `pitp.toml` beside a file has them: joined files relative to that folder."""
+    """Return the options from the `pitp.toml` beside a file; joined files are relative to that folder."""
     if options.join is None:
         return options
     return replace(options, join=tuple(os.path.relpath(other, path.parent) for other in options.join))

@@ -183,7 +183,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
-    """Complete a filtered state by the effects' states as if it had been held there."""
+    """Complete a filtered state by the effects' states as if settled there."""
     held = ports.initial(model, jnp.asarray(features[0]), jnp.asarray(voltage, features.dtype), 0.0)
     return jnp.concatenate([jnp.asarray(features), held])
 

@@ -166,5 +166,5 @@ def _in_units(d: Diagnosis) -> str:
 
 
 def cards(d: Diagnosis) -> tuple[str, str, str]:
-    """Return the cards where, which and how far, as HTML."""
+    """Return the cards "where", "which" and "how far" as HTML."""
     return _where(d), which(d), _how_far(d)
