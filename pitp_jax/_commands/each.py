@@ -1,4 +1,4 @@
-"""Run a command once per joint of a log, and print its result for machines on standard output."""
+"""Run a command once per joint of a log, and print its JSON result on standard output."""
 
 import sys
 import tempfile

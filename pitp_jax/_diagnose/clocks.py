@@ -1,4 +1,4 @@
-"""Take a time shift between the columns out of the records: their clocks are at fault, not the machine.
+"""Remove a time shift between the columns of records, a fault of their clocks and not of the machine.
 
     y(t) = x(t + T)    ->    x(t) = y(t - T)
 

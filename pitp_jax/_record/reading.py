@@ -262,7 +262,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
     _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
-    # a target has no voltage: zeros pass in its place
+    # a target has no voltage: zeros replace it
     check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place, least=2)
     check_wanted(time, wanted, source, columns, one.place)
     return Target(time, wanted, one.unit("displacement"), os.fspath(path))

@@ -14,7 +14,7 @@ from .which import fraction_closed, which
 NEXT_CSV = "next_experiment.csv"
 
 
-_HELPS = 0.1  # of the gap: less is called nothing
+_HELPS = 0.1  # of the gap: a smaller reduction is reported as nothing
 
 
 def headline(d: Diagnosis) -> str:
