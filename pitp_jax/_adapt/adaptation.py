@@ -176,7 +176,7 @@ def _moves(seen: Session, half: np.ndarray) -> bool:
 
 
 def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Changed]:
-    """Return the named parameters, with intervals in which the others may have any value.
+    """Return the named parameters with intervals that allow any value of the others.
 
     A parameter without a reported change is not known to be 1.
     """

@@ -24,7 +24,7 @@ _ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at mo
 def covariance(
     residual: Float[np.ndarray, "records time"], jacobian: Float[np.ndarray, "samples numbers"], model_error: float
 ) -> Float[np.ndarray, "numbers numbers"]:
-    """Return C of a least-squares estimate from its residuals, their slopes, and the model's error without noise."""
+    """Return C of a least-squares estimate from its residuals, their derivatives, and the noise-free model error."""
     count = jacobian.shape[1]
     slopes = np.fft.rfft(jacobian.reshape(*residual.shape, -1), axis=1)
     power = np.abs(np.fft.rfft(residual, axis=1)) ** 2

@@ -89,7 +89,7 @@ class SimToReal:
         return [*gain, *found, *notes[len(gain) :]]
 
     def remarks(self) -> list[str]:
-        """Return remarks for the user beside the table of parameters, in sentences."""
+        """Return remarks for the user on the parameters, in sentences."""
         found = _gain_lines(self.parameters)
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":

@@ -86,7 +86,7 @@ def fit_set(records: Sequence[Record]) -> SetFit | None:
 
 
 def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
-    """Return the fit with the common poles of most records: of all, or of a half, then of those that belong."""
+    """Return the fit with common poles, after excluding records that do not belong to the set."""
     try:
         step, small = _thinned(records, input_map)
         every = set(range(len(small)))

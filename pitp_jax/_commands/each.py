@@ -66,7 +66,7 @@ def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
 
 
 def own_place(path: str, name: str) -> str:
-    """Return the output path of one joint: a file beside the given one, or a folder below."""
+    """Return the output path of one joint: a file in the folder of the given one, or a subfolder."""
     given = Path(path)
     return str(given.with_name(f"{given.stem}.{name}{given.suffix}") if given.suffix else given / name)
 

@@ -270,7 +270,7 @@ class Fitter:
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
-        """Return the cost of every fit after one Gauss-Newton step, using its front's slopes for common parameters.
+        """Predict the cost of every fit after one Gauss-Newton step; common parameters use the front's derivatives.
 
         A start costs one run plus one for each new parameter; separate steps cost five times as much.
         """

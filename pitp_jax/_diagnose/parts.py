@@ -136,12 +136,12 @@ def _own_slots(search: Search, name: str) -> list[str]:
 
 
 def _search_name(slots: Sequence[str]) -> str:
-    """Return the name under which the search tries the row of these slots."""
+    """Return the search name of the catalogue row with these slots."""
     return next((group(r.name) for r in ROWS if slots_of_row(r) == tuple(slots)), "")
 
 
 def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, part: Part) -> Part:
-    """Return the part with its certainty, and a likely one with the recording that would make it certain."""
+    """Return the part with its certainty; for a likely part also the recording that would make it certain."""
     if part.effect in decision.said:
         tied = decision.tied.get(part.effect, ())
         return replace(part, certainty="tied" if tied else "certain", tied=tied)

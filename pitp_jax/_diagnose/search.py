@@ -345,12 +345,12 @@ class Search:
             self.waiting.pop(frozenset(h.names), None)
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
-        """Return the form with the fewest parameters of those with at most GAIN more error than the best."""
+        """Return the form with the fewest parameters whose error is at most GAIN above the best."""
         best = min(forms, key=lambda f: f.cost)
         return min((f for f in forms if not self._leaves_less(best, f)), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return memories of one time constant, or of two a decade apart if those gain GAIN."""
+        """Return memories with one time constant, or with two a decade apart if these reduce the error by GAIN."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
             if f.names[-1] not in DOUBLED:
@@ -394,7 +394,7 @@ class Search:
         return best
 
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
-        """Return the most promising starts of every set, for the sets with the best starts.
+        """Return the most promising starts of the most promising sets.
 
         An effect that improves the fit together with another may do nothing alone, so the first level is a poor guide.
         """
@@ -584,7 +584,7 @@ def _written(h: Hypothesis) -> str:
 
 
 def _varied(fits: Sequence[Fit]) -> list[Fit]:
-    """Return fits best first, one of every form before a second one, because first steps of polynomials look alike."""
+    """Return the fits best first, but the best of every form before a second one of any form."""
     seen: dict[frozenset, int] = {}
     turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
     return [

@@ -209,7 +209,7 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
 def _free(
     model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
 ) -> tuple[Runs, ...]:
-    """Return all records, or some whole records and the first parts of the others; each of the two counts half."""
+    """Return all records, or whole records and the beginnings of the others, both groups with equal weight."""
     size = run_samples(records)
     each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
