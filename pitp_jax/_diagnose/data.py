@@ -93,7 +93,7 @@ class Case:
         return _parts(len(self.series))
 
     def masks(self, fold: int | None) -> list[np.ndarray]:
-        """Return weights 0 or 1 of the samples used by a fit without a fold; None: all that count."""
+        """Return weights 0 or 1 of the samples used by a fit without a fold; None: all valid samples."""
         rows = [s.counts.astype(float) for s in self.series]
         if fold is not None:
             for k in self.folds[fold]:
@@ -131,7 +131,7 @@ class Case:
         return rows
 
     def tested(self, fold: int) -> list[np.ndarray]:
-        """Return the samples on which a fold is judged."""
+        """Return the samples on which a fold is scored."""
         rows = [np.zeros(len(s.output), bool) for s in self.series]
         for k in self.folds[fold]:
             place = self._left_out(fold, k)
