@@ -72,7 +72,7 @@ def local_rows(array: Array, count: int) -> np.ndarray:
 
 @jit
 def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
-    """Run function(model, *batch) on every device's own records, side by side."""
+    """Run function(model, *batch) on every device's own records, in parallel."""
     # `shard_map` takes only arrays; static values are in the function
     arrays, static = eqx.partition(model, eqx.is_array)
 

@@ -69,7 +69,7 @@ class Budget:
 
     @contextmanager
     def keeping(self, lane_steps: int) -> Iterator[None]:
-        """Keep the time and the count that so many steps take for what follows."""
+        """Reserve the time and the count of so many steps for the work after the search."""
         seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
         before = self.reserve, self.most
         self.reserve += seconds if np.isfinite(self.seconds) else 0.0

@@ -386,7 +386,7 @@ def _shift(case: Case, fit, model: Model) -> np.ndarray:
 
 
 def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment | None:
-    """Return the experiment that separates the tied effects, or those between which no verdict was possible."""
+    """Return the experiment that separates the tied effects, or the effects that prevented a verdict."""
     best, names = decision.chosen, decision.rivals
     if decision.said and decision.tied.get(decision.said[0]):
         names = decision.said[0], decision.tied[decision.said[0]][0]

@@ -173,7 +173,7 @@ class Fitter:
         return [k for k, m in enumerate(self._masks[fold]) if m.any()]
 
     def _residual(self, slots, starts, record: int, run):
-        """Return the projected residual and the moved start.
+        """Return the projected residual and the corrected initial state.
 
         A record's offset and initial state are fitted to the whole record, whichever samples a fit may use. Without the
         block at its beginning, a slow plant's decay was extrapolated backwards to twice the range.
@@ -246,7 +246,7 @@ class Fitter:
         return h, g
 
     def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
-        """Move every fit several steps; converged fits stay.
+        """Advance every fit by several steps; converged fits do not change.
 
         Rejected steps do not count as iterations: a fold's fit without an accepted step would still use its test
         samples.
@@ -270,7 +270,7 @@ class Fitter:
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
-        """Return the cost of every fit after one Gauss-Newton step, using its front's slopes for common parameters.
+        """Predict the cost of every fit after one Gauss-Newton step; common parameters use the front's derivatives.
 
         A start costs one run plus one for each new parameter; separate steps cost five times as much.
         """

@@ -192,7 +192,7 @@ def _delay(slots: np.ndarray) -> np.ndarray:
 
 
 def root(force: np.ndarray) -> np.ndarray:
-    """Return V of V|V|."""
+    """Return V from the value of V|V|."""
     return np.sign(force) * np.sqrt(np.abs(force))
 
 

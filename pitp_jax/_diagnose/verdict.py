@@ -156,7 +156,7 @@ def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bo
 
 
 def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
-    """Return whether a rival only frees all of the nominal's parameters while the set changes one of them."""
+    """Return whether a rival frees all of the nominal's parameters and the set only one of them."""
     return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
 
 
@@ -188,7 +188,7 @@ def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
 
 
 def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bool:
-    """Return whether the set with the twin instead has a larger error by FURTHER, so that the band separates them."""
+    """Return whether the set fits significantly better than with any equivalent effect instead of this one."""
     for twin in TWINS.get(label, ()):
         other = search.judged({*chosen.names} - {name} | {twin})
         if other is None or probability(chosen.evidence, other.evidence, rules.FURTHER) < rules.SURE:
@@ -197,7 +197,7 @@ def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bo
 
 
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:
-    """Return the effects that can replace one; without these too, the set must be certain. None: too many."""
+    """Return the labels of effects that can replace one effect; None if there are too many."""
     group, labels = {name}, []
     while len(group) < rules.TIED + 1:
         rival = rival_without(search, chosen, group)

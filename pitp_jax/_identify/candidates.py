@@ -118,7 +118,7 @@ def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.
 
 
 def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending | None:
-    """Return the best fit started from the frequency response, or from other starts if a simpler model fits better."""
+    """Return the best fit from the frequency response, with further starts if that is worse than a simpler model."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in earlier}
     lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None

@@ -114,7 +114,7 @@ class Identification(Shown):
         return StateSpace(a, b, out, np.zeros((1, 1)))
 
     def to_control(self):
-        """Return the same as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
+        """Return the model as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
 
         Raises:
             BadInput: python-control is not installed.
@@ -213,7 +213,7 @@ def _candidates(
     small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
-    """List the candidates of the orders, holds and delays that were asked for, in ascending order.
+    """List the candidates of the requested orders, holds and delays, in ascending order.
 
     Raises:
         ComputationFailed: none of them could be simulated.
@@ -252,7 +252,7 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
 def _determined(
     candidates: Sequence[Candidate], whole: Problem, small: Problem, hold: Hold | None
 ) -> tuple[Candidate, OrderFit]:
-    """Return the best candidate whose poles all samples determine, and its description; otherwise the last tried."""
+    """Return the best candidate with known poles, refitted on all samples, and its description; or the last one."""
     while True:
         chosen = choose(candidates)
         # a delay or block means hide which hold it is

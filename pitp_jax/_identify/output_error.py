@@ -151,7 +151,7 @@ def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -
 
 
 def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same response and its derivatives with respect to the parameters, shape (parameters, T)."""
+    """Return the response of record k and its derivatives by the parameters, shape (parameters, T)."""
     how = _how(params, structure, problem, k)
     run, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
     return run, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
@@ -227,7 +227,7 @@ def _linear(
 def jacobians(
     params: np.ndarray, structure: Structure, problem: Problem
 ) -> tuple[Solved, list[Float[np.ndarray, "numbers samples"]]]:
-    """Return the solution, and per record the weighted slopes of its run by (gain, offsets, parameters).
+    """Return the solution, and each record's weighted derivatives by (gain, offsets, parameters).
 
     A record's own columns are projected out; the ridge's derivatives come last.
     """

@@ -121,7 +121,7 @@ def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tu
 
 
 def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward, reading) -> StageQP:
-    """Build the programme; a stage without a past comes first, whose control is the first slope."""
+    """Build the programme, with an initial stage whose control is the first slope."""
     v = now.voltage / wish.unit
     counted = cut(wish.counted[late:].astype(float), 0.0)
     C = reading * counted[..., None] / size

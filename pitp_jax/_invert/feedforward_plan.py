@@ -169,7 +169,7 @@ def feedforward(
 
 
 def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, fraction: float, zero: Zero) -> None:
-    """Refuse a target whose negative is reachable: its sign or its zero is wrong.
+    """Refuse a target whose negative is reachable: its sign or its offset is wrong.
 
     Raises:
         BadInput: the negative is reachable.

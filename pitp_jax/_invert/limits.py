@@ -31,7 +31,7 @@ class Limits:
 
     @property
     def unnoticed(self) -> float:
-        """Return the voltage by which the first sample may differ, V: a hundredth of the range."""
+        """Return the tolerated difference of the first sample, V: a hundredth of the range."""
         return 0.01 * (self.high - self.low)
 
     @property

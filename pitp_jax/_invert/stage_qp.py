@@ -139,7 +139,7 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
 
 
 def _longest(now: _Iterate, aim: _Iterate, part: float) -> Array:
-    """Return the step, at most 1, that goes this part of the way to the first slack or multiplier of zero."""
+    """Return the step length, at most 1, that covers the fraction `part` of the way to the nearest bound."""
 
     def to_zero(value, ahead):
         return jnp.min(where(ahead < value, value / jnp.where(ahead < value, value - ahead, 1.0), jnp.inf))

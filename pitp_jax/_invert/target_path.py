@@ -105,7 +105,7 @@ def settling(model: Model) -> tuple[float, float]:
 
 
 def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: float = 0.0) -> Path:
-    """Add a lead-in to a target that does not start at rest where it stands (m), or whose voltage is late.
+    """Add a lead-in to a target that does not start at rest at its initial position (m), or whose voltage is late.
 
     Rest is S = 0; from order 3 on this includes the acceleration. Order 2 can change it at once, except for the first
     sample, which stays at the voltage of the ends.
@@ -148,7 +148,7 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
-    """Find a way from rest to [x, ..., x^(n)] = `end` with a force within [low, high], by the nominal ODE.
+    """Find a motion from rest to [x, ..., x^(n)] = `end` with a force within [low, high], by the nominal ODE.
 
         F = sum_k c_k B_k(t),   minimise |D^2 c|^2 + |c / F_max|^2  subject to  X(T) = end,  low <= c <= high
 

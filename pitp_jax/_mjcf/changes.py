@@ -124,7 +124,7 @@ def _value(p: Parameter) -> str:
 
 
 def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
-    """Return the factor on the gain, and the alternative interpretation of the same parameters."""
+    """Return the factor on the gain, and the alternative interpretation of the parameters."""
     inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
     if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
         return 1.0, ""

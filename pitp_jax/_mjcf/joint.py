@@ -151,7 +151,7 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
 
 
 def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
-    """Return the part of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
+    """Return the component of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joint]] = 0.0
     mujoco.mj_forward(model, data)

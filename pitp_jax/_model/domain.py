@@ -16,7 +16,7 @@ from .constants import Constants, number, numbers
 
 
 class Domain(Constants):
-    """The range of recordings in which a model may be trusted.
+    """The range of the training records, within which a model is valid.
 
     Attributes:
         dt: sampling interval of the records, s.

@@ -99,7 +99,7 @@ def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], 
 
 
 def _side_by_side(nets: Sequence[tuple[_Net, list[int]]]) -> Callable[[Rows], Sequence[Rows]]:
-    """Build the same with all nets in one hidden matrix and one block-diagonal readout.
+    """Build all nets as one hidden matrix and one block-diagonal readout.
 
     Multiplying by zeros costs less than starting three small products at every step of a scan.
     """

@@ -22,7 +22,7 @@ from .rows import Rows
 
 
 class AbstractMemory(eqx.Module):
-    """States beside S that are driven by x alone; `x` is in the model's scaled coordinates throughout."""
+    """Additional states that depend on the displacement x alone, in the model's scaled coordinates."""
 
     @property
     @abstractmethod

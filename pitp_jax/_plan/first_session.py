@@ -130,7 +130,7 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
 def in_order(
     recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
 ) -> tuple[Planned, ...]:
-    """Number the recordings, add the strokes at which each may follow, and negate every second one if asked for.
+    """Number the recordings, add the strokes at which each may follow, and negate every second one if requested.
 
     `recorded`: the largest stroke of the earlier recordings, m.
     """

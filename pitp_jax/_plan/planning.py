@@ -155,7 +155,7 @@ def _stroke(record: Record) -> float:
 
 
 def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded: float = 0.0, **remarks) -> Plan:
-    """Number the recordings; negate every second voltage if asked for and the force stays the same."""
+    """Number the recordings; negate every second voltage if requested and the force stays the same."""
     # From 0 V up the input is squared; otherwise a negated voltage is a different input.
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits

@@ -204,7 +204,7 @@ def _packets(rows: Rows) -> _Line | None:
 
 
 def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
-    """Return the rows on the grid that was found."""
+    """Return the rows placed on this grid."""
     time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, found.index
     lost, jitter = np.diff(index) - 1, float(found.off.max())
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():

@@ -262,7 +262,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
     _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
-    # a target has no voltage: zeros pass in its place
+    # a target has no voltage: zeros replace it
     check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place, least=2)
     check_wanted(time, wanted, source, columns, one.place)
     return Target(time, wanted, one.unit("displacement"), os.fspath(path))
@@ -424,7 +424,7 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
 
 
 def _beside(options: ReadOptions, path: Path) -> ReadOptions:
-    """Return the options as `pitp.toml` beside a file has them: joined files relative to that folder."""
+    """Return the options from the `pitp.toml` beside a file; joined files are relative to that folder."""
     if options.join is None:
         return options
     return replace(options, join=tuple(os.path.relpath(other, path.parent) for other in options.join))

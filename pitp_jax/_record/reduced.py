@@ -25,7 +25,7 @@ _BEYOND = 3.0  # times the motion's band: a mode above does not move in these re
 
 @runtime_checkable
 class Sampled(Protocol):
-    """A model as far as the sampling rate is concerned: its force, its coefficients, itself at another rate."""
+    """Parts of a model that depend on the sampling rate: its force, coefficients, and itself at another rate."""
 
     @property
     def input_map(self) -> Any: ...

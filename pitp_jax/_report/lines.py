@@ -36,7 +36,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same as `extremes` over parts widened to whole oscillations, so that only the envelope remains.
+    """Return the indices of `extremes` over parts widened to whole oscillations, which draw only the envelope.
 
     A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
     neighbours is a ripple within an oscillation.

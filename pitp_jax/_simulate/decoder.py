@@ -98,7 +98,7 @@ def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: flo
 
 
 def moved(state: State, by: float, slope: State) -> State:
-    """Return the state moved by a step along a slope."""
+    """Return the state plus `by` times its rate of change."""
     return jax.tree.map(lambda a, b: a + by * b, state, slope)
 
 

@@ -439,7 +439,7 @@ def _once(words: Sequence[str]) -> list[str]:
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
-    """Return a column as an option names it: by its number if other columns share its name."""
+    """Return a column's name for an option: its number if other columns share its name."""
     names = [s.column.name for s in seen]
     return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
 

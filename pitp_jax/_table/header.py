@@ -258,7 +258,7 @@ def _is_units(row: Sequence[str]) -> bool:
 
 
 def _of_unit(cell: str) -> str:
-    """Return a cell of a units row without its key: `Unit: kV`."""
+    """Return a cell of a units row without its key, for example `kV` of `Unit: kV`."""
     return re.sub(r"^units?\s*[:=]\s*", "", cell.strip(), flags=re.IGNORECASE)
 
 

@@ -178,7 +178,7 @@ def _unbroken(data: bytes) -> bytes:
             close = data.find(b'"\n', end)
             row = data[begin : close + 1]
             if not 0 < close - begin < _LONGEST or row.count(b"\n") > _BROKEN or row.count(b'"') % 2:
-                break  # a lone quote is an inch
+                break  # a single quote is an inch
             data = data[:begin] + row.replace(b"\n", b" ") + b"\n" * row.count(b"\n") + data[close + 1 :]
             end = begin + len(row)
         begin = end + 1

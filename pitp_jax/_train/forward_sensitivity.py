@@ -139,7 +139,7 @@ class _Local:
         return phi, jnp.concatenate([by_encoder, jnp.einsum("tij,tjk->ik", later, others)], 1)
 
     def sensed(self, state, answer):
-        """Compute the slope of the reading from that of the state."""
+        """Compute the derivatives of the reading from those of the state."""
         if not self.with_effects:
             return answer[0]  # the sensor shows x itself
         n = self.numbers
@@ -157,7 +157,7 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
         return phi @ answer + new, jax.vmap(local.sensed)(state, answer)
 
     def chunk(answer, item):
-        """Compute blocks side by side, then Z through them; the slope is taken at each block's first sample."""
+        """Compute blocks in parallel, then Z through them; derivatives are taken at each block's first sample."""
         blocks = item[0][:, :, 0], *jax.vmap(jax.vmap(local.block))(*item)
         return jax.lax.scan(through, answer, jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), blocks))
 

@@ -39,7 +39,7 @@ class _OverRuns(eqx.Module):
 
 
 class FreeRuns:
-    """Residuals and slopes of batches of runs, as blocks (`minimise.accelerated`).
+    """Residuals and derivatives of batches of runs, as blocks for `minimise.accelerated`.
 
     Args:
         model: its trained parameters are fitted.

@@ -183,7 +183,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
-    """Complete a filtered state by the effects' states as if it had been held there."""
+    """Complete a filtered state by the effects' states as if settled there."""
     held = ports.initial(model, jnp.asarray(features[0]), jnp.asarray(voltage, features.dtype), 0.0)
     return jnp.concatenate([jnp.asarray(features), held])
 
@@ -209,7 +209,7 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
 def _free(
     model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
 ) -> tuple[Runs, ...]:
-    """Return all records, or some whole records and the first parts of the others; each of the two counts half."""
+    """Return all records, or whole records and the beginnings of the others, both groups with equal weight."""
     size = run_samples(records)
     each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):

@@ -100,7 +100,7 @@ class Settings:
     firmness: float | None = None
 
     def __post_init__(self):
-        """Refuse an unknown word, which would silently act as the default."""
+        """Refuse unknown words, which would silently act as the default."""
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
                 raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")

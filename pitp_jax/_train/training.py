@@ -248,7 +248,7 @@ def _attempts(
 
 
 def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
-    """Yield the steps of one start until its free runs diverge, which ends this start but not the training."""
+    """Yield the steps of one start until its free runs diverge; training continues with other starts."""
     try:
         yield from steps
     except ComputationFailed:
