@@ -1,9 +1,9 @@
-"""Records beside the model given: how each begins, and which of them it does not explain.
+"""Records compared with a given model: how each starts, and which of them it does not explain.
 
-    e_rms > 3 max(what the model left of its own records, median of these)  and > 1 % of range,   or > 20 % of range
+    e_rms > 3 max(error on the model's own records, median of these)  and > 1 % of range,   or > 20 % of range
 
-What it left of its own records is known of an identified model (`misfit` noise deviations). Noise of a record is no
-fault of the model: twice the noise is always allowed.
+The error on its own records is known for an identified model (`misfit` noise deviations). A record's noise is no fault
+of the model, so twice the noise is always allowed.
 """
 
 from collections.abc import Sequence
@@ -23,9 +23,9 @@ _TIMES, _LEAST, _MOST, _NOISES = 3.0, 1.0, 20.0, 2.0
 
 @dataclass(frozen=True)
 class Explained:
-    """One record beside the model: its beginning, error in % of range (None: diverged), noise, and what is wrong.
+    """One record compared with the model: initial state, error (% of range; None: diverged), noise and problem.
 
-    `not_excited`: what of its input the model was not trained with.
+    `not_excited`: the sentence on what the model was not trained with.
     """
 
     beginning: Beginning
@@ -37,7 +37,7 @@ class Explained:
 
 
 def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explained]:
-    """Free runs of the model beside records of one rate, by name."""
+    """Return the comparison of the model's free runs with records of one rate, by name."""
     runs = predict(model, records)
     errors = [
         float(e_rms_percent(p.displacement, r.displacement, p.scored)) for p, r in zip(runs, records, strict=True)

@@ -1,4 +1,4 @@
-"""`pitp simulate`: what a model does under voltages that nobody has measured."""
+"""`pitp simulate`: computes the displacement of a model under given voltages."""
 
 import math
 from collections.abc import Sequence
@@ -22,19 +22,19 @@ from .outputs import check_outputs, staged
 
 
 def simulate(model, voltages, out, zero, json_file, reading) -> None:
-    """Simulate, write what was asked for, and print the ranges.
+    """Simulate, write the requested files, and print the ranges.
 
     Args:
         model: model file.
         voltages: files and folders of time and voltage.
-        out: folder for one CSV per drive, or None.
+        out: folder for one CSV per voltage, or None.
         zero: "rest", "sensor", or the displacement at 0 V, in the unit of the model's records.
-        json_file: where to write the ranges for machines, or None.
+        json_file: where to write the ranges as JSON, or None.
         reading: keyword arguments of `pitp.read_voltage`: columns, units, scale, rate.
 
     Raises:
         BadInput: with nothing written.
-        ComputationFailed: every run diverged; the results, which say so, are written.
+        ComputationFailed: every run diverged; the results are written.
     """
     check_outputs(json_file, folder=out, inputs=[model, *voltages])
     loaded = load(model)
@@ -61,7 +61,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
-    """What was recognised, and what of it the model was not made for."""
+    """Print what was recognised, and which voltages lie outside the model's range."""
     for drive in drives:
         for line in drive.remarks:
             say(line)

@@ -1,4 +1,4 @@
-"""Change what amplifier and electrodes make of the command before the square (port IN): u to the film's V.
+"""Effects of amplifier and electrodes on the command before the square (port IN): u to the film's V.
 
 electrode_rc      tau V' = u - V
 slew_limit        |V'| <= s                      voltage_clip    V = min(max(u, -u_max), u_max)
@@ -7,7 +7,7 @@ charge_leak       V = u - kappa q,  tau q' = u - q                       voltage
 charge_retention  V = u + q,  tau q' = k |u| - q                         delay           V(t) = u(t - T)
 hysteresis        V = u + sum_j w_j (z_j - u),  z_j plays of u;   or  V = u + level z,  width z' = u - |u| z
 
-u runs linearly between samples, and lags are exact for it. A record that rests starts uncharged.
+u runs linearly between samples, and lags are exact for it. A record at rest starts uncharged.
 """
 
 import jax.numpy as jnp
@@ -17,16 +17,16 @@ from .kernels import DELAY, dahl_of_integral, lag, lead, play, slew
 from .spec import EffectSpec, Parameter
 
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
-# a memory of the drive that is faster than the plant is a filter of it, not a charge
+# a memory of the input faster than the plant is a filter of it, not a charge
 _STORE = Parameter("tau", "s", slow=True)
 
 
 def last_lag(p, w, z):
-    """Return the last lag's output; what enters, where there is no lag."""
+    """Return the last lag's output, or the input if there is no lag."""
     return jnp.where(p.tau > 0, z[-1], w)
 
 
-_AT_ONCE = 0.05  # of the integral of the drive
+_AT_ONCE = 0.05  # of the integral of the input
 _SLEW = Parameter("inverse", "s/V", off=0.0, linear=False)
 
 
@@ -39,7 +39,7 @@ def _slow_enough(p, v, dt):
 
 
 def _by_area(p, k, plant):
-    """Report a loop that is run through at once as the level that it ends at."""
+    """Report a loop that is run through at once as the level at its end."""
     name = "voltage_offset" if p.width < _AT_ONCE * plant.area else "hysteresis"
     return name, "Dahl of the command's integral", (p.level, p.width)
 
@@ -77,7 +77,7 @@ DRIVE = (
         "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts T later.",
         "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
         law=lambda p, u, z: u,
-        # to a period of the resonance: behind a bus or a filter it may be that late
+        # up to a period of the resonance, as behind a bus or a filter
     ),
     EffectSpec(
         "charge_leak", "one trap", (Parameter("kappa", off=0.0), _STORE),

@@ -1,10 +1,10 @@
-"""Feed forward: find the voltage that makes the model follow a target, by eq. 13 and shooting, or the nearest one.
+"""Feedforward: the voltage with which the model follows a target, by eq. 13 and shooting, or the nearest motion.
 
-    u = inverse(target), moved by what the rollout misses          where no limit bites
-    min |target - rollout(u)|^2 over the u within the limits       where one does                        (`course`)
+    u = inverse(target), corrected by the rollout's error   where no limit is active
+    min |target - rollout(u)|^2 over the u within the limits        otherwise                  (`course`)
 
-A smooth way leads up from zero volts (or the voltage that holds a machine where it stands) and back down, exactly.
-Every limit is kept; what the target asks beyond them is reported.
+The voltage rises smoothly from zero volts (or from the voltage that holds the actuator) and returns there exactly.
+Every limit is kept; the part of the target beyond them is reported.
 """
 
 from dataclasses import dataclass, replace
@@ -30,8 +30,8 @@ from .limits import limits_of
 from .target_path import at_rate_of_model, extend, settling
 
 _SHOTS = 6
-_MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage makes: turned over, and of its negative
-_WAITS = 100_000  # samples until a machine stands
+_MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage can reach: of the target, and of its negative
+_WAITS = 100_000  # samples until a machine stands still
 
 
 @dataclass(frozen=True, repr=False)
@@ -80,7 +80,7 @@ def feedforward(
     shots: int = _SHOTS,
     resample: bool = True,
 ) -> Feedforward:
-    """Find the voltage that makes the model follow a target displacement, or come as near as the limits allow.
+    """Find the voltage with which the model follows a target displacement, as closely as the limits allow.
 
     Args:
         model: identified or trained.
@@ -127,7 +127,7 @@ def feedforward(
     path = extend(wanted, target.dt, model, limits, stands)
     warnings += on_target(model, target, wanted, path, units)
     first, last = path.target.start, path.target.stop
-    # the session's clock at the first sample played; nothing was done to the actuator before it began
+    # the session's clock at the first sample played, before which the actuator was at rest
     age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
     start = rest_state(model, age) if start is None else start
     if any(e.name == "stiffness_drift" for e in model.effects):
@@ -175,7 +175,7 @@ def feedforward(
 
 
 def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, fraction: float, zero: Zero) -> None:
-    """Refuse a target whose negative is reachable: it has the wrong sign, or another zero than was said.
+    """Refuse a target whose negative is reachable: its sign or its zero is wrong.
 
     Raises:
         BadInput: the negative is reachable.
@@ -193,13 +193,13 @@ def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, frac
 
 
 def standing(model: Model, voltage: float, dt: float):
-    """Find the scaled state in which a held voltage leaves the model, and its displacement, m; (None, 0) at 0 V."""
+    """Return the scaled state and the displacement (m) of the model settled at a voltage; (None, 0) at 0 V."""
     if voltage == 0:
         return None, 0.0
     kind = model.coefficients.dtype
     level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
     level /= float(model.scales.state[0])
-    # the nominal's own level to begin with; encoder and effects move it from there, so it is run until it stands
+    # start at the nominal's own level; encoder and effects change it, so the model runs until it stands still
     begun = still_state(model, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
     count = int(np.clip(settling(model)[0] / dt, 64, _WAITS))
     state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]

@@ -1,4 +1,4 @@
-"""Invert a displacement, as a pure function of one recording: traced, differentiated and batched at will.
+"""Invert a displacement, as a pure function of one recording for tracing, gradients and batches.
 
 closed_form   u = drive^-1(sqrt(max(F, 0))),  F = sigma_off + sum_i sigma_i x^(i)     (paper, eq. 13)
 discrete      the voltage whose decoder steps lead from each state to the next         (`discrete`)
@@ -32,7 +32,7 @@ def inverse(
     kind: Kind = "closed_form",
     zero: Zero = "rest",
 ) -> tuple[Float[Array, " time"], Bool[Array, " time"]]:
-    """Compute the voltage (V) that makes the model follow a displacement (m) from rest; `jax.vmap` for more.
+    """Compute the voltage (V) with which the model follows a displacement (m) from rest; `jax.vmap` for more.
 
     Limits, a way up to the target and a check stand in `feedforward`.
 

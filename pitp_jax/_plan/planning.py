@@ -1,8 +1,8 @@
-"""Plan which recordings to take, before there is a model, and with one.
+"""Plan which recordings to take, with or without a model.
 
-nothing yet            first_session: growth, sweep, space-filling set, repeats
+no model               first_session: growth, sweep, space-filling set, repeats
 an identified model    space_filling_set within its limits and the stroke allowed
-a trained model        `next_recordings`: those that lower its expected held-out error most, until it says stop
+a trained model        `next_recordings`: those that lower its expected held-out error most, until none helps
 """
 
 from collections.abc import Sequence
@@ -31,13 +31,13 @@ REACHED = (
     "left, identify a model on what was recorded and plan with it: it knows the stroke of every drive and proposes "
     "those that stay below the limit."
 )
-_LONG = 60.0  # s; a longer recording is reported where the slew limit stretches it
-_BAND = (0.05, 1.3)  # of a model's resonance, where no band is given
+_LONG = 60.0  # s; a longer recording is reported if the slew limit causes it
+_BAND = (0.05, 1.3)  # of a model's resonance, if no band is given
 
 
 @dataclass(frozen=True, repr=False)
 class Plan(Shown):
-    """Recordings to take, and what they are expected to bring.
+    """Recordings to take, and the error expected after them.
 
     Attributes:
         recordings: to take, in this order; existing ones all, the best first.
@@ -56,14 +56,14 @@ class Plan(Shown):
 
     @property
     def seconds(self) -> float:
-        """Seconds of drive, rests not counted."""
+        """Return the duration of all inputs (s), rests not counted."""
         return sum(r.seconds for r in self.recordings)
 
     def _rows(self) -> list[dict]:
         return self.as_json()["recordings"]
 
     def as_json(self) -> dict:
-        """Write the plan for machines; what is not known is null."""
+        """Return the plan as a dict for JSON; unknown values are null."""
         low, high = self.limits.low, self.limits.high
         return {
             "limits": {"voltage": [low, high], "slew": self.limits.slew, "displacement_m": self.limits.farthest,
@@ -141,7 +141,7 @@ def plan(
     first, length, notes = _missing(fitted, limits, length)
     if first and length < limits.shortest:
         return _played(first, limits, alternate, recorded, notes=notes)
-    if not trained(model):  # a linear model knows how far a drive goes, but not what it lacks
+    if not trained(model):  # a linear model predicts strokes, but not its own errors
         filling, more = bearable(model, space_filling_set(limits, length, seed), limits)
         return _played([*first, *filling], limits, alternate, recorded, notes=notes + more)
     if not records and first:
@@ -176,14 +176,14 @@ def _missing(fitted: Fitted, limits: Limits, length: float) -> tuple[list[Planne
 
 
 def _stroke(record: Record) -> float:
-    """Compute how far a record moves from its first reading, m."""
+    """Return how far a record moves from its first reading, m."""
     read = record.displacement[np.isfinite(record.displacement)]
     return float(np.abs(read - read[0]).max())
 
 
 def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded: float = 0.0, **remarks) -> Plan:
-    """Number the drives, every second one turned over where asked for and the force is the same."""
-    # from 0 V up the input is squared; of either sign it is not, and a turned drive is another one
+    """Number the recordings; negate every second voltage if asked for and the force stays the same."""
+    # From 0 V up the input is squared; otherwise a negated voltage is a different input.
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits
     remarks["notes"] = (*remarks.get("notes", ()), *_of_length(drives, limits))
@@ -191,9 +191,9 @@ def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded
 
 
 def _of_length(drives: Sequence[Planned], limits: Limits) -> tuple[str, ...]:
-    """Report recordings that the slew limit makes long."""
+    """Return a note on recordings that the slew limit makes long."""
     low, high = limits.band
-    # a swing between the limits and back takes so long at the largest slew
+    # duration of a swing between the limits and back at the largest slew
     stretched = 2 * (limits.high - limits.low) / limits.slew
     long = [d for d in drives if d.seconds > max(_LONG, 1 / low)]
     if not long or stretched < 1 / high:
@@ -227,12 +227,12 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
 
 
 def trained(model: Model) -> bool:
-    """Tell whether a model has an encoder, whose numbers more records make surer."""
+    """Return whether a model has an encoder, whose parameters more records can improve."""
     return not isinstance(model.encoder, ConstantEncoder)
 
 
 def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units: Units) -> Limits:
-    """Choose the limits given, else the model's.
+    """Return the limits given, otherwise those of the model.
 
     Raises:
         BadInput: one is missing.
@@ -242,7 +242,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
         raise BadInput(f"a first session needs {' and '.join(missing)}: what the amplifier and the membrane bear")
     low, high = (0.0, 0.0) if model is None else model.domain.voltage_range
     one_sided = model is None or model.input_map.one_sided
-    # behind a square a negative voltage was as good as a positive one
+    # behind a square a negative voltage gives the same force as a positive one
     high, low = max(high, -low) if one_sided else high, 0.0 if one_sided else min(low, 0.0)
     if max_voltage is not None:
         high, low = max_voltage, max(low, -max_voltage)
@@ -253,7 +253,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
     rate = rate or (default_rate(band[1]) if model is None else 1 / model.dt)
     if max_slew is None:
         seen = np.inf if model is None else model.domain.slew
-        # of a sine over the whole range at the highest frequency, the steepest of what is planned
+        # the slew of a sine over the whole range at the highest frequency, the steepest input planned
         max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement
     if rest is None:

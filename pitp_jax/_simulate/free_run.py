@@ -1,4 +1,4 @@
-"""Run a model freely under a voltage, as a pure function of one recording: traced, differentiated and batched at will.
+"""Run a model freely under a voltage, as a pure function of one recording for tracing, gradients and batches.
 
 y = s scale_0 reading(rollout(u)),    s: sign of the displacement's coordinate (`_model.coordinate`)
 

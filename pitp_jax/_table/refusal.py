@@ -1,4 +1,4 @@
-"""Refusals that lead somewhere: what is wrong, what the file holds, and the complete command to try.
+"""Refusals of files: the problem, the content of the file, and the complete command to try.
 
 <file>: <problems> (columns here: ...); try: pitp check FILE --option VALUE ...        at most 600 characters
 """
@@ -13,7 +13,7 @@ _LONGEST, _PROGRAM = 600, len("pitp: error: ") + 2
 
 
 class Refused(BadInput):
-    """A file that cannot be read as it is, with what would cure it.
+    """A file that cannot be read as it is, with the options that would solve the problem.
 
     Attributes:
         source: the file.
@@ -31,7 +31,7 @@ class Refused(BadInput):
 def composed(
     sources: Sequence[str], why: str, options: Sequence[str], aside: str, paths: Sequence[str], before: str = ""
 ) -> str:
-    """One line of at most 600 characters; what is wrong is shortened before the command is.
+    """Return one line of at most 600 characters; the problem is shortened before the command.
 
     Args:
         sources: the files it is about.
@@ -45,7 +45,7 @@ def composed(
     named = ", ".join(short[:3]) + (f" and {len(short) - 3} more" if len(short) > 3 else "")
     command = "; try: " + shlex.join(["pitp", "check", *paths, *options]) if options else ""
     room = _LONGEST - _PROGRAM - len(command) - len(before) - len(named) - 2
-    # the command must be whole, or it cannot be run
+    # the command must be complete to run
     if len(why) > room:
         why = why[: max(room - 3, 40)].rstrip() + "..."
     text = f"{why} ({aside})" if aside and len(why) + len(aside) + 3 <= room else why
@@ -53,7 +53,7 @@ def composed(
 
 
 def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) -> str:
-    """All refusals in one line: alike ones once, and one command for the first kind that has one.
+    """Return all refusals in one line: equal ones once, and one command for the first kind that has one.
 
     Args:
         refusals: of single files.
@@ -66,7 +66,7 @@ def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) 
     for refusal in refusals:
         source, _, why = str(refusal).partition(": ")
         curable = isinstance(refusal, Refused)
-        # files of one kind are refused for one reason: said once
+        # files of one kind are refused for one reason, reported once
         key = (refusal.why, refusal.options, refusal.aside) if curable else (why, (), "")
         kinds.setdefault(key, []).append(refusal.source if curable else source)
     before = f"{len(refusals)} of {files} files are refused: "

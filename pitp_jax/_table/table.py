@@ -1,4 +1,4 @@
-"""A table: what every file format becomes before columns are chosen and units are read.
+"""A table: the common form of every file format, before columns are chosen and units are read.
 
 columns -> choose the wanted ones -> load(places) = values (T,) of each,    place(i) = words for sample i
 """
@@ -38,7 +38,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of one file (or of a part of it), loaded when asked for.
+    """The columns of one file (or of a part of it), loaded on request.
 
     Attributes:
         path: the file.
@@ -64,12 +64,12 @@ class Table:
 
     @property
     def source(self) -> str:
-        """The file, for messages."""
+        """Return the file, for messages."""
         return cleaned(self.path)
 
 
 def sample(index: int) -> str:
-    """Words for a sample of a file without lines."""
+    """Return words for a sample of a file without lines."""
     return f"sample {index}"
 
 
@@ -83,7 +83,7 @@ def array_table(
     clocks: Mapping = MappingProxyType({}),
     shapes: Mapping = MappingProxyType({}),
 ) -> Table:
-    """Named arrays as a table.
+    """Return named arrays as a table.
 
     Args:
         path: the file.
@@ -109,8 +109,8 @@ def array_table(
 
 
 def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
-    """A vector as it is; a matrix that is long one way as its columns (or rows) `data[1]`, `data[2]`, ..."""
-    # long one way: an image or a map of both sides long is none
+    """Return a vector unchanged; a long matrix as its columns (or rows) `data[1]`, `data[2]`, ..."""
+    # long in one dimension: an image or a map is long in both
     if len(shape) != 2 or not 1 < min(shape) <= _WIDEST < max(shape):
         return [(name, values)]
 
@@ -126,7 +126,7 @@ def _loaded(values: Any, column: str, source: str) -> np.ndarray:
 
 
 def _text(value: Any) -> str | None:
-    """A unit attribute as text: also bytes, and an array of one string."""
+    """Return a unit attribute as text, also from bytes or an array of one string."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(-1)[0]
     if isinstance(value, bytes):
