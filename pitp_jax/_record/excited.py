@@ -145,7 +145,7 @@ class Cells:
         return (amplitude <= TOLERANCE * self.amplitude(number)) & (self.part[near].max(initial=0.0) >= _PART)
 
     def beside(self, low: int, high: int, amplitude: float) -> tuple[float | None, float | None]:
-        """Return the nearest trained frequencies (Hz) below and above these bands, at an amplitude; None without one."""
+        """Return the nearest trained frequencies (Hz) below and above these bands at an amplitude, or None."""
         well = (TOLERANCE * self.reached >= amplitude) & (self.part >= _NAMED)
         down, up = self.hz[well & (self._numbers < low)], self.hz[well & (self._numbers > high)]
         return float(down[-1]) if len(down) else None, float(up[0]) if len(up) else None
