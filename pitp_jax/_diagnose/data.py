@@ -115,7 +115,7 @@ class Case:
         return places
 
     def alone(self, places: Sequence[int]) -> "Case":
-        """Return the case of some records alone."""
+        """Return the same case with some of its records only."""
         series = tuple(self.series[k] for k in places)
         simulator = replace(self.simulator, drives=tuple(self.simulator.drives[k] for k in places))
         return replace(self, series=series, simulator=simulator, starts=self.starts[[*places]], folds=_folds(series))
@@ -280,7 +280,7 @@ def _beside(case: Case, records) -> Case:
 
 
 def excited_hz(case: Case) -> tuple[float, float]:
-    """Return the band of frequencies, Hz, that holds all but a thousandth of the force's energy, either end half."""
+    """Return the frequency band (Hz) with 99.9 % of the force's energy and equal remainders on both sides."""
     forces = [d.voltage * np.abs(d.voltage) if case.simulator.square else d.voltage for d in case.simulator.drives]
     ends = [force_band(forces, case.dt, share) for share in (_AROUND / 2, 1 - _AROUND / 2)]
     return ends[0], ends[1]
